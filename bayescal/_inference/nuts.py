@@ -107,7 +107,7 @@ def law_of(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
             return dist.LogNormal(np.log(median), sd)
         case priors.LogUniform(low=low, high=high):
             return dist.LogUniform(low, high)
-        case priors.OtherPrior():
+        case priors.NumpyroPrior():
             return prior.distribution
         case priors.HalfNormal() | priors.HalfCauchy():
             return getattr(dist, type(prior).__name__)(prior.scale)

@@ -63,7 +63,9 @@ class Coefficient:
     initial: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
-        set_once(self, prior=priors.taken(self.prior), group_sd=priors.taken(self.group_sd))
+        set_fields(
+            self, prior=priors.converted(self.prior), group_sd=priors.converted(self.group_sd)
+        )
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
                 f"a coefficient's prior is Normal, Flat or Known, not {_type_name(self.prior)}, since coefficients are "
@@ -132,10 +134,10 @@ class Shape:
 
     def __post_init__(self) -> None:
         if self.own_prior is not None:
-            own = priors.taken(self.own_prior, of_shape=True)
+            own = priors.converted(self.own_prior, of_shape=True)
             low, high = own.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
             scale = "linear" if isinstance(own, Normal) else "log"
-            set_once(self, own_prior=own, low=low, high=high, scale=scale)
+            set_fields(self, own_prior=own, low=low, high=high, scale=scale)
         positive = self.low > 0 or self.open
         if not self.low < self.high or (self.scale != "linear" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
@@ -146,12 +148,8 @@ class Shape:
         return (self.low, self.high) == OPEN
 
     @property
-    def prior(self) -> LogNormal | LogUniform | Normal | priors.OtherPrior:
-        """Return the prior of the value.
-
-        Raises:
-            ModelError: its range is open still.
-        """
+    def prior(self) -> LogNormal | LogUniform | Normal | priors.NumpyroPrior:
+        """Return the prior of the value; ModelError: its range is open still."""
         if self.own_prior is not None:
             return self.own_prior
         if self.open:

@@ -22,16 +22,9 @@ import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.xp import xp
+from bayescal._data import unit_conversion as uc
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import (
-    ANY,
-    NUMBER,
-    ParsedUnit,
-    base_unit,
-    coefficient_factor,
-    convert,
-    parse,
-)
+from bayescal._data.unit_conversion import NUMBER, ParsedUnit, base_unit, convert, parse
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -173,8 +166,7 @@ def effect(
 def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
     """Split a line into name, formula and definitions of names.
 
-    Raises:
-        InputError: there is no formula, or something behind a semicolon is no assignment.
+    InputError: there is no formula, or something behind a semicolon is no assignment.
     """
     stated = {n: str(v).strip() for n, v in stated.items()}
     if not formula:
@@ -231,11 +223,7 @@ class _TypedLine:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
 
     def parse_tree(self) -> ast.expr:
-        """Parse the formula to an AST whose names are keys of `names`.
-
-        Raises:
-            InputError: it is none; the place is marked.
-        """
+        """Parse the formula to an AST whose names are keys of `names`; InputError: it is none; the place is marked."""
         if len(self.text) > MAX_LENGTH:
             raise InputError(f"a formula of {len(self.text)} characters: {MAX_LENGTH} at most")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
@@ -287,8 +275,7 @@ class _TypedLine:
     def apply(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
         """Apply a function to parts; if all are literals, evaluate it.
 
-        Raises:
-            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
+        InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
         """
         at, trees = parts[0].at, [part.tree for part in parts]
         if not all(isinstance(tree, float) for tree in trees):
@@ -416,13 +403,12 @@ class _TypedLine:
     def _match_columns(self) -> dict[str, tuple[str, str]]:
         """Match names of the formula to columns: name → (column, unit).
 
-        Raises:
-            InputError: the readings have no such column of numbers, or its unit is not known.
+        InputError: the readings have no such column of numbers, or its unit is not known.
         """
         readings, texts = self.readings, self.stated
         columns = self.instrument.columns if self.instrument else ()
         declared = {c.name: c.unit for c in columns if c.name != "output"}
-        table = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, ANY)}}
+        table = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, uc.ANY)}}
         if readings is not None:
             units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
             table = {n: unit for n, unit in units.items() if unit}
@@ -540,7 +526,7 @@ class _TypedLine:
             divisors = (("degC" if n == "K" else n, p) for n, p in powers)
             divisors = (n if p == 1 else f"({n}^{p:g})" for n, p in divisors)
             text = "/".join([slot_unit, *divisors])
-            rounded = _to_float(f"{size / coefficient_factor(text, slot_unit):.2g}")
+            rounded = _to_float(f"{size / uc.coefficient_factor(text, slot_unit):.2g}")
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (match := _SIZE.fullmatch(stated)):
             raise InputError(
@@ -599,11 +585,7 @@ def _nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
 
 
 def _to_float(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
-    """Parse a number.
-
-    Raises:
-        InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
-    """
+    """Parse a number; InputError: by `refusal`: it is too large, or too small, for a computer's numbers."""
     value, is_zero = float(text), not re.search("[1-9]", text.lower().split("e")[0])
     if math.isfinite(value) and (abs(value) >= TINY or is_zero):
         return value
@@ -625,8 +607,7 @@ def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
     """Raise ModelError if readings or slot have other units than a typed effect was parsed for.
 
-    Raises:
-        ModelError: a column, or the whole, is in another unit.
+    ModelError: a column, or the whole, is in another unit.
     """
     basis = effect_.basis
     if not isinstance(basis, Formula):

@@ -208,11 +208,7 @@ class Instrument:
         )
 
     def slot(self, name: str) -> Slot:
-        """Return a slot by name; a numeric column is one too, in its own unit.
-
-        Raises:
-            ModelError: there is no such slot.
-        """
+        """Return a slot by name; a numeric column is one too, in its own unit; ModelError: there is no such slot."""
         for slot in self.slots:
             if slot.name == name:
                 return slot

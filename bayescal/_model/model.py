@@ -97,8 +97,7 @@ class Model(Printed):
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
         """Add an effect (or several), given as such or by canonical name.
 
-        Raises:
-            ModelError: the effect is there already, or its slot or name is unknown.
+        ModelError: the effect is there already, or its slot or name is unknown.
         """
         if not isinstance(other, (Effect, str)):
             model = self
@@ -114,11 +113,7 @@ class Model(Printed):
         return replace(self, effects=(*self.effects, effect))
 
     def __sub__(self, other: Effect | str) -> Model:
-        """Remove an effect.
-
-        Raises:
-            ModelError: it is not in the model.
-        """
+        """Remove an effect; ModelError: it is not in the model."""
         removed = self.effect(other if isinstance(other, str) else other.name)
         effects = tuple(e for e in self.effects if e.name != removed.name)
         fixed = tuple((n, v) for n, v in self.fixed if n not in removed.unknown_names)

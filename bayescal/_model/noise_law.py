@@ -205,10 +205,7 @@ class Noise(abc.ABC):
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
         """Return starting points of an optimisation of the parameters; parameters that are absent are free to choose.
 
-        Args:
-            frame: the readings, sorted by time if the law is correlated.
-            residuals: of the same readings, output unit.
-        """
+        Readings and residuals (output unit) are sorted by time if the law is correlated."""
         return [{}]
 
     # time series ------------------------------------------------------------------------------------------------

@@ -116,7 +116,7 @@ class LogUniform(_StandardNormal):
 
 
 @static
-class OtherPrior(_StandardNormal):
+class NumpyroPrior(_StandardNormal):
     """A positive quantity by another distribution of NumPyro's; its coordinate is standard normal: icdf(Φ(v))."""
 
     name: str
@@ -203,14 +203,16 @@ def deviation(prior: Any) -> float | None:
     return None
 
 
-def taken(prior: Any, of_shape: bool = False) -> Any:
+def converted(prior: Any, of_shape: bool = False) -> Any:
     """Return a prior of these for a distribution of NumPyro's, which is not imported for it; others as they are.
 
-    Raises:
-        ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes.
+    ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes.
     """
     name, reason = type(prior).__name__, "a shape does not take it"
-    if type(prior).__module__.startswith("numpyro."):
+    if not type(prior).__module__.startswith("numpyro."):
+        if not of_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
+            return prior
+    else:
         names, base = {*prior.arg_constraints}, getattr(prior, "base_dist", prior)
         if name.endswith("TruncatedDistribution") and type(base).__name__ == "Normal":
             name, names = "TruncatedNormal", names | {"loc", "scale"}
@@ -219,16 +221,13 @@ def taken(prior: Any, of_shape: bool = False) -> Any:
             lowest, reason = float(prior.icdf(_EDGE)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
             lowest, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
-        usual = {"Normal": Normal} if of_shape else {k.__name__: k for k in KINDS[:5]}
-        prior = OtherPrior(name, tuple(values.items())) if lowest >= 0 else None
-        if values and name in usual and name[:3] != "Log":
-            prior = usual[name](*values.values())
-    if (prior is None and name != "NoneType") or (
-        of_shape and not isinstance(prior, Normal | LogNormal | OtherPrior)
-    ):
-        takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
-        raise ModelError(f"prior {name}: {reason}. {takes} Normal or what is positive with icdf")
-    return prior
+        usual = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
+        if values and (kind := next((k for k in usual if k.__name__ == name), None)):
+            return kind(*values.values())
+        if lowest >= 0:
+            return NumpyroPrior(name, tuple(values.items()))
+    takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
+    raise ModelError(f"prior {name}: {reason}. {takes} Normal or what is positive with icdf")
 
 
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)

@@ -15,14 +15,9 @@ from jaxtyping import Float
 from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data import unit_conversion
+from bayescal._model import independent_noise
 from bayescal._model.frame import Frame
-from bayescal._model.independent_noise import (
-    CURVATURE,
-    SLOPE,
-    columns_for,
-    scale_covariate,
-    scatter_variance,
-)
+from bayescal._model.independent_noise import CURVATURE, SLOPE, scale_covariate
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
@@ -72,7 +67,7 @@ class SumOfTerms(Noise, interface=True):
     @property
     def needs(self) -> tuple[str, ...]:
         columns = (self.column,) if self.column else ()
-        columns += columns_for(self.scatter) if self.scatter else ()
+        columns += independent_noise.columns_for(self.scatter) if self.scatter else ()
         return tuple(dict.fromkeys(("time", *columns)))
 
     @property
@@ -147,7 +142,7 @@ class SumOfTerms(Noise, interface=True):
 
     def _white_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
         if self.scatter:
-            return scatter_variance(parameters, frame, self.scatter)
+            return independent_noise.scatter_variance(parameters, frame, self.scatter)
         return white_variance(parameters, frame)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
