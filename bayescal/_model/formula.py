@@ -158,16 +158,14 @@ def effect(
             shape ("100 to 2000 s", or one value for a tenth to ten times that); columns under other names.
 
     Raises:
-        InputError: the formula is none, its units do not go together, or a size is missing; the place is marked with ▸.
-    """
+        InputError: the formula is none, its units do not go together, or a size is missing; ▸ marks the place."""
     return _TypedLine(name, formula, stated, readings, instrument).effect(source)
 
 
 def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
     """Split a line into name, formula and definitions of names.
 
-    InputError: there is no formula, or something behind a semicolon is no assignment.
-    """
+    InputError: there is no formula, or something behind a semicolon is no assignment."""
     stated = {n: str(v).strip() for n, v in stated.items()}
     if not formula:
         name, colon, tail = name.partition(":")
@@ -275,8 +273,7 @@ class _TypedLine:
     def apply(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
         """Apply a function to parts; if all are literals, evaluate it.
 
-        InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
-        """
+        InputError: it has none: a division by zero, the root of a negative number, a number too large or too small."""
         at, trees = parts[0].at, [part.tree for part in parts]
         if not all(isinstance(tree, float) for tree in trees):
             return FormulaPart((function, *trees), unit, at)
@@ -403,8 +400,7 @@ class _TypedLine:
     def _match_columns(self) -> dict[str, tuple[str, str]]:
         """Match names of the formula to columns: name → (column, unit).
 
-        InputError: the readings have no such column of numbers, or its unit is not known.
-        """
+        InputError: the readings have no such column of numbers, or its unit is not known."""
         readings, texts = self.readings, self.stated
         columns = self.instrument.columns if self.instrument else ()
         declared = {c.name: c.unit for c in columns if c.name != "output"}
@@ -607,8 +603,7 @@ def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
     """Raise ModelError if readings or slot have other units than a typed effect was parsed for.
 
-    ModelError: a column, or the whole, is in another unit.
-    """
+    ModelError: a column, or the whole, is in another unit."""
     basis = effect_.basis
     if not isinstance(basis, Formula):
         return

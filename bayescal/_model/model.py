@@ -97,8 +97,7 @@ class Model(Printed):
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
         """Add an effect (or several), given as such or by canonical name.
 
-        ModelError: the effect is there already, or its slot or name is unknown.
-        """
+        ModelError: the effect is there already, or its slot or name is unknown."""
         if not isinstance(other, (Effect, str)):
             model = self
             for item in other:
@@ -140,8 +139,7 @@ class Model(Printed):
         the known uncertainty of each reading, its column `output_uncertainty`, is all the noise that there is.
 
         Raises:
-            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
-        """
+            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be."""
         self._refuse_unknown(values)
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
@@ -160,8 +158,7 @@ class Model(Printed):
         """Free these unknowns (all, if none is named), so that they are estimated again.
 
         Raises:
-            ModelError: no unknown has that name.
-        """
+            ModelError: no unknown has that name."""
         self._refuse_unknown(names)
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
@@ -169,8 +166,7 @@ class Model(Printed):
         """Change the plausible size of an effect's first coefficient, in its unit; others in proportion.
 
         Raises:
-            ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
-        """
+            ModelError: the effect is not in the model, states no plausible size, or this one is not positive."""
         effect, first = self.effect(name), self.effect(name).coefficients[0]
         if effect.is_placeholder or first.flat or not 0 < size < math.inf:
             stated = "; its own is taken from the readings, or flat" * (size > 0)
@@ -202,8 +198,7 @@ class Model(Printed):
         """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs.
 
         Raises:
-            ModelError: the output has another unit, or a column is missing.
-        """
+            ModelError: the output has another unit, or a column is missing."""
         model_unit, unit = self.instrument.unit, readings.unit(readings.output)
         if model_unit == ANY:
             raise ModelError(

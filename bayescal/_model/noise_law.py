@@ -215,12 +215,7 @@ class Noise(abc.ABC):
     ) -> Float[np.ndarray, "... k"]:
         """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
-        Args:
-            values: parameters, numbers or (draws,).
-            variance: total variance of a reading about the expected output.
-            factors: numbers of readings averaged, m.
-            step: sampling interval, s.
-        """
+        `variance` is a reading's about the expected output; `factors` readings, `step` s apart, are averaged."""
         return np.asarray(variance)[..., None] / factors
 
     def slow_variance(self, values: Parameters) -> Any:
@@ -242,14 +237,8 @@ class Noise(abc.ABC):
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
         """Return the smoothed mean and variance of the correlated noise at times of a run, given its residuals.
 
-        Args:
-            values: parameters.
-            time: of the readings, s.
-            residuals: output unit, one column per set of coefficients; the mean is linear in them.
-            white: variance of each reading's white noise, output unit squared.
-            at: times of the result, s.
-            along: covariate of the correlated part, at the readings and at times `at`.
-        """
+        The mean is linear in residuals, output unit, one column per set of coefficients. `white` is the variance of
+        each reading's white noise; `along`: covariate of the correlated part, at the readings and at times `at`."""
         return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
 
 

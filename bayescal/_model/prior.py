@@ -206,8 +206,7 @@ def deviation(prior: Any) -> float | None:
 def converted(prior: Any, of_shape: bool = False) -> Any:
     """Return a prior of these for a distribution of NumPyro's, which is not imported for it; others as they are.
 
-    ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes.
-    """
+    ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes."""
     name, reason = type(prior).__name__, "a shape does not take it"
     if not type(prior).__module__.startswith("numpyro."):
         if not of_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
