@@ -53,15 +53,15 @@ class World:
         return fitted[:count]
 
 
-def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
+def gyro(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
     """A gyro at rest through temperature sweeps: 0.05 °/s of noise, a reading a minute.
 
     Args:
         seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given.
+        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
     """
     rng, laws = np.random.default_rng([35, seed]), _GYRO if seed < NO_FORMULA else _ODD_GYRO
-    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
+    hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
     def simulate(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
@@ -91,15 +91,15 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     return World(readings, truth, later, later_truth, hidden, static, *simulate(2, OTHER))
 
 
-def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
+def quartz(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
     """A quartz accelerometer with two thermometers: ramps at three attitudes, 5 µg of noise, a reading a minute.
 
     Args:
         seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given.
+        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
     """
     rng, laws = np.random.default_rng([38, seed]), _QUARTZ if seed < NO_FORMULA else _ODD_QUARTZ
-    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
+    hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
     curves = {"bias": _cubic(rng, 3000.0, 50.0), "scale": _cubic(rng, 800.0, 5.0)}
 
     def simulate(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
@@ -140,18 +140,18 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     return World(readings, truth, later, later_truth, hidden, static, *simulate(3, OTHER))
 
 
-def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
+def inclinometer(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
     """A two-axis inclinometer on a dividing table: ±45° by 3°, to and fro, three mountings of each axis, 2″ of noise.
 
     Args:
         seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given.
+        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
     """
     rng, laws = (
         np.random.default_rng([40, seed]),
         _INCLINOMETER if seed < NO_FORMULA else _ODD_TABLE,
     )
-    hidden = _drawn(rng, laws) if hidden is None else dict(hidden)
+    hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
     axis_constants = {axis: rng.normal(0.0, (100.0, 1.0)) for axis in "xy"}
     share = {axis: rng.uniform(0.5, 1.0) * rng.choice((-1.0, 1.0)) for axis in "xy"}
     angles = np.arange(-45.0, 46.0, 3.0)
@@ -392,8 +392,9 @@ def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), count)
 
 
-def _drawn(rng: np.random.Generator, laws: Mapping[str, object]) -> dict[str, float]:
-    """Draw hidden effects, at sizes log-uniform over two decades."""
+def _drawn(rng: np.random.Generator, laws: Mapping[str, object], without: str) -> dict[str, float]:
+    """Draw hidden effects, at sizes log-uniform over two decades, that of one left out zero."""
     names = rng.choice(sorted(laws), size=rng.choice(COUNTS), replace=False)
     low, high = np.log(SIZES)
-    return {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}
+    sizes = {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}
+    return {n: 0.0 if n == without else size for n, size in sizes.items()}
