@@ -94,9 +94,7 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, without: str = ""
 def quartz(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
     """A quartz accelerometer with two thermometers: ramps at three attitudes, 5 µg of noise, a reading a minute.
 
-    Args:
-        seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
+    Args: as `gyro` has them.
     """
     rng, laws = np.random.default_rng([38, seed]), _QUARTZ if seed < NO_FORMULA else _ODD_QUARTZ
     hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
@@ -143,9 +141,7 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None, without: str = 
 def inclinometer(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
     """A two-axis inclinometer on a dividing table: ±45° by 3°, to and fro, three mountings of each axis, 2″ of noise.
 
-    Args:
-        seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
+    Args: as `gyro` has them.
     """
     rng, laws = (
         np.random.default_rng([40, seed]),
