@@ -522,7 +522,7 @@ def _worst_range(
     else:
         edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
         bins[mask], count = np.searchsorted(edges, values, side="right"), BINS
-    score, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
+    score, weight = calibration.linear.normal_eqs((bins[:, None] == np.arange(count)).astype(float))
     starts, ends = np.triu_indices(count + 1, 1)
     short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
     starts, ends = starts[short], ends[short]

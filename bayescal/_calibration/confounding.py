@@ -89,7 +89,7 @@ def confounders(
     for name, values, step in acting:
         # The column at its size, whitened; its projection on the model's columns, P, and the rest, K.
         column = linear.whiten(values[:, None])[:, 0]
-        explained = linear.projected(column[:, None])[:, 0]
+        explained = linear.project_on_nuisance(column[:, None])[:, 0]
         squares = float(column @ column)
         remainder = max(squares - float(explained @ explained), 0.0)
         # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
@@ -118,7 +118,7 @@ def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
 def shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
     """Return the shifts of a model's coefficients by further columns of one standard deviation each."""
     p = linear.problem.layout.size
-    return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
+    return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
 
 
 def is_widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:

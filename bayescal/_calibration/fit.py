@@ -16,7 +16,7 @@ from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.settings import seed_of
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import NOTHING_KNOWN
-from bayescal._inference.linear_model import sized
+from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
@@ -81,7 +81,7 @@ def fit(
     reference = with_origin(model, readings, {**reference_of(readings), **requested})
     record = record_of(model.instrument, readings, reference)
     record.require_finite(model.effects)
-    model = sized(model, readings, record)
+    model = fill_amplitudes(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
     problem = Problem(layout, record)
     _refuse_lost_digits(problem, readings)

@@ -19,7 +19,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import CHAINS, Draws, Verdict
-from bayescal._inference.noise_on_record import Batch, log_densities, samples, variances
+from bayescal._inference.noise_on_record import Batch, draw_samples, log_densities, variances
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.trust import CHAIN_DRAWS
@@ -423,7 +423,7 @@ def replicate(
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
             mean = mean + spread * normal[:, codes]  # −1: the last
         seed = int(random.integers(2**31))
-        outputs[part] = samples(problem.noise, problem.record, mean, hyper, seed)
+        outputs[part] = draw_samples(problem.noise, problem.record, mean, hyper, seed)
     return outputs
 
 

@@ -24,7 +24,7 @@ from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import across, find_mode, prior_draws
+from bayescal._inference.laplace import find_mode, prior_draws, scan_ragged
 from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
@@ -118,7 +118,7 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
     mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, near=near)
-    _, posterior = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    _, posterior = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
     if posterior is None:
         return []
     mean, error = posterior.mean, limit(PRIOR, "sd") * np.sqrt(np.diag(posterior.covariance))
@@ -322,7 +322,7 @@ def multimodality(fit: Fitted) -> list[Claim]:
         return np.abs(v - mode.v)[shapes] > limit("mode.two", "apart_sd") * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
-    tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
+    tried = np.concatenate([prior_draws(problem), *scan_ragged(problem, mode.v)])
     # Another mode has other shapes: all else starts at this mode.
     tried = np.where(np.isin(np.arange(len(sd)), shapes), tried, mode.v)
     starts = [v for v in tried if far(v).any()] if shapes else []

@@ -74,11 +74,11 @@ class Part(Record):
         super().__init__(whole.instrument, frame, whole.y[rows])
         self.whole, self.rows = whole, rows
 
-    def _computed(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
-        return self.whole._computed(effect, values, self._fill(shifts))[:, self.rows]
+    def _compute_columns(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
+        return self.whole._compute_columns(effect, values, self._fill(shifts))[:, self.rows]
 
-    def moved_columns_of_draws(self, effect: ColumnSpec, values: Sequence[Any], shifts) -> Any:
-        rows, slopes = self.whole.moved_columns_of_draws(effect, values, self._fill(shifts))
+    def differentiate_columns(self, effect: ColumnSpec, values: Sequence[Any], shifts) -> Any:
+        rows, slopes = self.whole.differentiate_columns(effect, values, self._fill(shifts))
         return rows[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
 
     @cached_property
@@ -198,10 +198,10 @@ def _held_out_moments(
     fitted: Density, predicted: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
     """Return errors of the left-out readings, their Gram matrix in the training posterior's coordinates, variance."""
-    posterior = fitted.at(v)[1]
+    posterior = fitted.condition_at(v)[1]
     if posterior is None:
         return None
-    centred, table, logdet = predicted.whitened(v, posterior.mean)
+    centred, table, logdet = predicted.whiten_at(v, posterior.mean)
     turned = table[:, :-1] @ posterior.root
     score = turned.T @ table[:, -1]
     gram = Gram(turned.T @ turned, score, float(table[:, -1] @ table[:, -1]), logdet)

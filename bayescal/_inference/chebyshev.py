@@ -1,4 +1,4 @@
-"""Interpolation between Chebyshev's points."""
+"""Polynomial interpolation at Chebyshev nodes."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from jaxtyping import Float
 
 
 @cache
-def points(count: int) -> Float[np.ndarray, "c"]:
-    """Return Chebyshev's points of the first kind, between 1 and −1."""
+def chebpts(count: int) -> Float[np.ndarray, "c"]:
+    """Return the Chebyshev nodes of the first kind on [−1, 1], in descending order."""
     return np.cos((np.arange(count) + 0.5) * np.pi / count)
 
 
-def polynomials(x: Float[np.ndarray, "*b"], count: int) -> Float[np.ndarray, "*b c"]:
-    """Return Chebyshev's polynomials of orders 0 … count − 1 at places between −1 and 1."""
+def chebvander(x: Float[np.ndarray, "*b"], count: int) -> Float[np.ndarray, "*b c"]:
+    """Evaluate the Chebyshev polynomials of orders 0 … count − 1 at x in [−1, 1] (pseudo-Vandermonde matrix)."""
     return np.cos(np.arccos(np.clip(x, -1.0, 1.0))[..., None] * np.arange(count))
 
 
 @cache
-def to_coefficients(count: int) -> Float[np.ndarray, "k c"]:
-    """Return the matrix from values at the points to coefficients of the polynomials: a discrete cosine transform."""
-    half = np.where(np.arange(count) == 0, 1, 2)[:, None] / count
-    return half * polynomials(points(count), count).T
+def values_to_coefficients(count: int) -> Float[np.ndarray, "k c"]:
+    """Return the matrix from values at the nodes to Chebyshev coefficients: a discrete cosine transform."""
+    scale = np.where(np.arange(count) == 0, 1, 2)[:, None] / count
+    return scale * chebvander(chebpts(count), count).T
 
 
-def nodes_and_shares(
+def lagrange_at_nodes(
     low: float, high: float, count: int, x: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "c"], Float[np.ndarray, "n c"]]:
-    """Return Chebyshev's points between two ends, and Lagrange's polynomials of them at places x."""
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    share = polynomials((x - middle) / half, count) @ to_coefficients(count)
-    return middle + half * points(count), share
+    """Return the Chebyshev nodes on [low, high] (c,) and their Lagrange polynomials at x (n, c)."""
+    centre, half_width = 0.5 * (low + high), 0.5 * (high - low)
+    lagrange = chebvander((x - centre) / half_width, count) @ values_to_coefficients(count)
+    return centre + half_width * chebpts(count), lagrange

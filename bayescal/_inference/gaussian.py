@@ -1,8 +1,8 @@
-"""The Gaussian core: coefficients integrated out in closed form, and drawn back.
+"""Conjugate Gaussian linear model: coefficients integrated out in closed form, and drawn from their conditional.
 
 With y − μ(x̂) = r ≈ J(x − x̂) + noise and x ~ N(m, diag(s²)), everything follows from JᵀΣ⁻¹J, JᵀΣ⁻¹r and rᵀΣ⁻¹r. The
-solve is in the whitened z = (x − m)/s, so that a spread of zero takes its coefficient away exactly. The sum of squares
-is taken at the posterior mean, as the small difference that it is, and not as the difference of two large sums.
+system is solved for the standardised z = (x − m)/s, so that s = 0 fixes a coefficient exactly. The residual sum of
+squares is evaluated at the posterior mean, against cancellation.
 
 These are small dense matrices, thousands of them in a search: LAPACK on the host, one call each, nothing to compile. A
 flat prior has weight 0 and the scale of its column in place of s.
@@ -23,7 +23,7 @@ LOG_2PI = math.log(2 * math.pi)
 
 
 class Gram(NamedTuple):
-    """Weighted products of a matrix J and a vector r, and log|Σ|: all that a Gaussian likelihood needs."""
+    """Gram matrix of [J r] weighted by Σ⁻¹, and log|Σ|: sufficient statistics of a Gaussian likelihood."""
 
     jtj: Float[np.ndarray, "*b p p"]
     jtr: Float[np.ndarray, "*b p"]
@@ -32,7 +32,7 @@ class Gram(NamedTuple):
 
     @classmethod
     def of(cls, whole: Float[np.ndarray, "*b q q"], logdet: Any) -> Gram:
-        """Split the products of the whitened table [J r] with itself."""
+        """Split the Gram matrix of the whitened table [J r] into its blocks."""
         return cls(whole[..., :-1, :-1], whole[..., :-1, -1], whole[..., -1, -1], logdet)
 
 
@@ -43,22 +43,21 @@ class Prior(NamedTuple):
     sd: Float[np.ndarray, "*b p"]
     weight: Float[np.ndarray, "p"]
 
-    def from_point(self, at: Any, information: Any) -> tuple[Any, Any]:
-        """Return the prior mean relative to a point: as a first step, and in prior standard deviations.
+    def offset_from(self, at: Any, information: Any) -> tuple[Any, Any]:
+        """Return the offset of the prior mean from a point in two parts: in units of x, and in prior deviations.
 
-        The step, where the prior tells more than readings do (`information`, the diagonal of JᵀΣ⁻¹J): a prior of no
-        width stands at its mean exactly. In standard deviations, where the readings do: the difference of a far prior
-        mean and as far a way back has no digits left.
+        In units of x where the prior is narrower than the likelihood (`information`, the diagonal of JᵀΣ⁻¹J), so that a
+        prior of zero width is exact; otherwise in standard deviations, against cancellation for a distant prior mean.
         """
-        off = self.weight * (self.mean - at)
-        inside = self.sd**2 * information > 1
-        return np.where(inside, 0.0, off), np.where(
-            inside, off / np.where(inside, self.sd, 1.0), 0.0
+        offset = self.weight * (self.mean - at)
+        is_tight = self.sd**2 * information > 1
+        return np.where(is_tight, 0.0, offset), np.where(
+            is_tight, offset / np.where(is_tight, self.sd, 1.0), 0.0
         )
 
     @property
     def flat_volume(self) -> Any:
-        """Return the flat priors' part of the log evidence, of density one: log s + ½·log 2π each."""
+        """Return the flat priors' contribution to the log evidence, for density one: log s + ½·log 2π each."""
         # A density of one per unit of x is one of s per unit of z = x/s, and lacks the 1/√(2π) of the standard normal
         # density that the closed form counts for every z.
         log_sd = np.where(self.weight > 0, 0.0, np.log(np.where(self.weight > 0, 1.0, self.sd)))
@@ -67,15 +66,15 @@ class Prior(NamedTuple):
 
 @dataclass(eq=False)
 class Conditional:
-    """x given φ and the readings, x = mean + sd·L⁻ᵀ·ε, and the log density of the readings given φ."""
+    """Conditional posterior of x given φ, x = mean + sd·L⁻ᵀ·ε, and the log density of the readings given φ."""
 
     log_marginal: float  # of the readings, x integrated out
     mean: Float[np.ndarray, "p"]
     sd: Float[np.ndarray, "p"]  # of the prior
     chol: Float[np.ndarray, "p p"]  # L, the lower factor of the precision of z
     z: Float[np.ndarray, "p"]  # the mean, in standard deviations from that of the prior
-    penalised_rss: float  # sum of squares at the mean, the prior's share included
-    squares: float  # of the whitened residuals at the mean alone
+    penalised_rss: float  # whitened residual sum of squares at the mean, plus that of z
+    squares: float  # whitened residual sum of squares at the mean
 
     @cached_property
     def root_of_z(self) -> Float[np.ndarray, "p p"]:
@@ -95,9 +94,9 @@ class Conditional:
 def condition(
     gram: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"]
 ) -> Conditional | None:
-    """Integrate x out; None where the precision has no Cholesky factor, or the sum of squares no digits.
+    """Integrate x out; None if the precision is not positive definite, or the sum of squares cancels to zero.
 
-    r and the products were taken at x̂, `at`.
+    `gram` was evaluated at x = `at`, x̂ below.
     """
     sd, weight = prior.sd, prior.weight
     # With x = x̂ + offset + S·t, S = diag(s), what is left is (r − J·offset) − J·S·t, and the prior is t ~ N(far, W⁻¹)
@@ -107,25 +106,25 @@ def condition(
     if not p:
         log_marginal, squares = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr), float(gram.rtr)
         return Conditional(float(log_marginal), at, sd, np.zeros((0, 0)), sd, squares, squares)
-    offset, far = prior.from_point(at, gram.jtj.diagonal())
-    pulled = sd * (gram.jtr - gram.jtj @ offset) + far
+    offset, prior_pull = prior.offset_from(at, gram.jtj.diagonal())
+    pulled = sd * (gram.jtr - gram.jtj @ offset) + prior_pull
     precision = sd[:, None] * gram.jtj * sd
     precision.flat[:: p + 1] += weight
-    # LAPACK takes columns first: handed the transpose of a symmetric matrix it copies nothing.
+    # LAPACK is column-major: the transpose of a symmetric C-ordered matrix is passed without a copy.
     chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         return None
     t = dtrtrs(chol, dtrtrs(chol, pulled, lower=1)[0], lower=1, trans=1)[0]
     # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move; zᵀWz is the prior's.
-    move, z = offset + sd * t, t - far
+    move, z = offset + sd * t, t - prior_pull
     squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
     penalised_rss = squares + weight @ (z * z)
     if not penalised_rss > 0:  # no digits left: noise far below any residual
         return None
     # |Σ + J·S²·Jᵀ| = |Σ|·|A| (Sylvester's determinant identity), and |A| is the squared product of L's diagonal.
-    volume = gram.logdet + 2 * float(np.log(chol.diagonal()).sum())
-    flat = 0.0 if weight.all() else float(prior.flat_volume)
-    log_marginal = flat - 0.5 * (size * LOG_2PI + volume + penalised_rss)
+    log_det = gram.logdet + 2 * float(np.log(chol.diagonal()).sum())
+    flat_log_volume = 0.0 if weight.all() else float(prior.flat_volume)
+    log_marginal = flat_log_volume - 0.5 * (size * LOG_2PI + log_det + penalised_rss)
     if not math.isfinite(log_marginal):
         return None
     sums = float(penalised_rss), float(squares)
@@ -133,66 +132,65 @@ def condition(
 
 
 class Drawn(NamedTuple):
-    """Coefficients drawn given each of several φ, and the log density of the readings given φ."""
+    """Draws of x given each of several φ, and the log density of the readings given φ."""
 
     log_marginal: Float[np.ndarray, "b"]  # −∞ where there is none
     x: Float[np.ndarray, "b p"]  # drawn
-    # of x from its prior mean, in standard deviations of its prior, where that is proper
-    squares: Float[np.ndarray, "b"]
-    # of the map from standard normal numbers to x, proper coefficients in units of their prior's standard deviation:
-    # so a standard deviation of zero is not asked for
+    squares: Float[np.ndarray, "b"]  # Σ z², over coefficients with a proper prior
+    # log determinant of the map from normal numbers to x, coefficients with a proper prior in units of its sd
+
     log_volume: Float[np.ndarray, "b"]
 
-    def of(self, some: np.ndarray) -> Drawn:
-        """Return the draws of some φ."""
-        return Drawn(*(a[some] for a in self))
+    def select(self, rows: np.ndarray) -> Drawn:
+        """Select the draws of some φ."""
+        return Drawn(*(a[rows] for a in self))
 
 
 def draw(
     grams: Gram, size: int, prior: Prior, at: Float[np.ndarray, "p"], normal: np.ndarray
 ) -> Drawn:
-    """Condition on many φ side by side (b, …), and map standard normal numbers (b, p) to x."""
+    """Condition on many φ at once (b, …), and map standard normal numbers (b, p) to draws of x."""
     sd, weight = prior.sd, prior.weight
-    offset, far = prior.from_point(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
+    offset, far = prior.offset_from(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
     pulled = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + far
     precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
     diagonal = np.arange(len(at))
     precision[:, diagonal, diagonal] += weight
-    chol = factors(precision)
-    mean = solve(chol, solve(chol, pulled), upper=True)
-    move, from_prior = offset + sd * mean, mean - far
-    across = np.einsum("bij,bj->bi", grams.jtj, move)
-    squares = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1)
-    penalised_rss = squares + from_prior**2 @ weight
+    chol = cholesky(precision)
+    mean = solve_tri(chol, solve_tri(chol, pulled), upper=True)
+    move, z = offset + sd * mean, mean - far
+    jtj_move = np.einsum("bij,bj->bi", grams.jtj, move)
+    squares = grams.rtr - np.sum(move * (2 * grams.jtr - jtj_move), axis=1)
+    penalised_rss = squares + z**2 @ weight
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
-    halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
+    half_log_det = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
-    log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + penalised_rss)
-    away = solve(chol, normal, upper=True)
+    log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * half_log_det + penalised_rss)
+    scatter = solve_tri(chol, normal, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
         np.where(np.isfinite(log_marginal) & (penalised_rss > 0), log_marginal, -np.inf),
-        at + move + sd * away,
-        (from_prior + away) ** 2 @ weight,
-        log_sd - halves,
+        at + move + sd * scatter,
+        (z + scatter) ** 2 @ weight,
+        log_sd - half_log_det,
     )
 
 
-def factors(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"]:
-    """Return lower Cholesky factors; NaN of a matrix that has none."""
+def cholesky(matrices: Float[np.ndarray, "*b p p"]) -> Float[np.ndarray, "*b p p"]:
+    """Return lower Cholesky factors; NaN for a matrix that is not positive definite."""
     try:
         return np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
         if matrices.ndim == 2:
             return np.full_like(matrices, np.nan)
-        return np.stack([factors(matrix) for matrix in matrices])
+        return np.stack([cholesky(matrix) for matrix in matrices])
 
 
-def solve(
+def solve_tri(
     chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"], upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
-    """Return L⁻¹ times vectors, or L⁻ᵀ."""
-    # A loop over the few coefficients, each step for all φ at once, in place of a call of LAPACK for each φ.
+    """Solve L·z = right, or Lᵀ·z = right if `upper`, for many triangular matrices L at once."""
+    # A loop over the few coefficients, vectorised over φ, is faster than one LAPACK call per φ.
     z, order = np.empty_like(right), range(right.shape[1])
     for i in reversed(order) if upper else order:
         done = slice(i + 1, None) if upper else slice(i)
@@ -202,6 +200,6 @@ def solve(
 
 
 def column_scale(jacobian: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p"]:
-    """Return scales of coefficients with flat priors: the change that moves the output by one unit."""
+    """Return the scale of each coefficient with a flat prior: the change that changes the output's rms by one unit."""
     norm = np.sqrt(np.mean(jacobian**2, axis=0))
     return np.where(norm > 0, 1 / np.where(norm > 0, norm, 1.0), 1.0)

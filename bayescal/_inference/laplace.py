@@ -1,6 +1,6 @@
-"""The mode of a structure: x̂ given φ̂ by Gauss–Newton, φ̂ by marginal likelihood, and the Laplace approximation there.
+"""Mode of a model: φ̂ by marginal likelihood, x̂ given φ̂ by Gauss–Newton, and the Laplace approximation.
 
-The joint mode of coefficients and spreads would run to a spread of zero; the mode of φ with x integrated out does not.
+The joint density of coefficients and their standard deviation is unbounded at zero deviation; the marginal of φ is not.
 """
 
 from __future__ import annotations
@@ -22,26 +22,28 @@ from bayescal._inference.newton import CONVERGED_NATS, NOWHERE, Nearby, climb, g
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
-XTOL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
+XTOL_SD = 1e-4  # convergence: largest change per round, posterior standard deviations
 MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
-STARTS = 64  # prior draws of φ among which the start is chosen,
-AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
-HALVINGS = 8  # of a step that makes things worse
+STARTS = 64  # prior draws of φ from which the start is selected
+SCAN_GRID = np.arange(
+    -3.5, 3.5, 0.02
+)  # coordinates scanned along a shape with a multimodal density
+HALVINGS = 8  # of a rejected step, at most
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
-MIN_GAIN_NATS = 1e-8  # log density that a round gains, below which φ̂ is found
+MIN_GAIN_NATS = 1e-8  # convergence: smallest increase of the log density per round
 
 
 class Mode(NamedTuple):
-    """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
+    """Mode φ̂ of the marginal density, x̂ given φ̂, and the Gaussian fit of φ's coordinates."""
 
     x: Any  # (p,)
     v: Any  # (d,)
     covariance: Any  # (d, d)
     log_density: Any  # log p(y, φ̂), x integrated out
     log_evidence: Any  # Laplace
-    change: Any  # of the last round, in standard deviations
+    change: Any  # in the last round, standard deviations
     flat: Any  # (p,)
-    indefinite: Any  # whether the curvature had to be mended
+    indefinite: Any  # whether the Hessian had to be modified to be positive definite
 
 
 @on_one_thread
@@ -54,16 +56,15 @@ def find_mode(
     coarse_below: float = -math.inf,
     near: Nearby | None = None,
 ) -> Mode:
-    """Find the mode, from the best of some coordinates of φ. Deterministic.
+    """Find the mode of a model, from the most probable of several starting points. Deterministic.
 
     Args:
-        starts: coordinates, of which the most probable is begun at; prior draws if not given.
-        x: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
-        xtol: standard deviations that a round moves anything by, below which the mode is found: the log evidence is
-            off by about half their square.
-        start: φ by name where the mode may be, beside the prior draws; others are at their priors' middle.
-        coarse_below: log density, below which a mode found to a hundredth of a nat will do.
-        near: the curvature of a density that is much alike.
+        starts: coordinates of φ to select the starting point from; prior draws if not given.
+        x: starting point of x̂; its prior mean, or a fit by an ellipsoid for three axes, if not given.
+        xtol: convergence tolerance, posterior standard deviations; the log evidence is accurate to about xtol²/2.
+        start: a further starting point, φ by name; absent entries are at the median of their prior.
+        coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
+        near: curvature of a similar density, as a first estimate of the Hessian.
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
     flat = flat_scales(problem, x, np.zeros(dim))
@@ -76,53 +77,53 @@ def find_mode(
             stated[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
         candidates = [stated, *candidates]
 
-    def climbed(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
-        return _climbed(problem, starts, x, flat, xtol, coarse_below, near)
+    def climb_from(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
+        return _climb(problem, starts, x, flat, xtol, coarse_below, near)
 
     highest = partial(max, key=attrgetter("value"))
-    top = climbed(candidates if dim else candidates[:1], x)
+    top = climb_from(candidates if dim else candidates[:1], x)
     if starts is None:
-        # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
+        # The density of factors of a product a·b is symmetric under (a, b) → (−a, −b): try the mirrored mode too.
         promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
-        if promoted.any():  # of a product both factors may have the other sign
-            top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
-        for along in across(problem, top.v):  # and one of many maxima may be higher
-            top = highest(top, climbed([*along], top.x))
-    return at_mode(top.density, top.v, top.change, top.x, top.value > coarse_below)
+        if promoted.any():
+            top = highest(top, climb_from([np.where(promoted, -top.v, top.v)], x))
+        for grid in scan_ragged(problem, top.v):  # multimodal in these shapes
+            top = highest(top, climb_from([*grid], top.x))
+    return fit_at_mode(top.density, top.v, top.change, top.x, top.value > coarse_below)
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
-    """Return where x̂ may be: its prior mean, or for three axes that of `Vector.with_directions`."""
+    """Return the starting point of x̂: its prior mean, or for three axes a fit by `Vector.with_directions`."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
-    directed = None if vector is None else vector.with_directions(record.frame, record.y)
-    if directed is None:
+    projected = None if vector is None else vector.with_directions(record.frame, record.y)
+    if projected is None:
         return start
-    record, middle = Record(record.instrument, *directed), np.zeros(len(problem.hypers))
-    problem_there = Problem(problem.layout, record, problem.size_factors)
-    return mode_of_x(problem_there, start, middle, flat_scales(problem_there, start, middle))
+    record, centre = Record(record.instrument, *projected), np.zeros(len(problem.hypers))
+    auxiliary = Problem(problem.layout, record, problem.size_factors)
+    return mode_of_x(auxiliary, start, centre, flat_scales(auxiliary, start, centre))
 
 
 def flat_scales(
     problem: Problem, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]
 ) -> Float[np.ndarray, "p"]:
-    """Return scales of the coefficients with flat priors; one for others."""
+    """Return the scale of each coefficient with a flat prior, 1 for all others (p,)."""
     if problem.weight_of_x.all():
         return np.ones(problem.size)
     return column_scale(problem.linearise(x, problem.hyper(v)).jacobian)
 
 
 class _Summit(NamedTuple):
-    """Where a climb ended."""
+    """Result of one maximisation."""
 
     value: float  # the log density there
     change: float  # in the last round
     v: np.ndarray
     x: np.ndarray
-    density: Density  # of φ there
+    density: Density  # of φ, about x
 
 
-def _climbed(
+def _climb(
     problem: Problem,
     starts: Sequence[np.ndarray],
     x: np.ndarray,
@@ -131,46 +132,46 @@ def _climbed(
     coarse_below: float,
     near: Nearby | None,
 ) -> _Summit:
-    """Find the mode of φ from the best of some starts.
+    """Maximise the density of φ from the best of some starting points.
 
-    Each round climbs the density about x̂ given φ, and must raise it about the next x̂. Otherwise it goes part of the
-    way: rounds that lost again what they had gained could go in circles.
+    Each round maximises the density linearised about x̂ given φ; its step is shortened until the density relinearised at
+    the new x̂ increases.
     """
-    # A step of `xtol` standard deviations gains about xtol²/2 nats.
-    least_gain = max(MIN_GAIN_NATS, 0.5 * xtol**2)
-    # The curvature at a point hangs more on where that is than the density does.
-    ftol = max(CONVERGED_NATS, 0.01 * least_gain)
+    # A step of `xtol` standard deviations changes the log density by about xtol²/2.
+    min_gain = max(MIN_GAIN_NATS, 0.5 * xtol**2)
+    # The Hessian at the mode is more sensitive to its location than the density.
+    ftol = max(CONVERGED_NATS, 0.01 * min_gain)
     density = Density(problem, x, flat, starts[0], like=near)
-    # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
+    # The linearisation of an affine output is exact: one maximisation, no alternation.
     if problem.affine:
-        v = climb(density, best(density, starts), coarse_below, ftol)
-        value, conditional = density.at(v)
+        v = climb(density, best_start(density, starts), coarse_below, ftol)
+        value, conditional = density.condition_at(v)
         return _Summit(value, 0.0, v, x if conditional is None else conditional.mean, density)
-    v, change = best(density, starts), math.inf
-    density, value = _about_x(problem, x, v, flat, xtol, near)
+    v, change = best_start(density, starts), math.inf
+    density, value = _expand_about(problem, x, v, flat, xtol, near)
     for _ in range(MAX_ROUNDS):
-        goal = climb(density, v, coarse_below, ftol)
+        target = climb(density, v, coarse_below, ftol)
         for _ in range(HALVINGS):
-            trial, higher = _about_x(problem, density.x, goal, flat, xtol, density.nearby)
-            if higher > value - least_gain:
+            trial, height = _expand_about(problem, density.x, target, flat, xtol, density.nearby)
+            if height > value - min_gain:
                 break
-            goal = v + 0.3 * (goal - v)
+            target = v + 0.3 * (target - v)
         else:
             break
-        change = float(np.max(np.abs(goal - v), initial=0.0))
-        v, density, value = goal, trial, higher
+        change = float(np.max(np.abs(target - v), initial=0.0))
+        v, density, value = target, trial, height
         if change < xtol:
             break
     return _Summit(value, change, v, density.x, density)
 
 
-def best(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the most probable of some coordinates."""
+def best_start(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the coordinate with the highest density."""
     index = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
     return starts[index]
 
 
-def _about_x(
+def _expand_about(
     problem: Problem,
     x: np.ndarray,
     v: np.ndarray,
@@ -178,24 +179,24 @@ def _about_x(
     xtol: float,
     like: Nearby | None,
 ) -> tuple[Density, float]:
-    """Return the density of φ about x̂ given φ, and its value there."""
+    """Return the density of φ linearised about x̂ given v, and its log value at v."""
     density = Density(problem, mode_of_x(problem, x, v, flat, xtol), flat, v, like=like)
-    return density, density.at(v)[0]
+    return density, density.condition_at(v)[0]
 
 
-def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
-    """Return a grid of coordinates along each shape whose evidence has many maxima."""
+def scan_ragged(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
+    """Return a grid of coordinates along each shape with a multimodal density (`Shape.ragged`)."""
     names, grids = problem.layout.index_in_phi, []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for e, s in shapes:
         if (name := e.shape_name(s)) in names:
-            grids.append(np.tile(v, (len(AHEAD), 1)))
-            grids[-1][:, names[name]] = AHEAD
+            grids.append(np.tile(v, (len(SCAN_GRID), 1)))
+            grids[-1][:, names[name]] = SCAN_GRID
     return grids
 
 
 def prior_draws(problem: Problem) -> list[np.ndarray]:
-    """Return starting points: the middle of φ's prior, and draws half as wide again. Deterministic."""
+    """Return starting points: the prior median of φ, and 64 draws from a 1.5 times wider prior. Deterministic."""
     dim = len(problem.hypers)
     draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
     return [np.zeros(dim), *draws]
@@ -210,49 +211,49 @@ def mode_of_x(
 ) -> Float[np.ndarray, "p"]:
     """Find x̂ given φ by Gauss–Newton on residuals and prior, with step halving.
 
-    What noise on inputs adds to the variance is held on each step: were it to fall with the residuals, the largest
-    slopes would win (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
+    The variance from noisy inputs is fixed within a step: minimising squares with a variance that depends on x favours
+    steep slopes (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
     """
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, flat)
 
-    def look(at: np.ndarray, extra: Any = None) -> tuple[float, Conditional | None]:
+    def evaluate(at: np.ndarray, extra: Any = None) -> tuple[float, Conditional | None]:
         density = Density(problem, at, flat, input_variance=extra)
         gram = density.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet):
             return math.inf, None
-        # Squares at the point itself, not at the linear model's minimum.
+        # Sum of squares at the point itself, not at the minimum of the linear model.
         z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
         at_point = condition(gram, problem.record.size, prior, at)
-        return density.squares(hyper, gram) + float(z @ z), at_point
+        return density.rss(hyper, gram) + float(z @ z), at_point
 
-    squares, conditional = look(x)
+    squares, conditional = evaluate(x)
     for _ in range(50):
         if conditional is None:
             return x
-        goal, share = conditional.mean, 1.0
-        # At rest where a whole Gauss–Newton step moves nothing by a tenth of `xtol` posterior standard deviations.
-        width = np.sqrt(np.diag(conditional.covariance)) + 1e-300
-        if np.max(np.abs((goal - x) / width), initial=0.0) < 0.1 * xtol:
+        target, fraction = conditional.mean, 1.0
+        # Converged if a full Gauss–Newton step is below 0.1·xtol posterior standard deviations.
+        sd = np.sqrt(np.diag(conditional.covariance)) + 1e-300
+        if np.max(np.abs((target - x) / sd), initial=0.0) < 0.1 * xtol:
             return x
         extra = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
         for _ in range(HALVINGS):
-            trial = x + share * (goal - x)
-            trial_squares, conditional = look(trial, extra)
+            trial = x + fraction * (target - x)
+            trial_squares, conditional = evaluate(trial, extra)
             if trial_squares <= squares or not math.isfinite(squares):
                 break
-            share *= 0.5
+            fraction *= 0.5
         else:
             return x
-        gain, squares, x = squares - trial_squares, trial_squares, trial
+        decrease, squares, x = squares - trial_squares, trial_squares, trial
         if problem.noisy:
-            squares, conditional = look(x)
-        elif share == 1.0 and gain < xtol**2:
+            squares, conditional = evaluate(x)
+        elif fraction == 1.0 and decrease < xtol**2:
             return x
     return x
 
 
-def at_mode(
+def fit_at_mode(
     density: Density,
     v: np.ndarray,
     change: float,
@@ -261,7 +262,7 @@ def at_mode(
 ) -> Mode:
     """Return the Gaussian fit of φ at its mode, and the Laplace evidence.
 
-    The last round moved it by `change` standard deviations. `exact`: a curvature that is about right will not do.
+    `change`: of the last round, standard deviations. `exact`: compute the Hessian, instead of a BFGS estimate.
     """
     x = density.x if x is None else x
     spreads = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)

@@ -1,4 +1,4 @@
-"""A fitted structure as a linear model: whitened residual and nuisance columns, shapes among them."""
+"""A fitted model linearised about its mode: whitened residuals and nuisance columns, for score tests."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import column_scale, factors
+from bayescal._inference.gaussian import cholesky, column_scale
 from bayescal._inference.laplace import Mode, flat_scales
-from bayescal._inference.noise_nodes import InFrequency
+from bayescal._inference.noise_nodes import DCTNodes
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -22,21 +22,21 @@ from bayescal._inference.noise_on_record import (
     variance,
     whitening,
 )
-from bayescal._inference.problem import Problem, differences, put
+from bayescal._inference.problem import Problem, differences, overwrite
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import WHITE
 from bayescal._model.parameters import bind
 
-STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
-RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitted
+STEP = 1e-4  # of a shape's coordinate, for derivatives by central differences
+RANK = 1e-12  # smallest eigenvalue of a fitted direction, relative to the largest
 
-GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order of magnitude
+GAUSS_NEWTON = 4  # iterations: sufficient for an order of magnitude
 
 
-def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
-    """Return the spread or amplitude that an effect's size is, with its uncertainty, or None."""
+def learned_amplitude(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
+    """Return an effect's learned amplitude or group deviation and its standard uncertainty; None if not learned."""
     learned = effect.measure_name or effect.group_sd_name(0)
     names = learned in problem.layout.index_in_phi
     return problem.value_and_sd(learned, mode.v, mode.covariance) if names else None
@@ -44,21 +44,22 @@ def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, f
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """The readings as y = μ + columns·θ + noise about a mode."""
+    """Linear model of the readings about a mode, y = μ + nuisance·δθ + noise."""
 
-    problem: Problem  # of the structure
+    problem: Problem  # the model on its readings
     mode: Mode
     mean: Float[np.ndarray, "n"]  # the expected output at the mode
     residual: Float[np.ndarray, "n"]  # at the posterior mean of θ, output unit (n,)
-    # slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q)
-    nuisance: Float[np.ndarray, "n q"]
+    nuisance: Float[
+        np.ndarray, "n q"
+    ]  # Jacobian by x and by shapes, times prior standard deviations
     weight: Float[np.ndarray, "q"]  # 1 where the prior is proper, 0 where it is flat (q,)
     sd: Float[np.ndarray, "q"]
-    owners: tuple[str, ...]  # of each of these columns, the effect (q,)
-    # where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,)
+    owners: tuple[str, ...]  # effect of each nuisance column (q,)
+    # θ minus its prior mean, in prior standard deviations; 0 where the prior is flat (q,)
     z: Float[np.ndarray, "q"]
     whiten: Whitening | Independent  # of the readings
-    extra: Float[np.ndarray, "n"] | float  # variance that noise on inputs adds (n,), or 0
+    extra: Float[np.ndarray, "n"] | float  # variance from noisy inputs (n,), or 0
 
     @property
     def size(self) -> int:
@@ -66,15 +67,15 @@ class LinearModel:
 
     @cached_property
     def at_rest(self) -> Record:
-        """Return the residuals as a record of a channel at rest, on which noise laws are tried."""
+        """Return the residuals as a record of a channel at constant input, to fit noise laws."""
         return self.problem.record.of_noise(self.residual)
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Return columns whitened and turned by a matrix that is the same for all: for products, not row by row."""
+        """Whiten columns up to a common orthogonal rotation: inner products are right, rows are no readings."""
         law = self.whiten
         if isinstance(law, Whitening) and not self.problem.noisy:
             nodes = law.record.nodes(law.law)
-            if isinstance(nodes, InFrequency):
+            if isinstance(nodes, DCTNodes):
                 return nodes.whitened(law.law, law.values, columns)
         return law(columns)
 
@@ -87,23 +88,23 @@ class LinearModel:
         return self.whiten(self.nuisance)
 
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
-        """Return what an effect adds to the expected output against its priors' means, output unit."""
+        """Return an effect's contribution to the expected output relative to its prior means, output unit (n,)."""
         is_own = np.array([owner == name for owner in self.owners])
         x = np.flatnonzero(is_own[: self.problem.size])
         return self.nuisance[:, x] @ self.z[x]
 
     @cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return R with R·Rᵀ the inverse of AᵀA + W, A whitened and W the weights, where this has one; and A·R."""
+        """Return R with R·Rᵀ the pseudo-inverse of AᵀA + W, A the whitened nuisances, W the weights; and A·R."""
         white = self.white_nuisance
-        inner = white.T @ white + np.diag(self.weight)
-        # Scaled to a unit diagonal, so that `RANK` is of numbers without units.
-        size = np.sqrt(np.diag(inner))
-        size = np.where(size > 0, size, 1.0)
-        weights, vectors = np.linalg.eigh(inner / size / size[:, None])
+        precision = white.T @ white + np.diag(self.weight)
+        # Scaled to a unit diagonal, so that `RANK` is independent of units.
+        norms = np.sqrt(np.diag(precision))
+        norms = np.where(norms > 0, norms, 1.0)
+        weights, vectors = np.linalg.eigh(precision / norms / norms[:, None])
         is_known = weights > RANK * weights[-1:]
         root = np.where(is_known, 1 / np.sqrt(np.where(is_known, weights, 1.0)), 0.0)
-        root = vectors * root / size[:, None]
+        root = vectors * root / norms[:, None]
         return root, white @ root
 
     @property
@@ -112,23 +113,22 @@ class LinearModel:
         return self._eigen[0]
 
     def uncertainty(self, i: int) -> float:
-        """Return the standard uncertainty of a column's unknown, its prior counted, in its unit."""
+        """Return the posterior standard uncertainty of the unknown of column i, in its unit."""
         return float(np.linalg.norm(self.root[i]) * self.sd[i])
 
     @property
     def directions(self) -> Float[np.ndarray, "n q"]:
-        """Return G: whitened residuals have the covariance I − G·Gᵀ.
+        """Return G with the hat matrix H = G·Gᵀ: whitened residuals have the covariance I − H under the model.
 
-        That is if the model is right. With A the whitened nuisances and W their weights (0 where flat), whitened
-        readings have the covariance I + A·W⁻¹·Aᵀ, and the residuals are (I − H) times them, with the leverages
-        H = A·(AᵀA + W)⁻¹·Aᵀ = G·Gᵀ; so (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
+        H = A·(AᵀA + W)⁻¹·Aᵀ, A the whitened nuisances and W their prior weights (0 where flat). Whitened readings have
+        the covariance I + A·W⁻¹·Aᵀ, and (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
         """
         return self._eigen[1]
 
     @cached_property
     def conditional_residuals(self) -> Float[np.ndarray, "n"]:
-        """Return the residuals once all of θ is fitted together, shapes too, output unit."""
-        # One Gauss–Newton step of all θ from where they stand: (AᵀA + W)⁻¹(Aᵀr − W·z).
+        """Return the residuals after one joint Gauss–Newton step of all θ, shapes included, output unit (n,)."""
+        # The step is (AᵀA + W)⁻¹(Aᵀr − W·z).
         pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
         return self.residual - self.nuisance @ (self.root @ (self.root.T @ pull))
 
@@ -138,99 +138,97 @@ class LinearModel:
 
     @cached_property
     def scores(self) -> Float[np.ndarray, "n"]:
-        """Return conditional residuals as independent standard normal numbers if the noise law is right."""
+        """Return the conditional residuals as scores that are standard normal under the noise law (n,)."""
         problem = self.problem
         if problem.noise.gaussian:
             return self.white_conditional
         values, residuals = problem.hyper(self.mode.v), self.conditional_residuals
         return normal_scores(problem.noise, values, problem.record, residuals, self.extra)
 
-    def along(
+    def normal_eqs(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns and conditional residuals: no nuisance is taken out again."""
+        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns C and conditional residuals r, nuisances not projected out."""
         white = self.whiten(np.column_stack([columns, self.conditional_residuals]))
         return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
 
     @cached_property
     def variance(self) -> Float[np.ndarray, "n"]:
-        """Return the variance of each reading about its expected output."""
+        """Return the variance of each reading about its expected output, output unit squared (n,)."""
         hyper, extra = self.problem.hyper(self.mode.v), self.extra
         return variance(self.problem.noise, hyper, self.problem.record) + extra
 
     @cached_property
     def rss(self) -> float:
-        """Return the residual sum of squares, the prior's share included."""
+        """Return the whitened residual sum of squares plus the prior's penalty zᵀWz."""
         white = self.decorrelate(self.residual[:, None])
         return float(np.sum(white**2)) + float(self.weight @ self.z**2)
 
-    def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
-        """Return the nuisances' part of whitened columns, P = Gᵀ·C: the information left is CᵀC − PᵀP."""
+    def project_on_nuisance(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
+        """Return P = Gᵀ·C of whitened columns C: their information given the nuisances is CᵀC − PᵀP."""
         return self.directions.T @ columns
 
-    def beyond(self, column: Float[np.ndarray, "n"], mask: np.ndarray) -> Float[np.ndarray, "n"]:
-        """Project some nuisances (a mask) out of a whitened column, as far as their priors allow."""
-        others = self.white_nuisance[:, mask]
-        inner = others.T @ others + np.diag(self.weight[mask])
-        return column - others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
+    def deflate(self, column: Float[np.ndarray, "n"], mask: np.ndarray) -> Float[np.ndarray, "n"]:
+        """Project masked nuisances out of a whitened column, by ridge regression under their priors."""
+        nuisances = self.white_nuisance[:, mask]
+        precision = nuisances.T @ nuisances + np.diag(self.weight[mask])
+        return column - nuisances @ np.linalg.lstsq(precision, nuisances.T @ column, rcond=1e-12)[0]
 
     def score(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Return score and information of columns that are not in the model, output unit per prior sd.
+        """Return the score u = XᵀV⁻¹r and information XᵀV⁻¹X of candidate columns X, output unit per prior sd.
 
-        With every nuisance integrated out under its prior (V = Σ + J·D·Jᵀ, spreads and noise at their estimates) the
-        score u = XᵀV⁻¹r and the information XᵀV⁻¹X.
+        V = Σ + J·D·Jᵀ: all nuisances are integrated out under their priors, hyper-parameters fixed at their estimates.
         """
         white = self.whiten(columns)
-        projection = self.projected(white)
+        projection = self.project_on_nuisance(white)
         # V⁻¹r is Σ⁻¹ times the residuals at the fit.
         return white.T @ self.white_conditional, white.T @ white - projection.T @ projection
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
-        """Return the slopes of the expected output by each slot, at the mode."""
+        """Return the derivatives of the expected output by each slot, at the mode (n,) each."""
         return self.problem.slopes(self.mode.x, self.problem.hyper(self.mode.v))
 
 
 def explained_sum_of_squares(
     u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
 ) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
-    """Return what columns of standard normal coefficients explain, by score and information.
+    """Return ½·log|I + K| and uᵀ(I + K)⁻¹u of score u and information K of columns with standard normal coefficients.
 
     Returns:
-        Of each set of columns half a log volume, infinite where there is none, and what of the sum of squares.
+        Half log determinant (infinite if not positive definite), and explained sum of squares, of each set of columns.
     """
-    # With columns of standard normal coefficients the log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|, K the
-    # information: these are its two parts, the second by L·Lᵀ = I + K.
-    chol = factors(information + np.eye(u.shape[-1]))
+    # The log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|; the determinant from the Cholesky factor L·Lᵀ = I + K.
+    chol = cholesky(information + np.eye(u.shape[-1]))
     failed = np.isnan(chol).any(axis=(-2, -1))
     chol = np.where(failed[..., None, None], np.eye(u.shape[-1]), chol)
-    half = np.linalg.solve(chol, u[..., None])[..., 0]
-    volume = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.where(failed, np.inf, volume), np.where(failed, 0.0, np.sum(half**2, axis=-1))
+    solved = np.linalg.solve(chol, u[..., None])[..., 0]
+    half_log_det = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.where(failed, np.inf, half_log_det), np.where(failed, 0.0, np.sum(solved**2, axis=-1))
 
 
 def linear_model(problem: Problem, mode: Mode) -> LinearModel:
-    """Linearise a structure about its mode."""
+    """Linearise a model about its mode."""
     density = Density(problem, mode.x, mode.flat, mode.v)
     hyper = problem.hyper(mode.v)
     line = problem.linearise(mode.x, hyper)
     prior = problem.prior(hyper, mode.flat)
-    _, conditional = density.at(mode.v)
-    # The variance that noise on inputs adds moves with x, which a step of Gauss–Newton does not know.
+    _, conditional = density.condition_at(mode.v)
+    # The variance from noisy inputs depends on x, which the conditional mean ignores: keep x̂ there.
     x = mode.x if conditional is None or problem.noisy else conditional.mean
     residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
 
     def mean(shapes: np.ndarray) -> np.ndarray:
-        return problem.linearise(x, problem.hyper(put(shapes, problem.moving, mode.v))).mean
+        return problem.linearise(x, problem.hyper(overwrite(shapes, problem.moving, mode.v))).mean
 
-    # To first order a shape is one more unknown: its column is the slope by its coordinate, of prior width one.
+    # To first order a shape is one more coefficient: its column is the derivative by its coordinate, of prior sd 1.
     slopes = differences(mean, mode.v[problem.moving], STEP)
     nuisance = np.empty((len(residual), problem.size + len(slopes)))
     np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
-    # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
+    # Standardised x; zero if the prior has zero width.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
     owners = [t.effect.name for t in problem.in_x for _ in range(t.x_slice.start, t.x_slice.stop)]
     extra = problem.extra(line)
@@ -249,8 +247,8 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     )
 
 
-def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
-    """Linearise a structure about its priors' means; `noise`: standard deviation of the white part."""
+def linearise_at_priors(problem: Problem, noise: float | None = None) -> LinearModel:
+    """Linearise a model about its prior means; `noise`: standard deviation of the white noise."""
     v, x = np.zeros(len(problem.hypers)), problem.start
     for i, h in enumerate(problem.hypers):
         if h.name == WHITE and noise is not None:
@@ -259,35 +257,34 @@ def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
     return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
 
-def sized(model: Model, readings: Measurements, record: Record) -> Model:
-    """Return the model with the open amplitudes of unknown dependences filled in.
+def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Model:
+    """Fill in the plausible amplitude ranges of placeholder effects, estimated from the readings.
 
-    They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
-    than the other effects leave of the output: these may have taken up a part.
+    From the detection limit, noise over √n, to ten times half the range of the residuals of all other effects, which
+    may have absorbed a part.
 
     Raises:
         ModelError: one adds to a slot that is not in the output's unit.
     """
-    if not (open_ := [e for e in model.effects if e.open]):
+    if not (placeholders := [e for e in model.effects if e.open]):
         return model
-    for e in open_:
+    for e in placeholders:
         if model.instrument.slot(e.slot).unit != model.instrument.unit:
             raise ModelError(
                 f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
                 "give its plausible amplitudes, low and high"
             )
-    named = replace(model, effects=tuple(e for e in model.effects if not e.open))
-    plausible = amplitudes(named, readings, record)
-    effects = tuple(e.sized(*plausible) if e.open else e for e in model.effects)
+    known = replace(model, effects=tuple(e for e in model.effects if not e.open))
+    low_high = amplitude_range(known, readings, record)
+    effects = tuple(e.sized(*low_high) if e.open else e for e in model.effects)
     return replace(model, effects=effects)
 
 
-def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
-    """Return plausible amplitudes of what a model lacks, output unit: see `sized`."""
+def amplitude_range(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
+    """Return the plausible amplitudes (low, high) of effects that a model lacks, output unit."""
     frame, y = record.frame, record.y
     residual = _least_squares_residual(Problem(bind(model, readings)[0], record.with_frame()))
-    # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
-    # what the model lacks hardly changes from one reading to the next.
+    # Robust noise estimate: 1.4826·median|difference of neighbours|/√2; missing effects change little between readings.
     change, step = np.diff(residual[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
     change = change[step > 0] if np.any(step > 0) else change
     noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0
@@ -297,24 +294,24 @@ def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[fl
 
 
 def _half_range(values: Float[np.ndarray, "n"]) -> float:
-    """Return half of the range, without the outermost hundredth of the values."""
+    """Return half of the range between the 0.5 % and 99.5 % quantiles."""
     low, high = np.quantile(values, [0.005, 0.995])
     return 0.5 * float(high - low)
 
 
 def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
-    """Return the residuals of a least-squares fit of the plain coefficients, all else at the prior's middle."""
+    """Return the residuals of a least-squares fit of ungrouped coefficients, hyper-parameters at the prior median."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y
-    plain = [t.x_slice.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
+    indices = [t.x_slice.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
     residual = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
         line = problem.linearise(x, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
         residual = y - line.mean
-        columns = line.jacobian[:, plain]
-        # Columns of unit size: `RANK` is then of directions, not of units or of how wide a prior is.
-        size = column_scale(columns)
-        x[plain] += size * np.linalg.lstsq(columns * size, residual, rcond=RANK)[0]
+        columns = line.jacobian[:, indices]
+        # Columns of unit rms, so that `RANK` is independent of units and priors.
+        scale = column_scale(columns)
+        x[indices] += scale * np.linalg.lstsq(columns * scale, residual, rcond=RANK)[0]
     return residual

@@ -33,8 +33,8 @@ NOT_SAMPLED = (
 NO_MORE = "Importance weights are uneven ({}), and chains, which would be exact, were not run to their end ({})."
 FEW = "{:.0f} effective draws, and no more ({})."
 PATIENCE = "{:g} s were too few; a time limit gives them more"
-# Where k̂ says that the weights are sound, more proposals mend too few effective draws. Chains would take 1,500
-# iterations of four at seven gradients or more each, 42,000 gradients: up to as many proposals cost less.
+# Largest number of proposals if k̂ is sound but effective draws are too few: NUTS would need more evaluations, 1,500
+# iterations of four chains with seven or more gradients each.
 MOST_DRAWS = 65_536
 
 
@@ -65,70 +65,69 @@ class Marginal(Method):
 
     def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
         with stage("finding the mode"), deadline.finishing():
-            problem, notes, mode = sampled_products.choose(problem, self.promote, start)
+            problem, notes, mode = sampled_products.promote_products(problem, self.promote, start)
             mode = find_mode(problem, start=start) if mode is None else mode
-        layout, best = problem.layout, partial(self.about_the_mode, problem, mode, seed, notes)
+        layout, best = problem.layout, partial(self.approximate, problem, mode, seed, notes)
         deadline.current().defer_interrupt()
         try:
             if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
-                return self._exact(problem, mode, seed, notes)
+                return self._run_nuts(problem, mode, seed, notes)
             with stage("sampling"):
-                for judged in self._sampled(problem, mode, seed):
+                for judged in self._sample_until_sound(problem, mode, seed):
                     why_not = judged.why_not
                     best = partial(self._from_weights, layout, judged, notes, seed)
             if not (why_not and self.chains):
                 return best("chains=False" if why_not else "")
             linear = UNEVEN if problem.affine else TOO_NONLINEAR
             words = linear if problem.noise.gaussian else TOO_HEAVY
-            return self._exact(problem, mode, seed, (*notes, words.format(why_not)))
+            return self._run_nuts(problem, mode, seed, (*notes, words.format(why_not)))
         except deadline.TimeIsUp as early:
             return best(str(early))
 
-    def about_the_mode(
+    def approximate(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
-        """Return the Gaussian approximation about the mode, where nothing was sampled."""
+        """Return the Gaussian approximation about the mode, if sampling was stopped."""
         outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )
         notes = (*notes, NOT_SAMPLED.format(why), *outcome.verdict.notes)
         return replace(outcome, verdict=replace(outcome.verdict, notes=notes))
 
-    def _sampled(
+    def _sample_until_sound(
         self, problem: Problem, mode: Mode, seed: int, heavy: bool = False
-    ) -> Iterator[_Judged]:
-        """Yield joint draws with their weights, and why these are not to be trusted; the last are the best.
+    ) -> Iterator[_SmoothedDraws]:
+        """Yield weighted joint draws with their diagnostics until these are sound; the last are the best.
 
-        Where proposals do not suffice, twice as many are tried: up to the usual number, and beyond it as long as k̂ says
-        that the weights are sound. `heavy`: coefficients proposed with tails that are not too thin for a nonlinear
-        model, where the usual bound of k̂ holds.
+        Proposals are doubled up to the usual number, and beyond it while k̂ is sound. `heavy`: propose coefficients from
+        a Student-t distribution, whose tails suffice for a nonlinear model.
         """
         proposals, most = self.proposals, MOST_DRAWS
         draws = None
         while True:
             draws = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, draws)
-            judged = _judged(draws, heavy)
-            tried = len(judged.weights)
+            weighted = _weigh_draws(draws, heavy)
+            tried = len(weighted.weights)
             limit = PROPOSALS if self.proposals is None else 0
-            expected = effective_size(judged.weights) / tried * most
-            if judged.k_hat <= judged.limit and expected >= settings().effective_draws:
+            expected = effective_size(weighted.weights) / tried * most
+            if weighted.k_hat <= weighted.limit and expected >= settings().effective_draws:
                 limit = max(limit, most)
-            yield judged
-            if not judged.why_not or tried >= limit:
+            yield weighted
+            if not weighted.why_not or tried >= limit:
                 break
-            proposals = min(2 * tried, limit) - tried  # those that there are stay
-        if not heavy and judged.limit < judged.k_hat <= K_HAT:
-            yield from self._sampled(problem, mode, seed, heavy=True)
+            proposals = min(2 * tried, limit) - tried  # in addition to the earlier ones
+        if not heavy and weighted.limit < weighted.k_hat <= K_HAT:
+            yield from self._sample_until_sound(problem, mode, seed, heavy=True)
 
-    def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
-        """Return draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
+    def _from_weights(self, layout, judged: _SmoothedDraws, notes, seed, why: str) -> Outcome:
+        """Resample draws by their weights; `why`: the reason for accepting unsound ones, such as a deadline."""
         weighted, weights, k_hat = judged.draws, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
         if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=FEWEST_DRAWS):
             reasons = (NO_MORE.format(judged.why_not, why),)
         elif why:
             notes = (*notes, FEW.format(effective, why))
-        # Never more draws than the effective sample size: repeated draws would pass for information.
+        # At most as many draws as the effective sample size: repeated draws would look like information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
         pick = resample(weights, count, seed)
         evidence = (float(weighted.log_evidence), float(weighted.log_evidence_error))
@@ -140,10 +139,10 @@ class Marginal(Method):
             log_evidence=None if layout.is_improper else evidence,
         )
 
-    def _exact(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
-        """Run NUTS; for a while only where neither it nor a time limit was asked for."""
+    def _run_nuts(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
+        """Run NUTS; limited to `nuts_chains.PATIENCE` unless it or a time limit was requested."""
         layout, is_unlimited = problem.layout, self.sampler == "nuts"
-        log_density, unpack, start, covariance = nuts_chains.whitened(problem, mode)
+        log_density, unpack, start, covariance = nuts_chains.whiten_posterior(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
@@ -161,8 +160,8 @@ class Marginal(Method):
         )
 
 
-class _Judged(NamedTuple):
-    """Joint draws, their weights smoothed, Pareto's k̂ and the largest to trust, and why the weights are not sound."""
+class _SmoothedDraws(NamedTuple):
+    """Joint draws, Pareto-smoothed weights, k̂ and its limit, and the reason why the weights are unsound, if any."""
 
     draws: WeightedDraws
     weights: Float[np.ndarray, "s"]
@@ -171,10 +170,10 @@ class _Judged(NamedTuple):
     why_not: str
 
 
-def _judged(draws: WeightedDraws, heavy: bool = False) -> _Judged:
+def _weigh_draws(draws: WeightedDraws, heavy: bool = False) -> _SmoothedDraws:
     weights, k_hat = smoothed(draws.log_weight)
-    of_phi, _ = smoothed(draws.log_weight_phi)
+    weights_of_phi, _ = smoothed(draws.log_weight_phi)
     correction = draws.log_weight - draws.log_weight_phi
-    limit = K_HAT if heavy else trust.largest_k_hat(correction, of_phi)
+    limit = K_HAT if heavy else trust.largest_k_hat(correction, weights_of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
-    return _Judged(draws, weights, k_hat, limit, why_not)
+    return _SmoothedDraws(draws, weights, k_hat, limit, why_not)

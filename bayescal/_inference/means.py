@@ -1,6 +1,6 @@
-"""Means of readings that follow each other: what a long record is looked over by, where columns hardly change in one.
+"""Block means of successive readings: a shorter record for a coarse search, where columns vary little in a block.
 
-Products over means are those over all readings but for what happens within a mean: enough to say where to look.
+Inner products over means approximate those over all readings, up to the variance within blocks.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ from bayescal._model.noise_law import WHITE
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means of the readings of a record, in the order of time within runs."""
+    """Block means of a record's readings, in the order of time within runs."""
 
-    of: Record
-    record: Record  # the means, as readings
-    begins: Int[np.ndarray, "m"]  # where each begins in the order of time
-    count: int  # readings of most
+    of: Record  # the readings
+    record: Record  # the means
+    begins: Int[np.ndarray, "m"]  # index of each block's first reading, in time order
+    count: int  # readings per block, except at ends of runs
 
     @classmethod
-    def over(cls, record: Record, count: int) -> Means:
-        """Return means of so many readings each, fewer where a run or a label ends."""
+    def from_record(cls, record: Record, count: int) -> Means:
+        """Average blocks of `count` readings, fewer at the end of a run or label."""
         frame = record.frame.in_time()
         new = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):
             new[1:] |= np.diff(labels) != 0
-        stretches = np.flatnonzero(new)
-        place = np.arange(len(new)) - np.repeat(stretches, np.diff(stretches, append=len(new)))
-        begins = np.flatnonzero(place % count == 0)
+        run_starts = np.flatnonzero(new)
+        position = np.arange(len(new)) - np.repeat(run_starts, np.diff(run_starts, append=len(new)))
+        begins = np.flatnonzero(position % count == 0)
         clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), begins)
         step = np.where(frame.step[begins] < 0, -1.0, np.diff(clock, prepend=0.0))
-        short = frame.reordered(begins, np.arange(len(begins)), step)
+        thin = frame.reordered(begins, np.arange(len(begins)), step)
         averaged = {
             n: {k: mean_rows(a, begins) for k, a in getattr(frame, n).items()}
             for n in BY_READING
-            if n not in ("codes", "labels")  # the same in each
+            if n not in ("codes", "labels")  # constant within a block
         }
         y = mean_rows(record.y[record.in_time[0]], begins)
-        return cls(record, Record(record.instrument, replace(short, **averaged), y), begins, count)
+        return cls(record, Record(record.instrument, replace(thin, **averaged), y), begins, count)
 
     @cached_property
     def counts(self) -> Int[np.ndarray, "m"]:
@@ -57,19 +57,19 @@ class Means:
         return np.diff(self.begins, append=self.of.size)
 
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
-        """Return means of what belongs to readings."""
+        """Average rows, one per reading, over the blocks."""
         order = self.of.in_time[0]
-        return mean_rows(rows if self.of.ordered else rows[order], self.begins)
+        return mean_rows(rows if self.of.is_time_ordered else rows[order], self.begins)
 
-    def within(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
-        """Return the share of each column's variance that is within means."""
-        centred = rows - rows.mean(axis=0)
-        total = np.sum(centred**2, axis=0)
-        between = self.counts @ self(centred) ** 2
+    def within_fraction(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
+        """Return the fraction of each column's variance within blocks (k,)."""
+        deviations = rows - rows.mean(axis=0)
+        total = np.sum(deviations**2, axis=0)
+        between = self.counts @ self(deviations) ** 2
         return np.where(total > 0, 1 - between / np.where(total > 0, total, 1.0), 0.0)
 
-    def line(self, line: LinearModel) -> LinearModel:
-        """Return a linear model of the means about the mode of the readings."""
+    def linear_model(self, line: LinearModel) -> LinearModel:
+        """Return the linear model of the block means, about the same mode."""
         problem, whiten = line.problem, line.whiten
         if isinstance(whiten, Independent):
             precision = 1 / whiten.sd**2

@@ -1,4 +1,4 @@
-"""Memory that is free again, handed back to the system."""
+"""Return of freed memory to the operating system."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ import sys
 
 
 def trim() -> None:
-    """Have glibc hand freed memory back, of which it keeps hundreds of MB after a search; elsewhere do nothing."""
+    """Return freed memory to the system by glibc's malloc_trim: hundreds of MB after a search; no-op elsewhere."""
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
         libc.malloc_trim(0)

@@ -1,4 +1,4 @@
-"""What a method of fitting is: a value with one verb. `LeastSquares`, `Marginal` and `NUTS` are the three."""
+"""Interface of fitting methods, implemented by `LeastSquares`, `Marginal` and `NUTS`; their results and verdict."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayescal._inference.problem import Problem
 from bayescal._model.parameters import Layout
 from bayescal._model.static import static
 
-CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
+CHAINS = 4  # number of chains into which independent draws are split, for tools that expect chains
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Verdict:
 
     @property
     def reliable(self) -> bool:
-        """Return whether the result may be used."""
+        """Return whether the fit converged and passed all checks."""
         return self.ok and not self.against
 
     @property
     def why_not(self) -> str:
-        """Return why the result is not to be used, in words; empty where it may be."""
+        """Return the reasons against using the result, as sentences; empty if there are none."""
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
@@ -76,21 +76,21 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Draws:
-    """Equally weighted joint draws, chains × draws each, as a method gives them."""
+    """Equally weighted joint draws of x and v, (chains, draws, …) each."""
 
     x: np.ndarray
     v: np.ndarray
 
     @classmethod
     def of(cls, x: ArrayLike, v: ArrayLike) -> Draws:
-        """Return draws in sequence as `CHAINS` equal parts, as many as fit."""
+        """Split a sequence of draws into `CHAINS` chains of equal length, dropping the remainder."""
         arrays = (np.asarray(a) for a in (x, v))
         return cls(*(a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:]) for a in arrays))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method hands back, before names and units are put to it."""
+    """Result of a method, without names and units."""
 
     layout: Layout  # with the promotions that the method chose
     draws: Draws
@@ -101,7 +101,7 @@ class Outcome:
 
 @static
 class Method(abc.ABC):
-    """A way of fitting. The third extension point, beside effects and noise laws."""
+    """Base class of fitting methods: the third extension point, after effects and noise laws."""
 
     name: ClassVar[str]
 
@@ -112,10 +112,10 @@ class Method(abc.ABC):
     def run(
         self, problem: Problem, seed: int, start: Mapping[str, float] = NOTHING_KNOWN
     ) -> Outcome:
-        """Fit. Never raises for lack of convergence: the verdict says it.
+        """Fit the model. Lack of convergence does not raise: it is in the verdict.
 
         Args:
             problem: the model on its readings.
             seed: of every random number.
-            start: φ by name where its mode may be.
+            start: starting point of the mode, φ by name.
         """

@@ -1,8 +1,8 @@
-"""The mode of a log density of few coordinates by Newton's method, and the Gaussian fit there.
+"""Newton's method for the mode of a log density of few coordinates, and the Gaussian (Laplace) fit at the mode.
 
-Coordinates are about standard normal a priori. Where gradient and curvature have no closed form they are differences
-(`ByValues`), with steps of a twentieth of what the density itself allows: right whether the readings know a coordinate
-to a tenth or to a billionth.
+Coordinates are about standard normal a priori. Without closed forms, gradient and Hessian are finite differences
+(`ByValues`) with steps of a twentieth of the density's own width, accurate for any posterior width. "Curvature" is the
+negative Hessian throughout.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from jaxtyping import Bool, Float
 
 from bayescal._inference.gaussian import LOG_2PI
 
-FIRST_DIFFERENCE = 0.02  # of a coordinate over its scale,
-DIFFERENCE = 0.05  # and of one in which the density is about standard normal;
-ONE_SIDED = 0.2  # of these, where bends are nearly known
-LEAST_CURVATURE = 0.05  # that counts as one
-# Correlation and standard deviations, up to which two coordinates hardly bend together, and one has not moved.
+FIRST_DIFFERENCE = 0.02  # initial difference step, in prior scales
+DIFFERENCE = 0.05  # difference step, in posterior standard deviations
+ONE_SIDED = 0.2  # forward difference step over `DIFFERENCE`
+MIN_CURVATURE = 0.05  # floor of the eigenvalues of the scaled curvature
+# Correlation below which a cross term is reused, and distance (posterior deviations) within which all are.
 LOOSE, UNMOVED = 0.03, 0.1
-LONGEST_STEP = 1.5  # in prior standard deviations
-STEPS = 100  # uphill at most
-SHORTENINGS, SHORTER = 8, 0.3  # of a step that leads down, by how much each
-# That a step would gain, below which the mode is found, if not said: differences hold no more,
-CONVERGED_NATS = 1e-6
-ROUGHLY = 0.01  # and where nothing hangs on it
-# Of a direction's squared length beside spreads, up to which it is one of spreads.
-SPREAD_SHARE = 0.1
-LEAST_SHARE = 0.1  # of a step, that it is shortened to at once
-NOWHERE = -1e300  # log density where there is none
+LONGEST_STEP = 1.5  # prior standard deviations
+STEPS = 100  # Newton steps at most
+BACKTRACKS, SHORTER = 8, 0.3  # of a line search at most; factor of each
+CONVERGED_NATS = 1e-6  # default tolerance: predicted increase, about the error of differences
+COARSE_NATS = 0.01  # tolerance below `coarse_below`
+SPREAD_SHARE = (
+    0.1  # squared length outside group deviations, below which an eigenvector belongs to these
+)
+MIN_SHRINK = 0.1  # smallest factor by which a difference step is shortened at once
+NOWHERE = -1e300  # log density where it is undefined
 
 Values = Callable[[np.ndarray], np.ndarray]  # log density of several points, (s, d) → (s,)
 
 
-class Slopes(NamedTuple):
-    """A log density at a point, its gradient, and its negative curvature."""
+class LocalModel(NamedTuple):
+    """Second-order Taylor model of a log density at a point: value, gradient, negative Hessian."""
 
     log_density: float
     gradient: Float[np.ndarray, "d"]
@@ -45,7 +45,7 @@ class Slopes(NamedTuple):
 
 
 class Nearby(NamedTuple):
-    """The curvature of a density that is much alike at a point, and which coordinates it knows as well as this one."""
+    """Curvature of a similar density at a point; `reliable`: coordinates in which it is as accurate as this one's."""
 
     v: Float[np.ndarray, "d"]
     curvature: Float[np.ndarray, "d d"]
@@ -53,7 +53,7 @@ class Nearby(NamedTuple):
 
 
 class GaussianFit(NamedTuple):
-    """A density at its mode: inverse curvature, evidence by Laplace, and whether the curvature had to be mended."""
+    """Laplace approximation of a density: mode, inverse curvature, evidence; whether eigenvalues had to be clipped."""
 
     v: Float[np.ndarray, "d"]
     covariance: Float[np.ndarray, "d d"]
@@ -68,41 +68,39 @@ def climb(
     coarse_below: float = -math.inf,
     ftol: float = CONVERGED_NATS,
 ) -> Float[np.ndarray, "d"]:
-    """Climb from v to the mode by Newton steps with a line search; tolerance `ftol` nats, coarse below `coarse_below`.
+    """Maximise from v by Newton steps with a line search; tolerance `ftol` nats, coarse below `coarse_below`.
 
-    Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
-    (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
+    Eigenvalues of the curvature are replaced by their absolute values, small ones by a floor (J. Nocedal and S. Wright,
+    Numerical Optimization, 2006, §3.4).
     """
-    scale, doubtful, reach = np.broadcast_to(density.scale, v.shape), False, LONGEST_STEP
+    scale, use_exact, radius = np.broadcast_to(density.scale, v.shape), False, LONGEST_STEP
     for _ in range(STEPS if len(v) else 0):
-        if (current := density.evaluate(v, exact=doubtful)) is None:
+        if (current := density.evaluate(v, exact=use_exact)) is None:
             break
-        bend, vectors = np.linalg.eigh(scale[:, None] * current.curvature * scale)
-        slope = scale * current.gradient
-        step = vectors @ (vectors.T @ slope / np.maximum(np.abs(bend), LEAST_CURVATURE))
-        gain = float(step @ slope)
-        if 0.5 * gain < (ftol if current.log_density > coarse_below else ROUGHLY):
+        eigenvalues, vectors = np.linalg.eigh(scale[:, None] * current.curvature * scale)
+        gradient = scale * current.gradient
+        step = vectors @ (vectors.T @ gradient / np.maximum(np.abs(eigenvalues), MIN_CURVATURE))
+        predicted_change = float(step @ gradient)
+        if 0.5 * predicted_change < (ftol if current.log_density > coarse_below else COARSE_NATS):
             break
         length = float(np.max(np.abs(step)))
-        share = whole = min(1.0, reach / length)
-        for _ in range(SHORTENINGS):
-            further = v + share * scale * step
-            gained = density.value(further) - current.log_density
-            # Sufficient increase: some of what the slope promised (same, eq. 3.4).
-            if gained >= 1e-4 * share * gain:
+        t = t_max = min(1.0, radius / length)
+        for _ in range(BACKTRACKS):
+            trial = v + t * scale * step
+            change = density.value(trial) - current.log_density
+            # Sufficient increase (Armijo condition; ibid., eq. 3.4).
+            if change >= 1e-4 * t * predicted_change:
                 break
-            share *= SHORTER
+            t *= SHORTER
         else:
-            if doubtful:
+            if use_exact:
                 break
-            doubtful = True
+            use_exact = True
             continue
-        # On no hill a curvature that is carried on would not become right.
-        doubtful, v = bool(bend[0] < 0), further
-        # Where a step was too long the next may not be twice as long as what was left of it (a trust region).
-        reach = (
-            min(LONGEST_STEP, 2 * length * share) if share < whole else min(LONGEST_STEP, 2 * reach)
-        )
+        # Where the curvature is indefinite a BFGS update would not correct it: recompute.
+        use_exact, v = bool(eigenvalues[0] < 0), trial
+        # Trust region: after a shortened step the next is at most twice as long.
+        radius = min(LONGEST_STEP, 2 * length * t) if t < t_max else min(LONGEST_STEP, 2 * radius)
     return v
 
 
@@ -114,33 +112,32 @@ def gaussian_fit(
 ) -> GaussianFit:
     """Return the Gaussian fit at a mode.
 
-    Where the curvature had to be mended along `spreads` alone, which lie flat on the way to zero, it does not count.
-    Not `exact`: with the curvature that a climb carried on.
+    Clipping along `spreads` (group deviations, flat towards zero) does not count as indefinite. Not `exact`: with the
+    BFGS curvature of the maximisation.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
     slopes = density.evaluate(v, exact)
-    if slopes is None:  # a step away the density is nowhere: no hill that a Gaussian describes
+    if slopes is None:  # the density is undefined within a difference step
         return GaussianFit(v, np.full((len(v), len(v)), np.nan), density.value(v), -math.inf, True)
     scale = np.broadcast_to(density.scale, v.shape)
-    weights, vectors = np.linalg.eigh(scale[:, None] * slopes.curvature * scale)
-    # Less than a twentieth is the flank of a hill, such as a spread's way to zero: mended, proposals stay finite.
-    mended = np.maximum(weights, LEAST_CURVATURE)
-    covariance = (vectors / mended) @ vectors.T * np.outer(scale, scale)
-    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended / scale**2)))
-    share = np.sum(vectors[~np.broadcast_to(spreads, len(v))] ** 2, axis=0)
-    indefinite = bool(np.any((weights < LEAST_CURVATURE) & (share > SPREAD_SHARE)))
+    eigenvalues, vectors = np.linalg.eigh(scale[:, None] * slopes.curvature * scale)
+    # Smaller eigenvalues belong to a flank, such as a deviation towards zero: clipped, so that proposals stay finite.
+    clipped = np.maximum(eigenvalues, MIN_CURVATURE)
+    covariance = (vectors / clipped) @ vectors.T * np.outer(scale, scale)
+    log_volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(clipped / scale**2)))
+    other_fraction = np.sum(vectors[~np.broadcast_to(spreads, len(v))] ** 2, axis=0)
+    indefinite = bool(np.any((eigenvalues < MIN_CURVATURE) & (other_fraction > SPREAD_SHARE)))
     covariance, value = 0.5 * (covariance + covariance.T), slopes.log_density
-    return GaussianFit(v, covariance, value, value + volume, indefinite)
+    return GaussianFit(v, covariance, value, value + log_volume, indefinite)
 
 
 class ByValues:
-    """Slopes and curvature of a log density by differences; in `scale` priors are about standard normal or wider.
+    """Gradient and curvature of a log density by differences; `scale` are prior standard deviations or larger.
 
-    Of a point that a climb asks for the curvature is carried on from the one before it, or from a density nearby, by
-    its bends along the axes and what the gradient changed on the way (BFGS: J. Nocedal and S. Wright, Numerical
-    Optimization, 2006, eq. 6.19); where a density nearby knows coordinates as well, differences are one-sided after the
-    first point, with the bends of the one before. Where it is to be exact, two coordinates that are known nearby have
-    the correlation that they have there, if they hardly bend together or neither has moved.
+    During a maximisation the curvature is updated from the previous point, or a similar density, by its diagonal and a
+    BFGS update (J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19); with a reliable similar density,
+    differences are one-sided after the first point. If `exact`, cross terms are differences, or correlations of the
+    similar density where these are small or the point is close.
     """
 
     def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
@@ -149,116 +146,120 @@ class ByValues:
         self._begin()
 
     def _begin(self, like: Nearby | None = None) -> None:
-        """Reset, or begin with the curvature of a similar density."""
+        """Reset the state, with the curvature of a similar density if given."""
         self._like, self._last = like, None
-        self._exact = False  # whether the latest curvature is by differences
-        self._axes: Any = None  # the latest point, steps along the axes, and values there
+        self._exact = False  # whether the latest curvature is by differences throughout
+        self._axes: Any = None  # the latest point, steps along the axes, and densities there
 
     @property
     def nearby(self) -> Nearby | None:
-        """Return the latest curvature, for a similar density."""
-        last: tuple[np.ndarray, Slopes] | None = self._last
+        """Return the latest point and curvature, as a first estimate for a similar density."""
+        last: tuple[np.ndarray, LocalModel] | None = self._last
         return self._like if last is None else Nearby(last[0], last[1].curvature)
 
     def value(self, v: Float[np.ndarray, "d"]) -> float:
-        # Most steps of a climb are taken, and their ends evaluated: all at once.
+        # Most line searches accept the first step: evaluate its gradient at once.
         value = self.evaluate(v)
         return float(self.values(v[None])[0]) if value is None else value.log_density
 
-    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> Slopes | None:
-        """Return value, gradient and curvature; the latest are kept. None where the density is nowhere."""
+    def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> LocalModel | None:
+        """Return value, gradient and curvature, the latest cached; None if the density is undefined."""
         last, near = self._last, self.nearby
         if last is not None and (self._exact or not exact) and np.array_equal(last[0], v):
             return last[1]
         scale = np.broadcast_to(self.scale, v.shape)
         steps = FIRST_DIFFERENCE * scale
         if near is not None:
-            bends = np.maximum(np.diag(near.curvature) * scale**2, LEAST_CURVATURE)
-            steps = DIFFERENCE * scale / np.sqrt(bends)
-        slopes = None
+            curvatures = np.maximum(np.diag(near.curvature) * scale**2, MIN_CURVATURE)
+            steps = DIFFERENCE * scale / np.sqrt(curvatures)
+        expansion = None
         if last is not None and not exact and self._like and np.any(self._like.reliable):
-            slopes = self._one_sided(v, ONE_SIDED * steps, last[1])
-        slopes = slopes or self._differences(v, steps, exact)
-        if near is not None and slopes is not None and not exact:
-            curvature = _carried(near.curvature, last, v, slopes, LEAST_CURVATURE / scale**2)
-            slopes = slopes._replace(curvature=curvature)
-        if slopes is not None:
-            self._last, self._exact = (v.copy(), slopes), exact
-        return slopes
+            expansion = self._forward_differences(v, ONE_SIDED * steps, last[1])
+        expansion = expansion or self._central_differences(v, steps, exact)
+        if near is not None and expansion is not None and not exact:
+            curvature = _update_bfgs(near.curvature, last, v, expansion, MIN_CURVATURE / scale**2)
+            expansion = expansion._replace(curvature=curvature)
+        if expansion is not None:
+            self._last, self._exact = (v.copy(), expansion), exact
+        return expansion
 
-    def _one_sided(
-        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], last: Slopes
-    ) -> Slopes | None:
-        """Return the slopes by steps up, with the bends of the point before."""
-        value, *ends = self.values(np.concatenate([v[None], v + np.diag(steps)]))
-        if not min(value, *ends) > NOWHERE:
+    def _forward_differences(
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], last: LocalModel
+    ) -> LocalModel | None:
+        """Return the local model by forward differences, with the diagonal curvature of the previous point."""
+        value, *above = self.values(np.concatenate([v[None], v + np.diag(steps)]))
+        if not min(value, *above) > NOWHERE:
             return None
-        bends = np.diag(last.curvature)
-        return Slopes(value, (np.array(ends) - value) / steps + 0.5 * steps * bends, np.diag(bends))
+        curvatures = np.diag(last.curvature)
+        gradient = (np.array(above) - value) / steps + 0.5 * steps * curvatures
+        return LocalModel(value, gradient, np.diag(curvatures))
 
-    def _differences(
+    def _central_differences(
         self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curved: bool
-    ) -> Slopes | None:
+    ) -> LocalModel | None:
         axes = self._axes if curved and self._axes and np.array_equal(self._axes[0], v) else None
-        for _ in range(SHORTENINGS):
-            # Along the axes: what a coordinate of the noise moves is computed at columns that stay.
-            moves = np.diag(steps if axes is None else axes[1])
+        for _ in range(BACKTRACKS):
+            # Along the axes: basis columns are reused where only noise parameters change.
+            delta = np.diag(steps if axes is None else axes[1])
             if axes is None:
-                axes = v.copy(), steps, self.values(np.concatenate([v[None], v + moves, v - moves]))
+                points = np.concatenate([v[None], v + delta, v - delta])
+                axes = v.copy(), steps, self.values(points)
             (_, steps, (value, *ends)), self._axes, axes = axes, axes, None
             if not value > NOWHERE:
                 return None
-            up, down = np.reshape(ends, (2, len(v)))
-            bends = 2 * value - up - down
-            # In place of a step that was long against what the density allows, one that is right.
-            if np.any(long := bends > 4 * DIFFERENCE**2):
-                right = np.maximum(DIFFERENCE / np.sqrt(np.where(long, bends, 1.0)), LEAST_SHARE)
-                steps = steps * np.where(long, right, 1.0)
+            above, below = np.reshape(ends, (2, len(v)))
+            second = 2 * value - above - below
+            # Shorten steps that are too long for the density's own width, and repeat.
+            if np.any(long := second > 4 * DIFFERENCE**2):
+                ratio = np.maximum(DIFFERENCE / np.sqrt(np.where(long, second, 1.0)), MIN_SHRINK)
+                steps = steps * np.where(long, ratio, 1.0)
                 continue
-            hessian = self._bent(v, bends) if curved else np.diag(bends)
+            hessian = self._seed_hessian(v, second) if curved else np.diag(second)
             i, j = np.nonzero(np.triu(np.isnan(hessian)))
             if len(i):
-                both = moves[i] + moves[j]
-                ends = self.values(np.concatenate([v + both, v - both]))
+                shift = delta[i] + delta[j]
+                ends = self.values(np.concatenate([v + shift, v - shift]))
                 if not np.min(ends) > NOWHERE:
                     steps = SHORTER * steps
                     continue
-                bent = 2 * value - ends.reshape(2, -1).sum(axis=0)
-                hessian[i, j] = hessian[j, i] = 0.5 * (bent - bends[i] - bends[j])
-            return Slopes(value, 0.5 * (up - down) / steps, hessian / np.outer(steps, steps))
+                mixed = 2 * value - ends.reshape(2, -1).sum(axis=0)
+                hessian[i, j] = hessian[j, i] = 0.5 * (mixed - second[i] - second[j])
+            gradient = 0.5 * (above - below) / steps
+            return LocalModel(value, gradient, hessian / np.outer(steps, steps))
         return None
 
-    def _bent(self, v: Float[np.ndarray, "d"], bends: Float[np.ndarray, "d"]) -> np.ndarray:
-        """Return second differences: along the axes, between them by correlations nearby; NaN where none are known."""
+    def _seed_hessian(self, v: np.ndarray, diagonal: Float[np.ndarray, "d"]) -> np.ndarray:
+        """Return second differences: the diagonal, cross terms by correlations of a similar density, otherwise NaN."""
         second, near = np.full((len(v), len(v)), np.nan), self._like
         if near is not None:
-            size = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
-            curvature, is_known = near.curvature / np.outer(size, size), near.reliable & (bends > 0)
-            unmoved = np.abs(v - near.v) * size < UNMOVED
-            stays = (np.abs(curvature) < LOOSE) | np.outer(unmoved, unmoved)
-            stays &= np.outer(is_known, is_known)
-            second[stays] = (curvature * np.sqrt(np.abs(np.outer(bends, bends))))[stays]
-        np.fill_diagonal(second, bends)
+            scale = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
+            curvature = near.curvature / np.outer(scale, scale)
+            known = near.reliable & (diagonal > 0)
+            is_close = np.abs(v - near.v) * scale < UNMOVED
+            reuse = (np.abs(curvature) < LOOSE) | np.outer(is_close, is_close)
+            reuse &= np.outer(known, known)
+            second[reuse] = (curvature * np.sqrt(np.abs(np.outer(diagonal, diagonal))))[reuse]
+        np.fill_diagonal(second, diagonal)
         return second
 
 
-def _carried(
+def _update_bfgs(
     curvature: Float[np.ndarray, "d d"],
-    last: tuple[np.ndarray, Slopes] | None,
+    last: tuple[np.ndarray, LocalModel] | None,
     v: Float[np.ndarray, "d"],
-    slopes: Slopes,
+    slopes: LocalModel,
     least: Float[np.ndarray, "d"],
 ) -> Float[np.ndarray, "d d"]:
-    """Return a curvature as it is at v: with the bends along the axes there and, by BFGS, what the gradient changed."""
-    before, new = np.diag(curvature), np.diag(slopes.curvature)
-    fit = (new > least) & (before > 0)
-    ratio = np.sqrt(np.where(fit, new, 1.0) / np.where(fit, before, 1.0))
+    """Update a curvature to v: rescale it to the new diagonal, then apply a BFGS update by the gradient change."""
+    old, new = np.diag(curvature), np.diag(slopes.curvature)
+    is_positive = (new > least) & (old > 0)
+    ratio = np.sqrt(np.where(is_positive, new, 1.0) / np.where(is_positive, old, 1.0))
     curvature = ratio[:, None] * curvature * ratio
     if last is None:
         return curvature
-    step, lost = v - last[0], last[1].gradient - slopes.gradient
-    bent = curvature @ step
-    along, by = float(step @ lost), float(step @ bent)
-    if not along > 1e-12 or not by > 1e-12:
+    step, y = v - last[0], last[1].gradient - slopes.gradient
+    bs = curvature @ step
+    sy, sbs = float(step @ y), float(step @ bs)
+    if not sy > 1e-12 or not sbs > 1e-12:
         return curvature
-    return curvature + np.outer(lost, lost) / along - np.outer(bent, bent) / by
+    return curvature + np.outer(y, y) / sy - np.outer(bs, bs) / sbs

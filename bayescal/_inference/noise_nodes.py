@@ -1,19 +1,19 @@
-"""Products of columns at nodes of one variable, from which they follow at every setting of a noise law.
+"""Inner products weighted by Σ(θ)⁻¹ for any parameters θ of a noise law, interpolated in one variable.
 
 After an orthonormal transform of the columns a covariance is Σ(θ) = D(θ) − U·M·Uᵀ, D diagonal and a smooth function of
 one variable z of each row. With ℓ_c Lagrange's polynomials at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that
 
     B_c = Σ_rows ℓ_c(z)·t·tᵀ,
 
-give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), both with the ends of runs, for every θ.
+give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), plus corrections at the ends of runs, for all θ.
 
 | noise | variable | transform |
 |---|---|---|
 | one variance | one node | none |
-| scatter along a column | the column's place, 25 nodes or more | none |
+| heteroscedastic | position along the covariate, 25 nodes or more | none |
 | stationary, even steps | λ = 2 − 2·cos(πk/n), about 50 nodes | cosine transform of each run |
 
-Weights at the nodes are right to 2e-8, with Matérn's process to 4e-6.
+The relative interpolation error is 2e-8, for a Matérn process 4e-6.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from scipy.fft import dct
 from scipy.linalg import block_diag
 
 from bayescal._data.records import EVEN_STEPS
-from bayescal._inference.chebyshev import nodes_and_shares
+from bayescal._inference.chebyshev import lagrange_at_nodes
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
-WRITTEN_STEPS = 0.5  # of a step, by which times of an even clock may scatter where they are written to few digits
-SINGLE_FREQUENCIES = 16  # the lowest of a run, each a node of its own
-SEGMENT_RATIO = 30.0  # of λ from end to end of a segment of the others,
-FINE_RATIO = 10**0.5  # the same about all singular points, of distances from them,
-SEGMENT_NODES = 12  # which has so many nodes
-CHUNK_NUMBERS = 2_000_000  # of what is computed at once for several settings
-SIGNS = (1, -1)  # of the two combinations of a run's ends
-COLUMN_NODES = 25  # along a column that the scatter follows, at least,
-NODES_PER_UNIT = 6  # and of its place, which may be the logarithm of a size that spans decades
+WRITTEN_STEPS = 0.5  # tolerated rounding of times with an even clock, in steps
+SINGLE_FREQUENCIES = 16  # lowest frequencies of a run, each a node
+SEGMENT_RATIO = 30.0  # ratio of λ across an interpolated segment of frequencies
+FINE_RATIO = 10**0.5  # ratio of distances from a singular point across a segment
+SEGMENT_NODES = 12  # Chebyshev nodes of a segment
+CHUNK_NUMBERS = 2_000_000  # array elements per batch
+SIGNS = (1, -1)  # e₊ and e₋, combinations of a run's ends
+COLUMN_NODES = 25  # Chebyshev nodes along a covariate, at least
+NODES_PER_UNIT = 6  # and per unit of it, which may be a logarithm
 
 Columns = Float[np.ndarray, "n k"]
-Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) of several settings
+Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) for s settings
 
 
 class Weights(NamedTuple):
-    """A law at s settings; two of its parts by (length of a run, sign)."""
+    """Weights of the nodes at s settings of a noise law; `ends` and `inner` by (run length, sign)."""
 
     inverse: Float[np.ndarray, "s j"]  # 1/D at the nodes
     log_det: Float[np.ndarray, "s"]  # log|Σ|
@@ -58,7 +58,7 @@ class Weights(NamedTuple):
 
 
 class OneNode:
-    """Independent noise of one variance."""
+    """Homoscedastic independent noise: a single node. Base class of all sets of nodes."""
 
     count = 1
 
@@ -66,32 +66,32 @@ class OneNode:
         self.size = size
 
     def transform(self, columns: Columns) -> list[Columns]:
-        """Return the columns as products are made of them, one array for each run."""
+        """Transform columns (n, k) by the orthonormal transform, one array per run."""
         return [columns]
 
     def products(self, a: list[Columns], b: list[Columns]) -> Float[np.ndarray, "j ka kb"]:
-        """Return products of transformed columns at the nodes."""
+        """Return the inner products of transformed columns at the nodes, B_c."""
         return (a[0].T @ b[0])[None]
 
     def end_products(self, a: list[Columns]) -> dict[tuple[int, int], Float[np.ndarray, "r i k"]]:
-        """Return products of transformed columns with the ends of each run, by (length, sign)."""
+        """Return the products of transformed columns with the end vectors of each run, by (length, sign)."""
         return {}
 
     def weights(self, law: Noise, values: Values) -> Weights:
-        """Return the law at some settings of its parameters."""
+        """Return the weights of the nodes at s settings of the law's parameters."""
         variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
         return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
 
 
-class AlongColumn(OneNode):
-    """Independent noise whose variance is a smooth function of a place z (`Noise.variance_place`)."""
+class ColumnNodes(OneNode):
+    """Nodes for independent noise whose variance is a smooth function of z (`Noise.variance_place`)."""
 
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
         low, high = float(np.min(z)), float(np.max(z))
         high = high if high > low else low + 1.0
         self.count = max(COLUMN_NODES, math.ceil(NODES_PER_UNIT * (high - low)))
-        self.nodes, self.share = nodes_and_shares(low, high, self.count, z)
+        self.nodes, self.share = lagrange_at_nodes(low, high, self.count, z)
         self.rows = self.share.sum(axis=0)
 
     def products(self, a, b):
@@ -105,20 +105,20 @@ class AlongColumn(OneNode):
 
 
 class Segment(NamedTuple):
-    """A stretch of a run's frequencies."""
+    """A segment of a run's frequencies, interpolated between its nodes."""
 
     rows: slice
-    places: Float[np.ndarray, "c"]  # of its nodes, in frequencies
-    share: Float[np.ndarray, "k c"]  # Lagrange's polynomials of the nodes at the frequencies
+    places: Float[np.ndarray, "c"]  # frequency indices of the nodes, real
+    share: Float[np.ndarray, "k c"]  # Lagrange polynomials of the nodes at the frequencies
 
 
-class InFrequency(OneNode):
-    """Stationary noise within runs of even steps, of any lengths.
+class DCTNodes(OneNode):
+    """Nodes in frequency (cosine transform) for stationary noise on evenly spaced runs of any lengths.
 
     Attributes:
         runs: rows of each run, in the order of time.
-        step: between readings, s.
-        lam: λ of each node (j,); those of runs of one length stand together.
+        step: sampling interval, s.
+        lam: λ of each node (j,), grouped by run length.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class InFrequency(OneNode):
         step: float,
         segments: Callable[[int], Iterator[Segment]] | None = None,
     ) -> None:
-        """Set up nodes; `segments` of a run's frequencies by its length, the usual ones if not given."""
+        """Set up the nodes; `segments`: run length → segments of its frequencies, if not the default."""
         super().__init__(sum(map(len, runs)))
         self.runs, self.step = list(runs), step
         lengths = [len(run) for run in runs]
@@ -149,7 +149,7 @@ class InFrequency(OneNode):
                 self.end_squares[n, sign] = self._onto_nodes(n, squares)[:, 0]
 
     def _onto_nodes(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
-        """Return Σ_rows ℓ_c·values at the nodes of a run of n readings."""
+        """Return Σ_rows ℓ_c·values at the nodes of a run of n readings (i, k)."""
         return np.concatenate([s.share.T @ values[s.rows] for s in self.segments[n]])
 
     def transform(self, columns):
@@ -166,10 +166,10 @@ class InFrequency(OneNode):
                     continue
                 count = max(1, CHUNK_NUMBERS // first[rows].size)  # nodes side by side
                 for c in range(0, len(nodes), count):
-                    some = share[:, c : c + count].T
-                    weighted = (some[:, None] * first[rows].T).reshape(-1, len(share))
-                    at = slice(nodes[c], nodes[c] + len(some))
-                    products[at] += (weighted @ second[rows]).reshape(len(some), first.shape[1], -1)
+                    ells = share[:, c : c + count].T
+                    weighted = (ells[:, None] * first[rows].T).reshape(-1, len(share))
+                    to = slice(nodes[c], nodes[c] + len(ells))
+                    products[to] += (weighted @ second[rows]).reshape(len(ells), first.shape[1], -1)
         return products
 
     def end_products(self, a):
@@ -205,7 +205,7 @@ class InFrequency(OneNode):
         return Weights(inverse, log_det, ends, inner)
 
     def whitened(self, law: Noise, values: Values, columns: Columns) -> Columns:
-        """Return Σ^(−½) times columns at one setting, in frequency, run after run: their products are whitened ones.
+        """Return a square root of Σ⁻¹ times columns at one setting, in frequency, run after run.
 
         A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
         """
@@ -219,37 +219,37 @@ class InFrequency(OneNode):
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
                 ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
                 base, r = np.linalg.qr(ends.T)
-                inner = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
-                size, vectors = np.linalg.eigh(r @ inner @ r.T)
+                core = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
+                size, vectors = np.linalg.eigh(r @ core @ r.T)
                 roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + size)[:, None] - 1
-            scale, base, gain = roots[n]
+            scale, base, root_factor = roots[n]
             whitened = scale * dct(columns[run], axis=0, norm="ortho")
-            parts.append(whitened + base @ (gain * (base.T @ whitened)))
+            parts.append(whitened + base @ (root_factor * (base.T @ whitened)))
         return np.concatenate(parts)
 
 
-def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
-    """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
+def dct_nodes(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
+    """Return the nodes of stationary noise; None if steps are uneven or a run has fewer than 3 readings.
 
-    Even are those of a clock that jitters little, and those of times that are written to a few digits: neither adds up.
-    `step`: since the reading before in the order of time, s; −1 at a run's first.
+    Small jitter, and rounding of times that does not accumulate, count as even. `step`: time since the previous reading
+    in time order, s; −1 at a run's first.
     """
-    first, inside = np.flatnonzero(step < 0), step[step >= 0]
+    first, steps = np.flatnonzero(step < 0), step[step >= 0]
     runs = np.split(order, first[1:])
-    if min(map(len, runs)) < 3 or (usual := float(np.mean(inside))) <= 0:
+    if min(map(len, runs)) < 3 or (mean_step := float(np.mean(steps))) <= 0:
         return None
-    if np.max(np.abs(inside - np.median(inside))) <= EVEN_STEPS * usual:
-        return InFrequency(runs, usual)
-    # Each run's times as a line through their indices, about its middle.
-    clocks = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), first[1:])]
-    places = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in clocks]
-    period = sum(map(np.dot, places, clocks)) / sum(i @ i for i in places)
-    late = max(float(np.ptp(t - period * i)) for t, i in zip(clocks, places, strict=True))
-    return InFrequency(runs, period) if late <= WRITTEN_STEPS * period else None
+    if np.max(np.abs(steps - np.median(steps))) <= EVEN_STEPS * mean_step:
+        return DCTNodes(runs, mean_step)
+    # Regression of each run's times on their indices, both centred.
+    times = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), first[1:])]
+    indices = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in times]
+    period = sum(map(np.dot, indices, times)) / sum(i @ i for i in indices)
+    deviation = max(float(np.ptp(t - period * i)) for t, i in zip(times, indices, strict=True))
+    return DCTNodes(runs, period) if deviation <= WRITTEN_STEPS * period else None
 
 
 class Products:
-    """Products of `width` columns at the nodes, and with the ends of runs: TᵀΣ⁻¹T at any setting."""
+    """Inner products of `width` columns at the nodes and with the ends of runs: TᵀΣ⁻¹T at any setting."""
 
     def __init__(
         self,
@@ -262,35 +262,35 @@ class Products:
 
     @classmethod
     def of(cls, nodes: OneNode, columns: Columns) -> Products:
-        """Return the products of columns (n, r) with each other."""
+        """Compute the inner products of columns (n, r)."""
         transformed = nodes.transform(columns)
         return cls(nodes.products(transformed, transformed), nodes.end_products(transformed))
 
     def _at_ends(
         self, weights: Weights, settings: slice
     ) -> Iterator[tuple[Float[np.ndarray, "s q x"], Float[np.ndarray, "s q x"]]]:
-        """Yield what columns have at the ends of all runs of a length (s, q, runs·r), and (I − M·Z)⁻¹·M times it."""
+        """Yield UᵀD⁻¹T of all runs of one length (s, q, runs·r), and (I − M·Z)⁻¹·M times it."""
         for key, runs in self._runs.items():
             if key in weights.inner:
                 ends, inner = weights.ends[key][settings], weights.inner[key][settings]
-                # One product: of small ones each costs a call.
+                # One matrix product instead of many small ones.
                 at_ends = (ends.reshape(-1, ends.shape[2]) @ runs).reshape(*ends.shape[:2], -1)
                 yield at_ends, inner @ at_ends
 
     def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:
-        """Return TᵀΣ⁻¹T at some of the settings."""
+        """Return TᵀΣ⁻¹T at selected settings (s, r, r)."""
         gram = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
-        both = [*self._at_ends(weights, settings)]
-        if both:
+        pairs = [*self._at_ends(weights, settings)]
+        if pairs:
             first, second = (
                 np.concatenate([a.reshape(len(a), -1, self.width) for a in arrays], axis=1)
-                for arrays in zip(*both, strict=True)
+                for arrays in zip(*pairs, strict=True)
             )
             gram += first.transpose(0, 2, 1) @ second
         return gram
 
     def traces(self, weights: Weights, e: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "s"]:
-        """Return tr(E·TᵀΣ⁻¹T) at all settings."""
+        """Return tr(E·TᵀΣ⁻¹T) at all settings (s,)."""
         traces = weights.inverse @ (self._flat @ e.ravel())
         for at_ends, by in self._at_ends(weights, slice(None)):
             product = at_ends.reshape(*at_ends.shape[:2], -1, self.width) @ e
@@ -299,7 +299,7 @@ class Products:
 
 
 def _segments(n: int) -> Iterator[Segment]:
-    """Yield segments of a run's frequencies: the lowest alone, decades of the others."""
+    """Yield segments of a run's frequencies: the lowest as single nodes, then a factor of 30 in λ each."""
     symbol, start = eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
@@ -312,38 +312,38 @@ def _segments(n: int) -> Iterator[Segment]:
             yield Segment(rows, places, np.eye(len(places)))
         else:
             x = np.log(symbol[rows])
-            nodes, share = nodes_and_shares(x[0], x[-1], SEGMENT_NODES, x)
+            nodes, lagrange = lagrange_at_nodes(x[0], x[-1], SEGMENT_NODES, x)
             angle = np.arcsin(0.5 * np.exp(0.5 * nodes))
-            yield Segment(rows, 2 * n / np.pi * angle, share)
+            yield Segment(rows, 2 * n / np.pi * angle, lagrange)
         start = stop
 
 
 def _fine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
-    """Yield segments of the frequencies 1 … n − 1 of a run.
+    """Yield segments of the frequencies 1 … n − 1 of a run, refined at narrow lines.
 
-    A spectrum has singular points near λ = 0 (a random walk), λ = 4 (averages of neighbours) and narrow lines. Around
-    each of them single frequencies are nodes, then Chebyshev's points in the logarithm of the distance.
+    A spectrum is singular near λ = 0 (random walk), λ = 4 (moving average) and narrow lines. Frequencies next to these
+    points are nodes, farther ones are interpolated at Chebyshev nodes in the logarithm of the distance.
     """
     singular = sorted({0, n, *(round(k) for k in lines if 0 < round(k) < n)})
-    graded = [0, *_graded(n)]
+    graded = [0, *_graded_distances(n)]
     for low, high in itertools.pairwise(singular):
-        half = (high - low) // 2
-        for point, sign, reach in ((low, 1, half), (high, -1, high - low - half)):
-            cuts = [d for d in graded if d < reach] + [reach]
-            for near, far in itertools.pairwise(cuts):
-                begin, end = sorted((point + sign * near, point + sign * far))
+        midpoint = (high - low) // 2
+        for point, sign, limit in ((low, 1, midpoint), (high, -1, high - low - midpoint)):
+            cuts = [d for d in graded if d < limit] + [limit]
+            for start, stop in itertools.pairwise(cuts):
+                begin, end = sorted((point + sign * start, point + sign * stop))
                 begin = max(begin, 1)
                 places = np.arange(begin, end)
-                if near == 0 or len(places) <= SEGMENT_NODES + 2:
+                if start == 0 or len(places) <= SEGMENT_NODES + 2:
                     yield Segment(slice(begin, end), places, np.eye(len(places)))
                     continue
                 x = np.log(np.abs(places - point))
-                nodes, share = nodes_and_shares(x.min(), x.max(), SEGMENT_NODES, x)
-                yield Segment(slice(begin, end), point + sign * np.exp(nodes), share)
+                nodes, lagrange = lagrange_at_nodes(x.min(), x.max(), SEGMENT_NODES, x)
+                yield Segment(slice(begin, end), point + sign * np.exp(nodes), lagrange)
 
 
-def _graded(n: int) -> Iterator[int]:
-    """Yield distances from a singular point at which segments begin."""
+def _graded_distances(n: int) -> Iterator[int]:
+    """Yield the distances from a singular point at which segments begin, in frequency indices."""
     distance: float = SINGLE_FREQUENCIES
     while distance < n:
         yield round(distance)
@@ -351,47 +351,47 @@ def _graded(n: int) -> Iterator[int]:
 
 
 def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
-    """Return blocks (k, k, s) along the diagonal."""
-    size, at = sum(map(len, parts)), 0
+    """Assemble blocks (k, k, s) to block-diagonal matrices (s, q, q)."""
+    size, start = sum(map(len, parts)), 0
     matrices = np.zeros((count, size, size))
     for part in parts:
-        k = at + len(part)
-        matrices[:, at:k, at:k], at = np.moveaxis(part, -1, 0), k
+        stop = start + len(part)
+        matrices[:, start:stop, start:stop], start = np.moveaxis(part, -1, 0), stop
     return matrices
 
 
 class EvenSpectrum:
-    """Columns of runs of even steps, their levels and all columns but the last taken out under flat priors.
+    """Restricted likelihood of noise laws on evenly spaced runs, with run levels and further columns marginalised.
 
-    A level of each run is an infinite D at k = 0, which is left out: this is the restricted likelihood.
+    The frequency k = 0 is omitted, which marginalises the level of each run under a flat prior.
 
     Attributes:
-        step: between readings, s.
+        step: sampling interval, s.
     """
 
     def __init__(
         self, runs: Sequence[Float[np.ndarray, "n r"]], step: float, lines: Sequence[float] = ()
     ) -> None:
-        """Transform the runs' columns, the last of them the output; `lines`: frequencies of narrow lines, Hz."""
+        """Transform the runs' columns, the last of which is the output; `lines`: frequencies of narrow lines, Hz."""
 
         def segments(n: int) -> Iterator[Segment]:
             return _fine_segments(n, [2 * f * step * n for f in lines])
 
         self.step, self._width = step, runs[0].shape[1]
         rows = np.split(np.arange(sum(map(len, runs))), np.cumsum([*map(len, runs)])[:-1])
-        self._nodes = InFrequency(rows, step, segments)
+        self._nodes = DCTNodes(rows, step, segments)
         self._products = Products.of(self._nodes, np.concatenate(runs))
 
     def log_likelihood(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
-        """Return the restricted log likelihood of a stationary law at settings (s,), but for a constant."""
+        """Return the restricted log likelihood of a stationary law at settings (s,), up to a constant."""
         settings = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
         chunk = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
         chunks = [slice(at, at + chunk) for at in range(0, len(settings[WHITE]), chunk)]
         with np.errstate(all="ignore"):
-            parts = [self._of_chunk(law, {n: v[c] for n, v in settings.items()}) for c in chunks]
+            parts = [self._evaluate(law, {n: v[c] for n, v in settings.items()}) for c in chunks]
         return np.concatenate(parts)
 
-    def _of_chunk(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
+    def _evaluate(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
         weights = self._nodes.weights(law, values)
         gram, log_det = self._products.gram(weights), weights.log_det
         rss = gram[:, -1, -1]

@@ -1,4 +1,4 @@
-"""A NumPyro model of one's own in units of its priors, in which NUTS finds one step for all unknowns."""
+"""Non-centred reparametrisation of a NumPyro model: unknowns in units of their priors, for one NUTS step size."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 
 def non_centred(model: Callable[..., Any], but: Collection[str] = ()) -> Callable[..., Any]:
-    """Return a NumPyro model whose normal unknowns are sampled as standard ones, which changes no posterior.
+    """Return a NumPyro model with normal unknowns sampled as standard normal ones; the posterior is unchanged.
 
-    Sizes of unknowns are orders of magnitude apart, so that a step in one is none in another; and an unknown whose
-    spread is learned makes a funnel with it (M. Betancourt and M. Girolami, arXiv 1312.0906).
+    Unknowns of different magnitude need different step sizes; and an unknown with a learned standard deviation forms a
+    funnel with it (M. Betancourt and M. Girolami, arXiv 1312.0906).
 
     Args:
         model: a function with `numpyro.sample` statements.
-        but: names of sites to sample as they stand: what readings tell far better than the prior does whose spread is
-            learned.
+        but: names of sites to leave centred: unknowns determined by the readings far better than by a prior with
+            learned standard deviation.
     """
     from numpyro.distributions import Independent, Normal
     from numpyro.handlers import reparam

@@ -16,10 +16,10 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
-from bayescal._inference.linear_model import sized
+from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
-from bayescal._inference.nuts_chains import Plan, iterate
+from bayescal._inference.nuts_chains import Plan, run_kernel
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
@@ -55,9 +55,9 @@ class NUTS(Method):
         deadline.current().defer_interrupt()
         try:
             with stage("NUTS on every unknown"):
-                ran = iterate(kernel, jax.random.key(seed), (y,), None, plan)
+                ran = run_kernel(kernel, jax.random.key(seed), (y,), None, plan)
         except deadline.TimeIsUp as early:
-            return Marginal().about_the_mode(problem, mode, seed, (), str(early))
+            return Marginal().approximate(problem, mode, seed, (), str(early))
         sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(ran.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
@@ -75,7 +75,7 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
 
     # Of each site: value of a coordinate, its mean and sd.
     starts = dict[str, tuple[Callable[[Any], Any], Any, Any]]()
-    _, conditional = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    _, conditional = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
     if conditional is not None and np.all(np.isfinite(mode.covariance)):
         prior = problem.prior(problem.hyper(mode.v), mode.flat)
         scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
@@ -128,7 +128,7 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
     """
     model.require(readings)
     record = record_of(model.instrument, readings, reference_of(readings))
-    return program(bind(sized(model, readings, record), readings)[0], record.frame)
+    return program(bind(fill_amplitudes(model, readings, record), readings)[0], record.frame)
 
 
 def program(layout: Layout, frame: Frame) -> Callable:

@@ -1,4 +1,4 @@
-"""NUTS on a log density, by NumPyro: the fallback where importance weights fail, and the exact method.
+"""NUTS (No-U-Turn sampler) on a log density, by NumPyro: the exact method, and the fallback of importance sampling.
 
 (φ, z) are sampled with x = x̂(φ) + L(φ)⁻ᵀz whitened, which is exact for any likelihood and still well conditioned.
 """
@@ -20,14 +20,14 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.problem import Problem
 from bayescal._model import forward
 
-# Iterations between which a run can be stopped, so that a deadline is met and Ctrl-C heard.
+# Iterations per compiled block; the deadline and Ctrl-C are checked between blocks.
 BLOCK = 4
-FEWEST_STEPS = 7  # of an iteration, by which its cost is judged too low rather than too high: a tree of depth three
-PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no time limit
+FEWEST_STEPS = 7  # leapfrog steps per iteration for a lower bound of the run time: tree depth three
+PATIENCE = 300.0  # s, time limit of NUTS as a fallback without another limit
 
 
 class Chains(NamedTuple):
-    """Draws in a sampler's coordinates, (chains, draws, …) each, with what NUTS reported."""
+    """Draws in the sampler's coordinates (chains, draws, …), number of divergences, mean number of leapfrog steps."""
 
     draws: Any
     divergences: int
@@ -35,7 +35,7 @@ class Chains(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How chains are run: iterations of each, how many side by side, and whether a dense mass matrix is adapted."""
+    """Settings of NUTS: warm-up and draws per chain, number of chains, dense mass matrix or diagonal."""
 
     warmup: int
     draws: int
@@ -43,7 +43,7 @@ class Plan(NamedTuple):
     dense: bool = True
 
     def kernel(self, *model: Any, **how: Any) -> Any:
-        """Return NumPyro's NUTS of a program or of a `potential_fn`."""
+        """Build NumPyro's NUTS kernel of a program or a `potential_fn`."""
         import numpyro.infer as infer  # half a second that only chains need
 
         return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **how)
@@ -56,30 +56,30 @@ def run(
     key: Array,
     plan: Plan,
 ) -> Chains:
-    """Run NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit."""
+    """Run NUTS on a log density, chains in parallel, preconditioned and started by a Laplace approximation."""
     k1, k2 = jax.random.split(key)
-    # Scaled by the Laplace fit, so that the first mass matrix, the identity, is already right.
+    # Preconditioned by the Laplace covariance, so that the initial identity mass matrix is adequate.
     chol = np.linalg.cholesky(np.asarray(covariance)) if start.size else np.zeros((0, 0))
     chol = jnp.asarray(chol)
 
     def potential(q: Array) -> Array:
-        # No density there: a potential so high that no trajectory goes on; infinity would give slopes of NaN.
+        # An undefined density: a finite, high potential ends the trajectory; infinity would give NaN gradients.
         value = log_density(start + chol @ q)
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
-    begin = 0.5 * jax.random.normal(k1, (plan.chains, start.size))
-    ran = iterate(plan.kernel(potential_fn=potential), k2, (), begin, plan)
-    return ran._replace(draws=start + ran.draws @ chol.T)
+    starts = 0.5 * jax.random.normal(k1, (plan.chains, start.size))
+    chains = run_kernel(plan.kernel(potential_fn=potential), k2, (), starts, plan)
+    return chains._replace(draws=start + chains.draws @ chol.T)
 
 
-def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
-    """Run a NumPyro kernel, all chains side by side, a few iterations at once.
+def run_kernel(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
+    """Run a NumPyro kernel, all chains vectorised, in blocks of a few iterations.
 
-    Chains that have no time to end are not begun, as far as the first iterations can tell. They begin where the kernel
-    finds a place, if `begin` is None.
+    The run time is estimated from the first block, and chains that would exceed the deadline are stopped. `begin` None:
+    the kernel chooses starting points.
 
     Raises:
-        TimeIsUp: the deadline came first, or surely would.
+        TimeIsUp: the deadline is reached, or would be.
     """
 
     def sample(state: Any, _: None) -> tuple[Any, tuple]:
@@ -93,21 +93,21 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
     block = jax.jit(
         lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=known(ALWAYS)
     )
-    block = block.lower(state).compile()  # which is no part of what an iteration costs
+    block = block.lower(state).compile()  # excluded from the timing
     by_block = []
-    for done in range(0, count, BLOCK):
+    for iteration in range(0, count, BLOCK):
         end.ask()
-        since = time.monotonic()
+        started = time.monotonic()
         state, drawn = jax.block_until_ready(block(state))
         by_block.append(jax.tree.map(np.asarray, drawn))
-        if done == 0:
-            # Judged by the smallest tree, so that chains are never given up that would have ended in time.
+        if iteration == 0:
+            # A lower bound, by shallow trees, so that no chain is stopped that would have finished.
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(by_block[0][2]), axis=-1))))
-            took = time.monotonic() - since
-            least = took / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
-            if time.monotonic() + least > end.ends_at:
-                words = f"{least:.0f} s" if least < 100 else f"{least / 60:.0f} minutes"
-                raise deadline.TimeIsUp(f"{end.why}, where chains take {words} or more")
+            elapsed = time.monotonic() - started
+            needed = elapsed / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
+            if time.monotonic() + needed > end.ends_at:
+                duration = f"{needed:.0f} s" if needed < 100 else f"{needed / 60:.0f} minutes"
+                raise deadline.TimeIsUp(f"{end.why}, where chains take {duration} or more")
     z, diverging, steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *by_block
     )
@@ -115,10 +115,10 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
     return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
 
 
-def whitened(problem: Problem, mode: Mode):
-    """Return the exact log density of (v, z), and the map from them to (x, v).
+def whiten_posterior(problem: Problem, mode: Mode):
+    """Return the exact log density of (v, z), the map to (x, v), starting point and covariance.
 
-    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise.
+    z is x whitened by its conditional posterior of the linearised model, with the Gram matrix at the mode.
     """
     layout, record = problem.layout, problem.record
     frame = jax.tree.map(jnp.asarray, record.frame)
@@ -126,25 +126,25 @@ def whitened(problem: Problem, mode: Mode):
     density, hyper_at_mode = Density(problem, mode.x, mode.flat, mode.v), problem.hyper(mode.v)
     gram, prior = density.gram(mode.v, hyper_at_mode), problem.prior(hyper_at_mode, mode.flat)
     pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.x))
-    middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.x))
+    centre = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.x))
     amplitude = next(iter(problem.noise.amplitudes), None)
 
-    def place(v, z):
-        # z is x − x̂(φ) whitened by the precision of the linearised model at v (`gaussian.condition`), with the
-        # products of the mode: JᵀΣ⁻¹J is taken to go with the noise's first amplitude. That only shapes the map; its
-        # log Jacobian, log|S·L⁻ᵀ|, makes the density of (v, z) exact.
+    def unwhiten(v, z):
+        # x = x̂(φ) + S·L⁻ᵀ·z with the precision of the linearised model (`gaussian.condition`) and JᵀΣ⁻¹J of the mode,
+        # scaled by the noise's first amplitude. The approximation affects the map only: the log Jacobian, log|S·L⁻ᵀ|,
+        # makes the density of (v, z) exact.
         hyper = forward.hyper_values(layout, v)
         sd = forward.prior_sd(layout, hyper, jnp.asarray(mode.flat))
-        larger = 1.0 if amplitude is None else (hyper[amplitude] / hyper_at_mode[amplitude]) ** 2
-        precision = sd[:, None] * gram.jtj * sd / larger + jnp.diag(prior.weight)
+        ratio = 1.0 if amplitude is None else (hyper[amplitude] / hyper_at_mode[amplitude]) ** 2
+        precision = sd[:, None] * gram.jtj * sd / ratio + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
         solve = jax.scipy.linalg.solve_triangular
-        u = solve(chol, sd * pull / larger, lower=True)
+        solved = solve(chol, sd * pull / ratio, lower=True)
         volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
-        return middle + sd * solve(chol, u + z, lower=True, trans=1), volume
+        return centre + sd * solve(chol, solved + z, lower=True, trans=1), volume
 
     def unpack(q: Float[Array, "dim"]):
-        x, log_jacobian = place(q[:d], q[d:])
+        x, log_jacobian = unwhiten(q[:d], q[d:])
         return x, q[:d], log_jacobian
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:

@@ -1,4 +1,4 @@
-"""A model bound to readings: its expected output, Jacobian and priors, put together from columns and slopes."""
+"""A model bound to readings: its expected output, Jacobian and priors, from cached basis columns."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from bayescal._model.terms import PriorDeviations, Term, terms_of
 
 Values = dict[str, float]
 Arrays = Mapping[str, Any]
-ABSENT = -30.0  # coordinate of a standard deviation that is not there (1e-13 of its scale)
+ABSENT = -30.0  # coordinate that stands for a standard deviation of zero (1e-13 of its scale)
 
 
 class Host:
-    """A record as the source of a composition: it keeps columns and responses. Of one draw, or of several."""
+    """Column source (see `composition`) that reads cached columns and responses of a record, for one or many draws."""
 
     xp = np
 
@@ -48,13 +48,13 @@ class Host:
         of, record = term.columns, self.record
         if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in shifts.values()):
             if with_grad:
-                return record.moved_columns_of_draws(of, shapes, shifts)
+                return record.differentiate_columns(of, shapes, shifts)
             return record.columns_of_draws(of, shapes, shifts), {}
         if not shifts:
             return record.columns(of, tuple(map(float, shapes))), {}
         values = [np.atleast_1d(float(s)) for s in shapes]
         shifts = {n: m[None] for n, m in shifts.items()}
-        columns, derivatives = record.moved_columns_of_draws(of, values, shifts)
+        columns, derivatives = record.differentiate_columns(of, values, shifts)
         return columns[0], {n: d[0] for n, d in derivatives.items()}
 
     def response(self, slots: Arrays, shifts: Arrays) -> np.ndarray:
@@ -66,7 +66,7 @@ class Host:
 
 @dataclass(eq=False)
 class Problem:
-    """A structure bound to a record; plausible sizes of coefficients are multiplied by `size_factors`, by effect."""
+    """A model bound to a record; `size_factors` multiplies prior deviations of coefficients, by effect."""
 
     layout: Layout
     record: Record
@@ -91,7 +91,7 @@ class Problem:
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
-        """Return the entries of φ at coordinate v, by name; fixed ones included."""
+        """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
         pairs = zip(self._coordinates, v, strict=True)
         free = {name: value(coordinate) for (name, value, _), coordinate in pairs}
         return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
@@ -109,18 +109,18 @@ class Problem:
         origin: Float[np.ndarray, "p"],
         normal: Float[np.ndarray, "b p"] | float = 0.0,
     ) -> Drawn:
-        """Return x given each of several φ, by standard normal numbers or its mean, with log marginals."""
+        """Return draws of x given each of several φ by standard normal numbers (0: the mean), with log marginals."""
         prior = self.prior(self.hyper(vs.T), flat, (len(vs),))
         normal = np.broadcast_to(normal, (len(vs), self.size))
         return draw(gram, self.record.size, prior, origin, normal)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
-        """Return log prior densities of several φ."""
+        """Return the log prior densities of several φ (b,)."""
         parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
         return np.sum(parts, axis=0) if parts else np.zeros(len(v))
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """Return one entry of φ and its standard uncertainty, by those of its coordinates."""
+        """Return one entry of φ and its standard uncertainty, propagated from the covariance of coordinates."""
         i = self.layout.index_in_phi[name]
         prior = self.hypers[i].prior
         return float(prior.value(v[i])), abs(slope(prior, v[i])) * math.sqrt(covariance[i, i])
@@ -131,7 +131,7 @@ class Problem:
 
     @cached_property
     def sizes(self) -> PriorDeviations:
-        """Return the prior standard deviations of x given φ."""
+        """Return the prior standard deviations of x as a function of φ."""
         return PriorDeviations(self.in_x, self.layout.model.effects, self.size)
 
     @cached_property
@@ -152,12 +152,12 @@ class Problem:
     def prior(
         self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
-        """Return the prior of x given φ, or given each of `count`; `flat` are the scales where it is flat."""
+        """Return the prior of x given φ, or given each of `count` φ; `flat`: scales of flat priors (p,)."""
         sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     def member_sd(self, term: Term, hyper: Mapping[str, Any], count: int) -> Float[np.ndarray, "b"]:
-        """Return the prior standard deviation of one member's coefficient at each of `count` φ."""
+        """Return the prior standard deviation of one group member's coefficient at each of `count` φ (b,)."""
         if term.place == "x":
             return self.sizes.evaluate(hyper, (count,))[:, term.x_slice.start]
         sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name]
@@ -165,7 +165,7 @@ class Problem:
 
     @property
     def start(self) -> Float[np.ndarray, "p"]:
-        """Return x at its prior means; a constant that outputs are counted from at its origin."""
+        """Return x at its prior means, coefficients with an origin at the origin (p,)."""
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
@@ -173,12 +173,12 @@ class Problem:
         return x
 
     def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
-        """Return another structure's x in this one's terms, missing ones at their prior mean."""
-        x_here, theirs = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
+        """Map another model's x to this one's coefficients; missing ones at their prior mean (p,)."""
+        x_own, slices = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
         for t in self.in_x:
-            if (at := theirs.get((t.effect.name, t.index))) is not None:
-                x_here[t.x_slice] = x[at]
-        return x_here
+            if (at := slices.get((t.effect.name, t.index))) is not None:
+                x_own[t.x_slice] = x[at]
+        return x_own
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
         """Return a term's coefficient at each reading (…, n), or one for all (…, 1)."""
@@ -187,7 +187,7 @@ class Problem:
     def composed(
         self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], with_grad: bool = False
     ) -> Composed:
-        """Compose some terms at an x, or at those of several draws."""
+        """Compose terms at x (p,), or at draws of x (b, p)."""
         values = [self.value(t, x, hyper) for t in terms]
         return compose(self.host, terms, values, hyper, with_grad)
 
@@ -198,13 +198,13 @@ class Problem:
 
     @cached_property
     def _dynamic_terms(self) -> tuple[Term, ...]:
-        """Return the terms to be composed: of an affine output, those that depend on φ."""
+        """Return the terms to compose at each φ: those that depend on φ if the output is affine, else all."""
         affine = self.affine
         return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
-        """Return the Jacobian by terms that φ does not move, cached, and the places of the others in x."""
+        """Return the Jacobian by φ-independent terms, zero elsewhere, and the indices of the other terms in x."""
         places = np.arange(self.size)
         dynamic = np.concatenate(
             [places[:0], *(places[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
@@ -220,13 +220,13 @@ class Problem:
     def slopes(
         self, x: Float[np.ndarray, "p"], hyper: Values
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
-        """Return the slopes of the expected output by each slot and corrected column, reading by reading."""
+        """Return the derivatives of the expected output by each slot and corrected column (n,) each."""
         terms = () if self.affine else self.terms
         composed = self.composed(terms, x, hyper, with_grad=True)
         return differentiate_output(self.host, terms, composed)[1]
 
     def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearisation:
-        """Return expected output and Jacobian at an x, or at those of several draws, output unit per unit."""
+        """Return expected output and Jacobian at x, or at draws of x, output unit per reported unit."""
         line = self.linearise_dynamic(x, hyper)
         if not self.affine:
             return line
@@ -243,27 +243,27 @@ class Problem:
         hyper: Mapping[str, Any],
         terms: Sequence[Term] | None = None,
     ) -> Linearisation:
-        """Return the same by the φ-dependent terms alone, where the output is affine."""
+        """Return expected output and Jacobian of the φ-dependent terms alone (`_dynamic_terms`), or of `terms`."""
         terms = self._dynamic_terms if terms is None else terms
         return linearise_output(self.host, terms, self.composed(terms, x, hyper, with_grad=True))
 
     def extra(self, line: Linearisation) -> Float[np.ndarray, "n"] | float:
-        """Return the variance that noise on inputs adds to each reading, output unit squared."""
+        """Return the variance of each reading from noisy inputs, output unit squared (n,), or 0."""
         return compute_input_variance(self.terms, line) if self.noisy else 0.0
 
-    # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
+    # joint draws: x (b, p), φ by name, one value per draw or one for all -----------------------------
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
-        """Return the expected output of joint draws, output unit."""
+        """Return the expected output of joint draws, output unit (b, n)."""
         mean = evaluate_output(self.host, self.composed(self._dynamic_terms, x, hyper))
         if self.affine:
             return mean + x @ self._static_jacobian[0].T
-        return np.broadcast_to(mean, (len(x), self.record.size))  # of no term it is one for all
+        return np.broadcast_to(mean, (len(x), self.record.size))  # one row if there are no terms
 
     def expected_with_slopes(
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
-        """Return expected output of joint draws, and slopes by terms as if all readings were of one member."""
+        """Return the expected output of joint draws, and its derivatives by terms, as if all were of one member."""
         corrects = any(t.slot not in self.host.slots for t in terms)
         composed = self.composed(self.terms, x, hyper, corrects)
         mean, by_slot = differentiate_output(self.host, self.terms, composed)
@@ -274,7 +274,7 @@ class Problem:
     def expected_and_extra(
         self, x: Any, hyper: Mapping[str, Any]
     ) -> tuple[Float[np.ndarray, "b n"], Any]:
-        """Return expected output of joint draws, and the variance of noise on inputs, (b, n) or 0."""
+        """Return the expected output of joint draws, and the variance from noisy inputs (b, n), or 0."""
         if not self.noisy:
             return self.expected(x, hyper), 0.0
         inputs = [t for t in self.terms if t.place == "input"]
@@ -283,14 +283,14 @@ class Problem:
         return mean, np.broadcast_to(sum(added), mean.shape)
 
 
-def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:
-    """Return central differences of a function by each coordinate; one step, or one each."""
-    shifts = np.diag(np.broadcast_to(step, at.shape))
-    return np.array([(f(at + s) - f(at - s)) / (2 * s.sum()) for s in shifts])
+def differences(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
+    """Return the derivatives of f by each coordinate, by central differences with one step or one per coordinate."""
+    shifts = np.diag(np.broadcast_to(step, point.shape))
+    return np.array([(f(point + s) - f(point - s)) / (2 * s.sum()) for s in shifts])
 
 
-def put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
-    """Return v with other values in some places."""
+def overwrite(values: np.ndarray, indices: list[int], v: np.ndarray) -> np.ndarray:
+    """Return a copy of v with other values at some indices."""
     changed = v.copy()
-    changed[places] = values
+    changed[indices] = values
     return changed

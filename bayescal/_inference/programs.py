@@ -1,7 +1,7 @@
-"""The compiled pieces: the responses of an instrument that is not affine, and their slopes.
+"""Compiled JAX programs of an instrument's response, if it is not affine, and its derivatives.
 
-None knows which effects a model has, so that a search over structures compiles nothing. Records are padded to a few
-lengths by repeating the last reading, so that another record of about the same length compiles nothing either.
+Programs are independent of a model's effects, so that a search over structures compiles nothing. Records are padded to
+a few lengths by repeating the last reading, so that records of similar length share programs.
 """
 
 from __future__ import annotations
@@ -20,47 +20,47 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
 
-STEP = 1.25  # from one padded length to the next
-# Readings that a program is padded to at least: few programs serve all short records.
+STEP = 1.25  # ratio of successive padded lengths
+# Smallest padded length.
 SHORTEST_LENGTH = 32
-# Readings from which a program is run often enough to be worth twice the time to compile.
+# Readings from which run time outweighs twice the compile time.
 OPTIMISED_READINGS = 2000
 
 
 def padded_length(size: int) -> int:
-    """Return the next of a few lengths that records are padded to."""
-    # Lengths grow by a quarter: a record is padded by an eighth on average, and ten lengths cover a decade.
+    """Return the padded length of a record."""
+    # A geometric series: padding is an eighth on average, and ten lengths cover a decade.
     steps = max(0, math.ceil(math.log(size / SHORTEST_LENGTH, STEP) - 1e-9))
     return max(size, round(SHORTEST_LENGTH * STEP**steps))
 
 
-def padded(frame: Frame) -> Frame:
-    """Pad readings with copies of the last one, each a run of its own."""
+def pad_frame(frame: Frame) -> Frame:
+    """Pad a frame with copies of the last reading, each a separate run, and convert it to JAX arrays."""
     size = frame.size
-    missing = padded_length(size) - size
+    extra_rows = padded_length(size) - size
 
-    # A repeated reading is as valid an argument of any effect as the reading itself: no logarithm of zero.
-    def longer(values: Any) -> np.ndarray:
-        return np.pad(np.asarray(values), (0, missing), mode="edge")
+    # A repeated reading is a valid argument of any basis, unlike zeros (log 0).
+    def pad(values: Any) -> np.ndarray:
+        return np.pad(np.asarray(values), (0, extra_rows), mode="edge")
 
-    def all_of(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: longer(v) for name, v in values.items()}
+    def extend(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: pad(v) for name, v in values.items()}
 
-    codes = {g: np.pad(c, (0, missing), constant_values=-1) for g, c in frame.codes.items()}
+    codes = {g: np.pad(c, (0, extra_rows), constant_values=-1) for g, c in frame.codes.items()}
     padded_frame = replace(
         frame,
-        **{name: all_of(getattr(frame, name)) for name in ("columns", "labels", "rates", "record")},
+        **{name: extend(getattr(frame, name)) for name in ("columns", "labels", "rates", "record")},
         codes=codes,
-        order=np.append(frame.order, np.arange(size, size + missing, dtype=np.int32)),
-        step=np.append(frame.step, -np.ones(missing)),
+        order=np.append(frame.order, np.arange(size, size + extra_rows, dtype=np.int32)),
+        step=np.append(frame.step, -np.ones(extra_rows)),
     )
     return jax.tree.map(jnp.asarray, padded_frame)
 
 
 def program(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
-    """Compile a function of something that is no array, of a frame, and of arrays, when it is first called.
+    """Compile a function (static value, frame, *arrays) on its first call.
 
-    It is optimised if `costly`, whatever the number of readings: computing then counts for more than compiling.
+    With full optimisation if `costly`, for long records and for laws that loop over readings; else with fast options.
     """
 
     @cache
@@ -77,30 +77,30 @@ def program(function: Callable[..., Any], costly: bool = False) -> Callable[...,
     return call
 
 
-# Slots, or shifts of columns: a number a reading; of several draws, one row each.
+# Slot values or column shifts by name: (n,), or (b, n) for b draws.
 ByName = dict[str, Array]
 
 
 @program
-def responses(
+def respond_many(
     response: Callable[..., Any], frame: Frame, slots: ByName, shifts: ByName
 ) -> Float[Array, "b n"]:
-    """Return expected outputs of several sets of slots, columns of the readings moved for each."""
+    """Return the expected outputs at b sets of slot values and column shifts."""
     return jax.vmap(partial(_respond, response, frame))((slots, shifts))
 
 
-class Responding(NamedTuple):
-    """An instrument's response, and whether its slopes by all slots are taken backward, in one pass."""
+class ResponseSpec(NamedTuple):
+    """An instrument's response, and whether to differentiate it in reverse mode, by all slots at once."""
 
     response: Callable[..., Any]
     backward: bool
 
 
 @program
-def response_slopes(
-    what: Responding, frame: Frame, slots: ByName, shifts: ByName
+def differentiate(
+    what: ResponseSpec, frame: Frame, slots: ByName, shifts: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the expected output, and its derivatives by each slot and moved column, by reading."""
+    """Return the expected output (n,), and its derivatives by each slot and shifted column (n,)."""
 
     def respond(slots: ByName, shifts: ByName) -> Array:
         return _respond(what.response, frame, (slots, shifts))
@@ -109,13 +109,13 @@ def response_slopes(
 
 
 @program
-def slopes_of_draws(
-    what: Responding, frame: Frame, slots: ByName, shifts: ByName
+def differentiate_many(
+    what: ResponseSpec, frame: Frame, slots: ByName, shifts: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Return expected outputs of several sets of slots and moved columns, and their derivatives."""
-    return jax.vmap(partial(response_slopes.__wrapped__, what, frame))(slots, shifts)
+    """Return expected outputs and derivatives at b sets of slot values and column shifts."""
+    return jax.vmap(partial(differentiate.__wrapped__, what, frame))(slots, shifts)
 
 
-def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:
-    slots, shifts = both
+def _respond(response: Callable[..., Any], frame: Frame, arguments: tuple[ByName, ByName]) -> Array:
+    slots, shifts = arguments
     return jnp.broadcast_to(response(slots, frame.moved(shifts)), (frame.size,))

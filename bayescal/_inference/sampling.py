@@ -1,9 +1,8 @@
-"""Adaptive importance sampling of φ on the host, with the coefficients drawn back.
+"""Adaptive importance sampling of φ, with coefficients x drawn from their conditional posterior.
 
-φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
-spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
-All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity
-leave is corrected by the same weights: each joint draw (x, φ) has as importance weight the true density over its own.
+φ is proposed from Student-t mixtures, first around its Laplace approximation, then around many weighted draws of the
+previous round, since weakly identified deviations have densities far from elliptical. The mean weight estimates the
+evidence. Nonlinearity is corrected by the same weights: exact joint density of (x, φ) over proposal density.
 Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
 (mixtures around weighted draws).
 """
@@ -24,49 +23,48 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Drawn
-from bayescal._inference.joint import FREEDOM, correction, normal_numbers
+from bayescal._inference.joint import FREEDOM, draw_normals, log_correction
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.newton import NOWHERE, GaussianFit, Values
 from bayescal._inference.problem import Problem
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
-# Log density above the mode's, from which on a draw shows that it was not the highest: more than what columns as
-# polynomials put it off by (0.02), less than would matter.
+# Log density above the mode's, from which a draw shows that there is a higher mode; the error of polynomial columns is
+# 0.02.
 HIGHER_NATS = 1.0
 
-USUAL_ROUNDS = 3  # rounds of adaptation; more only where the last one's weights are unsound
-ROUNDS_OF_FEW = 4  # at most, of a density that costs little
-KERNELS = 256  # draws of the round before, around each of which the next one proposes;
-FEWEST_KERNELS = 128  # in a few dimensions
-KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
-# Times the Laplace fit's, that the density is wide along an axis to either side, at least and at most.
+USUAL_ROUNDS = 3  # rounds of adaptation; more only if the latest weights are unsound
+MAX_CHEAP_ROUNDS = 4  # of `importance_draws`
+KERNELS = 256  # mixture components, around resampled draws
+MIN_KERNELS = 128  # in up to three dimensions
+KERNEL = 0.7  # width of a component, in standard deviations of φ: the mixture has heavier tails than the target
+# Limits of the target's width along an axis, to either side, over the Laplace approximation's.
 AXIS_RATIOS = 0.25, 4.0
-WIDE_RATIO = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
-PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
-# Where each costs a pass over the readings: the same, and the share of the wide component. Of φ with ten entries no
-# draw of either counts.
+WIDE_RATIO = 1.7  # width of the defensive component over the Laplace approximation's
+PRIOR = 0.2  # probability of proposals from the prior: no weight exceeds likelihood over 0.2 times evidence
+# Probabilities of prior and defensive component if each proposal costs a pass over the readings.
 COSTLY_PRIOR, COSTLY_WIDE = 0.05, 0.05
-# Share of the proposals that their weights are worth where no further round would raise it.
+# Effective over actual sample size, from which adaptation ends.
 ADAPTED = 0.5
-NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
-IN_CACHE = 150_000  # and to stay in the cache
-FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
-DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at once
-# Numbers in columns of draws beyond where polynomials were fitted, of which a random share is computed where more are.
+MAX_NUMBERS = 1_000_000  # array elements per batch, to bound memory,
+IN_CACHE = 150_000  # and to stay in the processor's cache
+FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are computed first, in case they are constant
+DISTANCE_BATCH = 512  # draws per batch of distances to all components
+# Array elements of columns outside the region of fitted polynomials; of more, a random subset is computed.
 FAR_NUMBERS = 40_000
-NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
-COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
-PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
-# And at least where a structure is part of an average, if each costs little; if each costs a pass.
+NEGLIGIBLE = 40.0  # log weight below the largest, from which a draw is negligible
+COSTLY_READINGS = 1000  # readings, from which a pass over them is expensive
+PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by their cost
+# At least, for a structure in a model average: if cheap; if each costs a pass over the readings.
 MIN_PROPOSALS_PER_STRUCTURE = 128, 64
-COSTLY_STEPS = 4  # in which costly proposals are drawn; half of them at least
-# Share of an average from which on uneven weights of a structure are worth another climb.
+COSTLY_STEPS = 4  # batches of costly proposals; half of them at least
+# Posterior probability of a structure, from which uneven weights justify another search for its mode.
 LARGE_SHARE = 0.1
 
 
 class WeightedDraws(NamedTuple):
-    """Joint draws with their log weights (not normalised, not smoothed)."""
+    """Joint draws with log weights, neither normalised nor smoothed."""
 
     x: Float[np.ndarray, "s p"]
     v: Float[np.ndarray, "s d"]
@@ -74,73 +72,73 @@ class WeightedDraws(NamedTuple):
     log_weight_phi: Float[np.ndarray, "s"]  # of φ alone, before the correction
     log_evidence: Float[np.ndarray | np.float64, ""]
     log_evidence_error: Float[np.ndarray | np.float64, ""]
-    mode: Mode  # that they were proposed around, in the end
-    rounds: Rounds | None = None  # what they were drawn in, where further ones may join them
+    mode: Mode  # around which the last round was proposed
+    rounds: Rounds | None = None  # to be continued with further draws
 
 
 class Mixture(NamedTuple):
-    """Student-t components: equally likely ones of one shape, and one beside them with the rest of the probability.
+    """Mixture of Student-t kernels of equal weight and shape, and one defensive component of weight `share`.
 
-    That one has, along each of its axes, a width for either side (split normal: G. Fechner 1897; in as many dimensions
+    The defensive component has a width for either side of each axis (split normal: G. Fechner 1897; multivariate:
     M. Villani and R. Larsson, Commun. Stat. 35 (2006) 1123).
     """
 
-    centre: Float[np.ndarray, "m d"]
-    chol: Float[np.ndarray, "d d"]
-    middle: Float[np.ndarray, "d"]
-    axes: Float[np.ndarray, "d d"]  # of the one beside, in columns
-    share: float  # of the one beside
-    sides: tuple[Any, Any] = (1.0, 1.0)  # widths down and up each axis, of the axes
+    centre: Float[np.ndarray, "m d"]  # of the kernels
+    chol: Float[np.ndarray, "d d"]  # Cholesky factor of their scale matrix
+    middle: Float[np.ndarray, "d"]  # of the defensive component
+    axes: Float[np.ndarray, "d d"]  # of the defensive component, in columns
+    share: float  # weight of the defensive component
+    sides: tuple[Any, Any] = (1.0, 1.0)  # its relative widths below and above, along each axis
     freedom: float = FREEDOM
 
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         dim = self.centre.shape[1]
         # Multivariate Student-t: a normal vector times √(ν/χ²_ν), one factor for all its coordinates.
-        heavy = np.sqrt(self.freedom / random.chisquare(self.freedom, count))[:, None]
+        scale = np.sqrt(self.freedom / random.chisquare(self.freedom, count))[:, None]
         normal = random.standard_normal((count, dim))
-        which = random.integers(len(self.centre), size=count)
+        component = random.integers(len(self.centre), size=count)
         from_wide = random.random(count) < self.share
-        narrow = self.centre[which] + heavy * normal @ self.chol.T
-        # A side is as likely as it is wide: by the quantiles of a normal number.
+        kernel_draws = self.centre[component] + scale * normal @ self.chol.T
+        # Split normal: the probability of a side is proportional to its width.
         down, up = self.sides
         below = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
         above = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
-        side_draws = self.middle + heavy * (below + above) @ self.axes.T
-        return np.where(from_wide[:, None], side_draws, narrow)
+        side_draws = self.middle + scale * (below + above) @ self.axes.T
+        return np.where(from_wide[:, None], side_draws, kernel_draws)
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
         freedom, half = self.freedom, 0.5 * (self.freedom + dim)
-        # Its density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
+        # Density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
         norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * dim * math.log(freedom * math.pi)
         centres, counts = np.unique(self.centre, axis=0, return_counts=True)
-        # |z − c|² = |z|² − 2·zᵀc + |c|²: distances to all centres are one product of matrices. Counted from the
-        # middle these are numbers of order one, and no digits cancel. Resampled centres repeat.
-        z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
+        # |z − c|² = |z|² − 2·zᵀc + |c|², a matrix product; relative to the middle there is no cancellation. Resampled
+        # centres repeat.
+        z, c = (_whiten(self.chol, v - self.middle), _whiten(self.chol, centres - self.middle))
         c, offset = c.T * (-2 / freedom), 1 + np.sum(c**2, axis=1) / freedom
-        near = np.empty(len(v))
-        for start in range(0, len(v), DISTANCES_TOGETHER):  # so many that they stay in the cache
-            block = z[start : start + DISTANCES_TOGETHER]
-            heavy = block @ c
-            heavy += offset
-            heavy += np.sum(block**2, axis=1)[:, None] / freedom
-            np.log(np.maximum(heavy, 1.0, out=heavy), out=heavy)
-            heavy *= -half
-            near[start : start + DISTANCES_TOGETHER] = np.exp(heavy, out=heavy) @ counts
-        # Far away the sum may be zero: there the component beside counts.
-        narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
+        kernel_sums = np.empty(len(v))
+        for start in range(0, len(v), DISTANCE_BATCH):  # so many that they stay in the cache
+            block = z[start : start + DISTANCE_BATCH]
+            terms = block @ c
+            terms += offset
+            terms += np.sum(block**2, axis=1)[:, None] / freedom
+            np.log(np.maximum(terms, 1.0, out=terms), out=terms)
+            terms *= -half
+            kernel_sums[start : start + DISTANCE_BATCH] = np.exp(terms, out=terms) @ counts
+        # Far away the kernels underflow to zero: the defensive component dominates.
+        log_kernels = np.log(kernel_sums / len(self.centre) + 1e-300) - _log_volume(self.chol)
         down, up = self.sides
-        z = _whitened(self.axes, v - self.middle)
+        z = _whiten(self.axes, v - self.middle)
         log_beside = -half * np.log1p(
             np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / freedom
         )
         log_beside -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
         return norm + np.logaddexp(
-            narrow + math.log1p(-self.share), log_beside + math.log(self.share)
+            log_kernels + math.log1p(-self.share), log_beside + math.log(self.share)
         )
 
 
-def _whitened(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _whiten(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.linalg.solve(chol, v.T).T if chol.size else v
 
 
@@ -149,67 +147,67 @@ def _log_volume(axes: np.ndarray) -> float:
 
 
 class BatchedDensity:
-    """The log density of many φ at once, x integrated out, and x given each.
+    """Marginal log density of many φ at once, and draws of x given each.
 
-    Its `table` of products about the mode is None where each φ costs columns, or a pass over the readings; `exact`:
-    whether the closed form is that of φ itself.
+    `table`: Gram matrices by polynomials about the mode; None if each φ needs its own columns or a pass over the
+    readings. `exact`: the noise is Gaussian, so that the marginal is exact for an affine output.
     """
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
         self.density = Density(problem, mode.x, mode.flat, mode.v)
-        whole, self.table = self.density.tabulated, None
-        if whole is not None and np.all(np.isfinite(mode.covariance)):
-            self.table = whole.about(mode.v, mode.covariance, mode.flat)
+        tabulated, self.table = self.density.tabulated, None
+        if tabulated is not None and np.all(np.isfinite(mode.covariance)):
+            self.table = tabulated.fit_polynomials(mode.v, mode.covariance, mode.flat)
         self.exact = problem.noise.gaussian
-        self.together = max(16, NUMBERS // (problem.size + 1) ** 2)
-        if self.table is None:  # few at a time, so that the deadline is asked
+        self.together = max(16, MAX_NUMBERS // (problem.size + 1) ** 2)
+        if self.table is None:  # small batches, between which the deadline is checked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
         self.random = np.random.default_rng(0)
         self.far_share = min(1.0, FAR_NUMBERS / (PRIOR * PROPOSALS * self.size))
 
-    def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
-        """Return the log density of each φ, and the x that standard normal numbers stand for given it."""
+    def draw_at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
+        """Return the log density of each φ (b,), and x drawn given φ by standard normal numbers (b, p)."""
         prior = self.problem.log_priors(v)
         args = self.mode.flat, self.density.origin
         drawn = self.problem.drawn((self.table or self.density).grams(v), v, *args, normal)
-        computed = np.zeros(len(v), dtype=bool)
+        is_computed = np.zeros(len(v), dtype=bool)
         if self.table is not None:
-            # A random share of these stands for all: a hill far from the mode is seen, at a bounded cost.
-            beyond = ~self.table.reaches(v)
-            computed = beyond & (self.random.random(len(v)) < self.far_share)
-            drawn.log_marginal[beyond] = NOWHERE
-            if computed.any():
-                grams, some = self.density.grams(v[computed]), normal[computed]
-                exact = self.problem.drawn(grams, v[computed], *args, some)
+            # A random subset, reweighted: a distant mode is detected at bounded cost.
+            is_outside = ~self.table.contains(v)
+            is_computed = is_outside & (self.random.random(len(v)) < self.far_share)
+            drawn.log_marginal[is_outside] = NOWHERE
+            if is_computed.any():
+                grams, normals = self.density.grams(v[is_computed]), normal[is_computed]
+                exact = self.problem.drawn(grams, v[is_computed], *args, normals)
                 for all_of_it, new in zip(drawn, exact, strict=True):
-                    all_of_it[computed] = new
+                    all_of_it[is_computed] = new
         total = drawn.log_marginal + prior
         is_finite = np.isfinite(total) & (drawn.log_marginal > NOWHERE)
         total = np.where(is_finite, total, NOWHERE)
         if len(v) and total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
-        total[computed] -= math.log(self.far_share)
+        total[is_computed] -= math.log(self.far_share)
         return total, drawn
 
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         size, parts = self.problem.size, []
         for part in np.array_split(v, -(-len(v) // self.together)):
             deadline.current().ask()
-            parts.append(self.at(part, np.zeros((len(part), size)))[0])
+            parts.append(self.draw_at(part, np.zeros((len(part), size)))[0])
         return np.concatenate(parts)
 
 
 class PriorShare(NamedTuple):
-    """Proper prior of the coordinates, and the share of the proposals that is drawn from it."""
+    """Proper prior of the coordinates, and the fraction of the proposals drawn from it."""
 
     draw: Callable[[np.random.Generator, int], Float[np.ndarray, "s d"]]
     log_density: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]]
     share: float = PRIOR
 
 
-def adapted(
+def adapt_proposal(
     mode: Mode,
     values: Callable[[Float[np.ndarray, "s d"]], Float[np.ndarray, "s"]],
     prior: PriorShare | None,
@@ -218,51 +216,51 @@ def adapted(
     rounds: int,
     higher: float,
 ) -> Mixture:
-    """Adapt a proposal to a density that costs little.
+    """Adapt a proposal to a density that is cheap to evaluate.
 
-    Draws of a round are weighed with those of the rounds before, each by what all rounds together propose there:
-    of a density that bends away from its Laplace fit every round sees a further part.
+    Draws of all rounds are weighted by the mixture of all proposals, so that each round extends the explored region.
     Source: J.-M. Cornuet et al., Scand. J. Statist. 39 (2012) 798 (adaptive multiple importance sampling).
 
     Args:
-        mode, values: of the density, and its logarithm at several points, not normalised.
-        prior: None where it is improper or cannot be drawn from.
+        mode: of the density, with its Gaussian fit.
+        values: the log density at several points, not normalised.
+        prior: defensive proposal; None if the prior is improper.
         proposals: in each round.
-        rounds: at most; none follows one whose weights are even, nor a later one whose weights are sound.
-        higher: log density above which nothing more is adapted: the mode was another.
+        rounds: at most; fewer if the weights are even, or sound after the third round.
+        higher: log density above which adaptation stops, since there is a higher mode.
     """
-    # The Laplace fit proposes first; then, as often as weights are uneven, kernels about the weighted draws of all
-    # rounds before (population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
-    mixture, tried = around_mode(mode.v, mode.covariance), Rounds(prior)
+    # First the Laplace approximation, then kernels about the weighted draws of all rounds (population Monte Carlo:
+    # O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
+    mixture, pool = around_mode(mode.v, mode.covariance), Rounds(prior)
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = propose(mixture, prior, random, proposals)
         log_density = values(v)
         log_weight = log_density - log_proposal
         if np.max(log_density) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        new = _Placed(v, log_density, np.zeros((len(v), 0)), log_density)
-        tried.add(mixture, v, log_proposal, new)
-        mixture = _match(mixture, mode, tried.all.v, tried.log_weight)
+        sample = _Sample(v, log_density, np.zeros((len(v), 0)), log_density)
+        pool.add(mixture, v, log_proposal, sample)
+        mixture = _update_mixture(mixture, mode, pool.all.v, pool.log_weight)
         if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
     return mixture
 
 
 class Rounds:
-    """Draws of all rounds, each weighed by the mixture of what was drawn from.
+    """Draws of all rounds, weighted by the mixture of their proposals.
 
-    Each draw is weighed by the mean density of all mixtures, whichever it came from (deterministic mixture: E. Veach
-    and L. Guibas, SIGGRAPH 1995): a draw that its own mixture hardly proposes cannot count for thousands.
+    Each weight is the target over the mean density of all proposals (deterministic mixture: E. Veach and L. Guibas,
+    SIGGRAPH 1995), which bounds the weights of draws that are improbable under their own proposal.
     """
 
     def __init__(self, prior: PriorShare | None) -> None:
         self.prior, self.judged = prior, Corrections()
         self.mixtures = list[Mixture]()
         self.proposed = np.zeros((0, 0))  # each mixture's density of all draws
-        self.counts, self.parts = list[int](), list[_Placed]()
+        self.counts, self.parts = list[int](), list[_Sample]()
 
     def add(
-        self, mixture: Mixture, v: Float[np.ndarray, "s d"], log_proposal: np.ndarray, new: _Placed
+        self, mixture: Mixture, v: Float[np.ndarray, "s d"], log_proposal: np.ndarray, new: _Sample
     ) -> None:
         """Add a round's draws of a mixture with their log proposal density."""
         densities = (_log_proposal(m, self.prior, v) for m in self.mixtures)
@@ -276,9 +274,9 @@ class Rounds:
         self.parts.append(new)
 
     @property
-    def all(self) -> _Placed:
+    def all(self) -> _Sample:
         if len(self.parts) > 1:
-            self.parts = [_Placed(*map(np.concatenate, zip(*self.parts, strict=True)))]
+            self.parts = [_Sample(*map(np.concatenate, zip(*self.parts, strict=True)))]
         return self.parts[0]
 
     @property
@@ -286,28 +284,28 @@ class Rounds:
         share = np.log(self.counts) - math.log(sum(self.counts))
         return self.all.log_density - np.asarray(logsumexp(self.proposed + share[:, None], axis=0))
 
-    def drawn(self, mode: Mode) -> WeightedDraws:
-        """Return all draws, weighed."""
+    def weigh_draws(self, mode: Mode) -> WeightedDraws:
+        """Return all draws with their weights, and the evidence."""
         v, _, x, corrections = self.all
         log_weight_phi = self.log_weight
         counting = corrections > NOWHERE
         log_weight = np.where(
             counting, log_weight_phi + np.where(counting, corrections, 0.0), NOWHERE
         )
-        # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
+        # The mean of the unnormalised weights estimates the evidence, with the relative standard error of a mean.
         evidence = logsumexp(log_weight) - math.log(len(v))  # pyright: ignore[reportOperatorIssue]
         error = np.std(np.exp(log_weight - evidence)) / math.sqrt(len(v))
         evidence, error = np.float64(evidence), np.float64(error)
         return WeightedDraws(x, v, log_weight, log_weight_phi, evidence, error, mode, self)
 
 
-class _Placed(NamedTuple):
-    """Draws of φ with coefficients drawn for each that counts."""
+class _Sample(NamedTuple):
+    """Draws of φ, with x drawn for each of non-negligible weight."""
 
     v: Float[np.ndarray, "s d"]
     log_density: Float[np.ndarray, "s"]  # of φ, x integrated out
     x: Float[np.ndarray, "s p"]
-    corrections: Float[np.ndarray, "s"]  # of the joint log weight; `NOWHERE` where none counts
+    corrections: Float[np.ndarray, "s"]  # of the joint log weight; `NOWHERE` if negligible
 
 
 @on_one_thread
@@ -321,59 +319,56 @@ def weighted_draws(
     earlier: WeightedDraws | None = None,
     part: float = 1.0,
 ) -> WeightedDraws:
-    """Adapt a proposal, then sample. The same numbers for the same seed.
+    """Adapt a proposal, then draw a weighted sample. Deterministic for a seed.
 
     Args:
-        proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
-            pass over the readings, rounds of adaptation count among them.
-        rounds: of adaptation at most.
-        heavy: whether coefficients are proposed with the tails of Student-t; always where the noise is not Gaussian.
-        earlier: draws that were too few: those made now join them.
-        part: of an average that the structure is: its proposals are that part of what they would be, so that the
-            average has as many as one structure alone.
+        proposals: at least, half as many in each round of adaptation; by their cost if None. If each costs a pass over
+            the readings, rounds of adaptation are included.
+        rounds: of adaptation, at most.
+        heavy: propose coefficients from a Student-t distribution; always if the noise is not Gaussian.
+        earlier: draws to be extended.
+        part: posterior probability of the structure in a model average, which scales the number of proposals.
 
     Raises:
         TimeIsUp: the deadline came first.
     """
-    # Further draws have random numbers of their own: the same ones again would tell nothing.
+    # Further draws need a different random sequence.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density, above = BatchedDensity(problem, mode), HIGHER_NATS
+    density, margin = BatchedDensity(problem, mode), HIGHER_NATS
     share = prior_share([h.prior for h in problem.hypers], problem.log_priors)
     if share is not None and density.table is None:
         share = share._replace(share=COSTLY_PRIOR)
     heavy = heavy or not problem.noise.gaussian
     earlier_rounds = None if earlier is None else earlier.rounds
     while True:
-        least = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]
-        count = proposals or max(least, round(part * proposals_of(density)))
-        higher = float(density.mode.log_density) + above
+        min_count = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]
+        count = proposals or max(min_count, round(part * proposal_count(density)))
+        threshold = float(density.mode.log_density) + margin
         pool = Rounds(share) if earlier_rounds is None else earlier_rounds
-        enough = proposals or count // 2, part * settings().effective_draws
-        _fill(pool, density, random, count, rounds, heavy, enough, higher)
+        target = proposals or count // 2, part * settings().effective_draws
+        _fill_pool(pool, density, random, count, rounds, heavy, target, threshold)
         draws, start = None, density.top
-        if density.highest <= higher:
-            draws = pool.drawn(density.mode)
-            # A climb costs what all draws of a small part cost.
+        if density.highest <= threshold:
+            draws = pool.weigh_draws(density.mode)
+            # For an improbable structure another search for the mode is not worth its cost.
             if part < LARGE_SHARE or not smoothed(draws.log_weight)[1] > K_HAT:
                 return draws
             start = draws.v[int(np.argmax(draws.log_weight_phi))]
-        # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
-        # proposed: the climb may have ended on a lower one, and begins anew there.
+        # A draw above the mode, or with a dominating weight, indicates another mode: search again from there.
         mode = find_mode(problem, [start], x=density.mode.x)
-        if mode.log_density > higher:
+        if mode.log_density > threshold:
             density, earlier_rounds = BatchedDensity(problem, mode), None
         elif draws is not None:
             return draws
-        else:  # higher in the linear form about the old mode alone
-            above, earlier_rounds = math.inf, None
+        else:  # an artefact of the linearisation about the old mode
+            margin, earlier_rounds = math.inf, None
 
 
 def _axis_mixture(density: BatchedDensity) -> Mixture:
-    """Return the Gaussian fit at the mode, each half of each principal axis as wide as the density falls along it.
+    """Return a split-t proposal at the mode, with a width for either side of each principal axis.
 
-    A curvature tells of the top alone. Two standard deviations away a Gaussian has lost two nats; where the density has
-    lost less or more, that side is as much longer or shorter. In many dimensions draws of few degrees of freedom would
-    mostly lie off the shell that the density has: there are as many more as dimensions.
+    The widths match the density two Laplace standard deviations from the mode, where a Gaussian is two nats lower. The
+    degrees of freedom grow with the dimension, so that radii of draws match those of the target.
     Source: H. Rue, S. Martino and N. Chopin, J. R. Stat. Soc. B 71 (2009) 319, §6.5 (axes explored for INLA).
     """
     mode, dim = density.mode, len(density.mode.v)
@@ -386,7 +381,7 @@ def _axis_mixture(density: BatchedDensity) -> Mixture:
     return Mixture(mode.v[None], root, mode.v, axes, 1 - COSTLY_WIDE, (down, up), FREEDOM + dim)
 
 
-def _fill(
+def _fill_pool(
     pool: Rounds,
     density: BatchedDensity,
     random: np.random.Generator,
@@ -396,101 +391,99 @@ def _fill(
     enough: tuple[int, float],
     higher: float,
 ) -> None:
-    """Add so many draws to a pool; more, as long as they are unsound, where none is thrown away.
+    """Add `count` draws to a pool; if costly, in batches until the weights are sound.
 
-    Where each costs a pass over the readings, `enough` in the pool will do: so many, and so many effective. Ends early
-    where a draw lies higher than the mode may.
+    `enough`: sufficient number of draws and effective sample size. Stops early if a draw is above `higher`.
     """
-    mode, prior, first = density.mode, pool.prior, not pool.mixtures
-    direct = density.table is None and len(mode.v) > 0
-    if not first:
-        mixture = _match(pool.mixtures[0], mode, pool.all.v, pool.log_weight)
-    elif direct:
+    mode, prior, is_first = density.mode, pool.prior, not pool.mixtures
+    is_costly = density.table is None and len(mode.v) > 0
+    if not is_first:
+        mixture = _update_mixture(pool.mixtures[0], mode, pool.all.v, pool.log_weight)
+    elif is_costly:
         mixture = _axis_mixture(density)
     else:
         args = density.values, prior, random, count // 2, rounds, higher
-        mixture = adapted(mode, *args)
-    steps = COSTLY_STEPS if direct else 1
-    # What is drawn while adapting counts too.
-    most = max(steps, 2 * rounds if direct and first else 0)
-    for k in range(1, most + 1):
+        mixture = adapt_proposal(mode, *args)
+    steps = COSTLY_STEPS if is_costly else 1
+    # Draws of adaptation rounds are kept.
+    max_rounds = max(steps, 2 * rounds if is_costly and is_first else 0)
+    for k in range(1, max_rounds + 1):
         if density.highest > higher:
             break
         v, log_proposal = propose(mixture, prior, random, -(-count // steps))
-        new = _placed(density, pool.judged, v, log_proposal, heavy, random)
-        pool.add(mixture, v, log_proposal, new)
-        if k == most or len(pool.all.v) < enough[0]:
+        sample = _draw_coefficients(density, pool.judged, v, log_proposal, heavy, random)
+        pool.add(mixture, v, log_proposal, sample)
+        if k == max_rounds or len(pool.all.v) < enough[0]:
             continue
         weights, k_hat = smoothed(log_weight := pool.log_weight)
         if k_hat <= K_HAT and effective_size(weights) >= enough[1]:
             break
         if k >= steps:
-            mixture = _match(pool.mixtures[0], mode, pool.all.v, log_weight)
+            mixture = _update_mixture(pool.mixtures[0], mode, pool.all.v, log_weight)
 
 
-def proposals_of(density: BatchedDensity) -> int:
-    """Return the number of proposals: fewer where each costs a pass over many readings."""
-    # A pass over many readings for each φ buys fewer proposals in the same time.
-    problem, direct = density.problem, density.table is None
-    long = problem.record.size > COSTLY_READINGS
-    if direct and (long or not problem.noise.gaussian):
+def proposal_count(density: BatchedDensity) -> int:
+    """Return the number of proposals: fewer if each costs a pass over many readings."""
+    problem, is_costly = density.problem, density.table is None
+    is_long = problem.record.size > COSTLY_READINGS
+    if is_costly and (is_long or not problem.noise.gaussian):
         return FEWEST_PROPOSALS
-    if direct or problem.size > 100:
+    if is_costly or problem.size > 100:
         return FEWER_PROPOSALS
-    return FEWER_PROPOSALS if long and not (density.exact and problem.affine) else PROPOSALS
+    return FEWER_PROPOSALS if is_long and not (density.exact and problem.affine) else PROPOSALS
 
 
-def _placed(
+def _draw_coefficients(
     density: BatchedDensity,
     judged: Corrections,
     v: Float[np.ndarray, "s d"],
     log_proposal: Float[np.ndarray, "s"],
     heavy: bool,
     random: np.random.Generator,
-) -> _Placed:
-    """Draw coefficients for each φ that counts, and correct their weights."""
+) -> _Sample:
+    """Draw coefficients for each φ of non-negligible weight, and compute the corrections of the weights."""
     mode = density.mode
     count, size = len(v), density.problem.record.size
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
     log_density, corrections, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
-    together = max(32, min(density.together, IN_CACHE // size))
-    bends = density.exact and not density.problem.affine and not judged.alike
-    first = FIRST_DRAWS if bends and count > FIRST_DRAWS else 0
-    parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
-    for stretch in ([np.arange(first)] if first else []) + parts:
+    batch_size = max(32, min(density.together, IN_CACHE // size))
+    is_nonlinear = density.exact and not density.problem.affine and not judged.alike
+    first_count = FIRST_DRAWS if is_nonlinear and count > FIRST_DRAWS else 0
+    parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
+    for rows in ([np.arange(first_count)] if first_count else []) + parts:
         deadline.current().ask()
-        normal = normal_numbers(density.problem.size, len(stretch), heavy, random)
-        log_density[stretch], drawn = density.at(v[stretch], normal)
-        of_phi = log_density[stretch] - log_proposal[stretch]
+        normal = draw_normals(density.problem.size, len(rows), heavy, random)
+        log_density[rows], drawn = density.draw_at(v[rows], normal)
+        of_phi = log_density[rows] - log_proposal[rows]
         highest = max(highest, float(np.max(of_phi)))
-        # e⁻⁴⁰ = 4·10⁻¹⁸ of the largest weight is lost in the rounding of their sum: such a φ needs no x.
-        counting = (log_density[stretch] > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
+        # Weights below e⁻⁴⁰ = 4·10⁻¹⁸ of the largest vanish in rounding: no x is needed.
+        counting = (log_density[rows] > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
         if not counting.any():
             continue
-        pick, drawn, normal = stretch[counting], drawn.of(counting), normal[counting]
-        if density.exact and judged.alike:  # known, and the same for all
-            corrected = np.full(len(pick), judged.mean)
+        counted, drawn, normal = rows[counting], drawn.select(counting), normal[counting]
+        if density.exact and judged.alike:  # a constant correction
+            log_ratio = np.full(len(counted), judged.mean)
         else:
-            hyper = density.problem.hyper(v[pick].T)
-            corrected = correction(density.problem, drawn, normal, hyper, density.exact, heavy)
+            hyper = density.problem.hyper(v[counted].T)
+            log_ratio = log_correction(density.problem, drawn, normal, hyper, density.exact, heavy)
             if density.exact:
-                judged.add(of_phi[counting], corrected)
-        some = np.isfinite(corrected)
-        x[pick[some]] = drawn.x[some]
-        corrections[pick[some]] = corrected[some]
-    # Of those that were looked at too: their scatter would pass for a tail.
+                judged.add(of_phi[counting], log_ratio)
+        is_finite = np.isfinite(log_ratio)
+        x[counted[is_finite]] = drawn.x[is_finite]
+        corrections[counted[is_finite]] = log_ratio[is_finite]
+    # The constant for the first draws too: their scatter would look like a heavy tail.
     if judged.alike and density.exact:
         corrections = np.where(corrections > NOWHERE, judged.mean, NOWHERE)
-    return _Placed(v, log_density, x, corrections)
+    return _Sample(v, log_density, x, corrections)
 
 
 def propose(
     mixture: Mixture, prior: PriorShare | None, random: np.random.Generator, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"]]:
-    """Draw coordinates of φ with their log density: near the mode and, where proper, from the prior."""
+    """Draw coordinates of φ from the mixture and, if proper, the prior; return them with their log density."""
     v = mixture.draw(random, count)
-    # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest has
-    # become (T. Hesterberg, Technometrics 37 (1995) 185).
+    # Defensive mixture with the prior: weights are bounded by likelihood over its share (T. Hesterberg, Technometrics
+    # 37 (1995) 185).
     if prior is not None:
         v = np.where(random.random((count, 1)) < prior.share, prior.draw(random, count), v)
     return v, _log_proposal(mixture, prior, v)
@@ -499,7 +492,7 @@ def propose(
 def _log_proposal(
     mixture: Mixture, prior: PriorShare | None, v: Float[np.ndarray, "s d"]
 ) -> Float[np.ndarray, "s"]:
-    """Return the log density of what `propose` draws."""
+    """Return the log density of the proposals of `propose` (s,)."""
     if prior is None:
         return mixture.log_density(v)
     near, share = mixture.log_density(v), prior.share
@@ -507,17 +500,17 @@ def _log_proposal(
 
 
 def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
-    """Return the prior of coordinates to propose from; None where it is improper, or of none."""
+    """Return the prior as a defensive proposal; None if it is improper or there are no coordinates."""
     if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
         return None
 
     def draw(random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
-        return np.stack([_prior_draws(p, random, count) for p in priors], axis=1)
+        return np.stack([_draw_prior(p, random, count) for p in priors], axis=1)
 
     return PriorShare(draw, log_density)
 
 
-def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
+def _draw_prior(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
     """Draw coordinates from a proper prior."""
     if isinstance(prior, HalfCauchy):
         return np.log(np.abs(random.standard_cauchy(count)))
@@ -526,40 +519,40 @@ def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.nda
 
 
 def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
-    """Return the first proposal: about a mode, as wide as its Gaussian fit and wider."""
+    """Return the first proposal: Student-t components of the Gaussian fit at a mode, and of 1.7 times its width."""
     chol = np.linalg.cholesky(covariance) if len(v) else covariance
     return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
-def _match(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
-    """Return the next mixture: around the weighted draws, as wide as the Laplace fit if few count.
+def _update_mixture(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
+    """Return the next mixture: kernels around resampled draws, their covariance shrunk to the Laplace approximation.
 
-    Beside costly ones the first mixture stays, with a share that is as large as few of them count.
+    The defensive component stays; for costly proposals its weight is larger the fewer draws are effective.
     """
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
     effective = effective_size(weight)
-    # Few draws know a covariance badly: at 20 effective ones a coordinate it counts as much as the Laplace fit's.
-    trust = effective / (effective + 20.0 * v.shape[1])
+    # Shrinkage: at 20 effective draws per coordinate sample and Laplace covariance have equal weight.
+    confidence = effective / (effective + 20.0 * v.shape[1])
     mean = weight @ v
-    spread = (weight[:, None] * (v - mean)).T @ (v - mean)
-    covariance = trust * spread + (1 - trust) * mode.covariance
+    weighted_covariance = (weight[:, None] * (v - mean)).T @ (v - mean)
+    covariance = confidence * weighted_covariance + (1 - confidence) * mode.covariance
     chol = KERNEL * np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
-    kernels = FEWEST_KERNELS if v.shape[1] <= 3 else KERNELS
-    # Systematic resampling without its random number: the centres stand at equal steps of the cumulated weights.
-    ladder = (np.arange(kernels) + 0.5) / kernels
-    pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
-    share = max(0.1, 1 - trust) if before.freedom > FREEDOM else 0.1
+    kernels = MIN_KERNELS if v.shape[1] <= 3 else KERNELS
+    # Systematic resampling without its random offset: equal steps of the cumulative weights.
+    quantiles = (np.arange(kernels) + 0.5) / kernels
+    pick = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), weight.size - 1)
+    share = max(0.1, 1 - confidence) if before.freedom > FREEDOM else 0.1
     return before._replace(centre=v[pick], chol=chol, share=share)
 
 
 def importance_draws(
     values: Values, fit: GaussianFit, seed: int, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"], float]:
-    """Return draws (s, d), their smoothed weights, summing to one, and the log evidence.
+    """Draw from a density by adaptive importance sampling; return draws (s, d), normalised smoothed weights, evidence.
 
-    Proposals are adapted in the coordinates of the Gaussian fit.
+    Proposals are adapted in coordinates whitened by the Gaussian fit; the evidence is logarithmic.
     """
     dim, random = len(fit.v), np.random.default_rng(seed)
     origin, identity = np.zeros(dim), np.eye(dim)
@@ -569,7 +562,7 @@ def importance_draws(
     def centred(u: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         return values(fit.v + u @ root.T)
 
-    mixture = adapted(mode, centred, None, random, count // 2, ROUNDS_OF_FEW, math.inf)
+    mixture = adapt_proposal(mode, centred, None, random, count // 2, MAX_CHEAP_ROUNDS, math.inf)
     u, log_proposal = propose(mixture, None, random, count)
     log_weight = centred(u) - log_proposal
     evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)

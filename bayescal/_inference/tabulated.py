@@ -1,20 +1,19 @@
-"""A structure's log density of φ, x integrated out, from products of columns: value, gradient and exact curvature.
+"""Marginal log density of φ from cached inner products of basis columns: value, gradient and exact Hessian.
 
-Columns of all effects stand in one table Φ, moving ones as sums of few (`Expansion`), so that [J·sd | r] = Φ·D(φ) with
-D a matrix of row weights, one non-zero number dᵢ(φ) in a row, in the column of the row's owner. With
+Columns of all effects form one table Φ, φ-dependent ones as sums of terms (`Expansion`), so that [J·sd | r] = Φ·D(φ)
+with D a matrix with one non-zero element dᵢ(φ) in each row, in the column of the row's owner. With
 G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`noise_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
 
     log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),
     A = M + diag(w),   ρ = s + w·f² − pᵀA⁻¹p,   p = m + w·f,
 
-x = at + sd·t, the prior t ~ N(f, 1/w). Shapes, spreads and sizes move d, the noise's parameters G. With C = A⁻¹,
-t = C·p, P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (rows and columns of P by the owners of rows), Q = P ∘ G, and k, l entries of φ,
+x = origin + sd·t, the prior t ~ N(f, 1/w). d depends on shapes and prior deviations, G on noise parameters. With
+C = A⁻¹, t = C·p, P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (indexed by owners of rows), Q = P ∘ G, and k, l entries of φ,
 
     ∂ₖ = −aₖᵀQd,   −∂ₖₗ = bₖₗᵀQd + aₖᵀQaₗ − ½·tr(C·Mₖ·C·Mₗ) − qₖᵀCqₗ,   a = ∂d,  b = ∂²d,  qₖ = mₖ − Mₖt,
 
-Mₖ, mₖ the slopes of M and m: so that the curvature costs a few products. Slopes of G are central differences over
-settings of the noise, all of them one product with the nodes' weights.
-Source: derived here; the gradient is Fisher's identity.
+Mₖ, mₖ the derivatives of M and m: the Hessian costs a few matrix products. Derivatives of G are central differences
+over settings of the noise. Source: derived here; the gradient is Fisher's identity.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
 from bayescal._inference.expansion import (
-    TRIED_DRAWS,
+    TEST_DRAWS,
     Expansion,
     Expansions,
     ListedColumns,
@@ -41,16 +40,20 @@ from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import expand_members
 from bayescal._model.terms import Term
 
-DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
-FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
-CLOSE_NATS = 0.02  # log density, within which columns as polynomials are good where a posterior is
-NUMBERS_AT_ONCE = 2_000_000  # in products of several φ, which bounds memory
-DIRECT = 40  # pairs of columns a reading in a table, from which columns at each φ cost less
-KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
+DIFFERENCE = (
+    1e-3  # difference step of a coordinate, for priors, weights of Gaussian processes, and noise
+)
+FAR_SD = 1e3  # prior deviations beyond which a least-squares coefficient is not used as origin
+CLOSE_NATS = 0.02  # tolerated error of the log density by polynomial columns
+NUMBERS_AT_ONCE = 2_000_000  # array elements per batch, which bounds memory
+MAX_PAIRS_PER_READING = (
+    40  # pairs of table columns per reading, above which direct evaluation is cheaper
+)
+CACHED_TABLES = 3  # latest row tables of a structure
 
 
 class Evaluation(NamedTuple):
-    """A structure at one φ: log p(y, φ), x given φ; if asked for, gradient and negative curvature by coordinates."""
+    """Marginal log density at one φ, conditional posterior of x; optionally gradient and negative Hessian."""
 
     log_density: float
     conditional: Conditional
@@ -59,23 +62,24 @@ class Evaluation(NamedTuple):
 
 
 class TabulatedEffect(NamedTuple):
-    """One effect of a structure: its coefficients beside each other in one block of the table."""
+    """One effect of a structure, with all its coefficients in one block of the table."""
 
-    key: int  # of its columns, whoever has them; a number
+    key: int  # number of its columns in the table, common to equal effects
     expansions: Expansions  # of its columns
     terms: tuple[Term, ...]  # its coefficients
-    free: list[int]  # entries of φ that its columns move with
-    # for each coefficient and group member, its place in x; the residual's of one that is held
-    owners: Int[np.ndarray, "m"]
-    amounts: Float[np.ndarray, "m"]  # for each of these 1, or minus the value that it is held at
+    free: list[int]  # indices in φ that its columns depend on
+    owners: Int[
+        np.ndarray, "m"
+    ]  # index in x of each coefficient and member; p (the residual) if fixed
+    amounts: Float[np.ndarray, "m"]  # 1, or minus the value of a fixed coefficient
 
-    def at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
-        """Return its columns near φ."""
-        return self.expansions.at(v[self.free], with_grad)
+    def expansion_at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
+        """Return the expansion of the columns at φ."""
+        return self.expansions.get(v[self.free], with_grad)
 
 
 class Tabulated:
-    """A structure's density on a table of products, a nonlinear output linearised at x and at `expansion_point`."""
+    """Marginal density of a structure by cached products; a nonlinear output is linearised at x, `expansion_point`."""
 
     def __init__(
         self,
@@ -92,10 +96,10 @@ class Tabulated:
         if problem.affine:
             self.table: ColumnTable = problem.record.table
             self.parts = self._parts(self.table)
-            self.table.take([*self._plain])
+            self.table.remove_fit([*self._static_parts])
         else:
-            self.table = self._about(x, expansion_point)
-        self.at = self._counted_from()
+            self.table = self._linearise_table(x, expansion_point)
+        self.origin = self._choose_origin()
 
     def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
         problem, effects = self.problem, dict[int, list[Term]]()
@@ -126,7 +130,7 @@ class Tabulated:
         return parts
 
     def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
-        """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
+        """Return the table's block number of a part's columns, `rank` columns per coefficient and member."""
         return self.table.block(
             (part.key, expansion.number), lambda: self._columns(part, expansion)
         )
@@ -141,35 +145,35 @@ class Tabulated:
         return np.concatenate(columns, axis=1)
 
     @cached_property
-    def _plain(self) -> dict[int, TabulatedEffect]:
-        """Return the parts that φ does not move, by their blocks; without curves (nearly collinear)."""
+    def _static_parts(self) -> dict[int, TabulatedEffect]:
+        """Return the φ-independent parts by block number, without Gaussian processes (nearly collinear)."""
         middle = np.zeros(len(self.problem.hypers))
         return {
-            self._block(part, part.at(middle, False)): part
+            self._block(part, part.expansion_at(middle, False)): part
             for part in self.parts
             if not part.free and part.terms[0].effect.weights is None
         }
 
-    def _about(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]) -> ColumnTable:
-        """Return the table of a nonlinear output linearised at x: that of plain parts counted from there."""
+    def _linearise_table(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]) -> ColumnTable:
+        """Build the table of a nonlinear output linearised at x, with x of static parts relative to that point."""
         problem = self.problem
         residual = problem.record.y - problem.linearise(x, problem.hyper(v)).mean
         self.table = ColumnTable(residual)
         self.parts = self._parts(self.table)
-        explained = dict.fromkeys(self._plain)
+        explained = dict.fromkeys(self._static_parts)
         for part in self.parts:
-            expansion = part.at(v, False)
+            expansion = part.expansion_at(v, False)
             inside = part.owners < problem.size
             amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
             if (number := self._block(part, expansion)) in explained:
                 explained[number] = amounts
             else:
-                share = expansion.shares(v[part.free]).value
+                share = expansion.factors(v[part.free]).value
                 residual += self._columns(part, expansion) @ np.kron(amounts, share)
-        self.table.taken = explained
+        self.table.removed = explained
         return self.table
 
-    def _counted_from(self) -> Float[np.ndarray, "p"]:
+    def _choose_origin(self) -> Float[np.ndarray, "p"]:
         """Return the origin of x (p,): the least-squares amounts that the table removed, or prior means."""
         problem = self.problem
         origin, weight = problem.mean_of_x.copy(), problem.weight_of_x
@@ -178,8 +182,8 @@ class Tabulated:
         sd[weight == 0] = np.inf
         for members in problem.sizes.learned_sd_masks.values():
             sd[members > 0] = np.inf
-        for key, part in self._plain.items():
-            if (amounts := self.table.taken.get(key)) is not None:
+        for key, part in self._static_parts.items():
+            if (amounts := self.table.removed.get(key)) is not None:
                 inside = part.owners < problem.size
                 places, amounts = part.owners[inside], amounts[inside]
                 near = np.abs(amounts - origin[places]) < FAR_SD * sd[places]
@@ -187,15 +191,15 @@ class Tabulated:
         return origin
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
-        """Return the structure's rows in some boxes; the latest are kept."""
+        """Return the structure's rows for a combination of expansions, the latest cached."""
         if expansions not in self._tables:
-            while len(self._tables) >= KEPT_TABLES:
+            while len(self._tables) >= CACHED_TABLES:
                 del self._tables[next(iter(self._tables))]
             self._tables[expansions] = _StructureRows(self, expansions)
         return self._tables[expansions]
 
     def weights(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
-        """Return the noise at several settings."""
+        """Return the noise law's node weights at several settings of its coordinates (s, q)."""
         problem, values = self.problem, dict[str, Any]()
         for name in problem.noise.parameters():
             values[name] = np.full(len(coordinates), problem.fixed_values.get(name, 0.0))
@@ -213,17 +217,17 @@ class Tabulated:
         prior = problem.prior(hyper, flat)
         if not np.all(np.isfinite(prior.sd)):
             return None
-        rows = self.rows(tuple(part.at(v, with_grad) for part in self.parts))
+        rows = self.rows(tuple(part.expansion_at(v, with_grad) for part in self.parts))
         weights = self.weights(v[self.noise] + _stencil(q)[: None if with_grad else 1])
         if not np.isfinite(weights.log_det[0]):
             return None
-        shares, slopes = rows.shares(v, with_grad)
+        shares, slopes = rows.factors(v, with_grad)
         grams = rows.products.gram(weights, slice(0, 1 + 2 * q if with_grad else 1))
         gram = rows.select(grams[0])
         unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
-        pulled = gram @ unit
+        gram_unit = gram @ unit
         conditional = condition(
-            Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at
+            Gram.of(unit.T @ gram_unit, weights.log_det[0]), problem.record.size, prior, self.origin
         )
         if conditional is None:
             return None
@@ -234,13 +238,13 @@ class Tabulated:
         if not with_grad:
             return Evaluation(value, conditional)
         scale = np.append(prior.sd, 1.0)
-        C, P = _moments(conditional, prior, self.at)
+        C, P = _posterior_moments(conditional, prior, self.origin)
         d = scale[rows.owner] * shares
-        U = pulled * scale  # G·D
+        U = gram_unit * scale  # G·D
         P_rows = P[rows.owner[:, None], rows.owner]
         Q = gram * P_rows
-        lines, bends = self._log_sizes(v, hyper)
-        a = lines[:, rows.owner] * d
+        first_logs, second_logs = self._log_deviations(v, hyper)
+        a = first_logs[:, rows.owner] * d
         for at, ks, first, _ in slopes:
             a[np.ix_(ks, at)] = scale[rows.owner[at]] * first
         y = Q @ d
@@ -248,16 +252,16 @@ class Tabulated:
         dW = rows.owned.T @ (a[:, :, None] * U)  # (d, p + 1, p + 1)
         dW = dW + dW.transpose(0, 2, 1)
         B = (a @ Q) @ a.T
-        # Second slopes of d, times Q·d: of sizes, of shapes, of both.
-        moved = lines.copy()
+        # Second derivatives of d times Q·d: by prior deviations, by shapes, mixed.
+        copied = first_logs.copy()
         e = d * y
-        by_size = moved[:, rows.owner]
-        B += (by_size * e) @ by_size.T
-        B.flat[:: len(v) + 1] += bends @ (rows.owned.T @ e)
+        by_sd = copied[:, rows.owner]
+        B += (by_sd * e) @ by_sd.T
+        B.flat[:: len(v) + 1] += second_logs @ (rows.owned.T @ e)
         for at, ks, first, second in slopes:
-            across = by_size[:, at] @ (scale[rows.owner[at]] * first * y[at]).T
-            B[:, ks] += across
-            B[ks, :] += across.T
+            mixed = by_sd[:, at] @ (scale[rows.owner[at]] * first * y[at]).T
+            B[:, ks] += mixed
+            B[ks, :] += mixed.T
             B[np.ix_(ks, ks)] += second @ (scale[rows.owner[at]] * y[at])
         E = P_rows * np.outer(d, d)
         D = d[:, None] * rows.owned
@@ -265,31 +269,31 @@ class Tabulated:
             dG = rows.select(grams[1 + k] - grams[1 + q + k]) / (2 * DIFFERENCE)
             d_log_det = (weights.log_det[1 + k] - weights.log_det[1 + q + k]) / (2 * DIFFERENCE)
             dW[i] = D.T @ dG @ D
-            by = (P_rows * dG) @ d
-            gradient[i] -= 0.5 * (float(d @ by) + d_log_det)
-            B[i, :] = B[:, i] = a @ by
+            product = (P_rows * dG) @ d
+            gradient[i] -= 0.5 * (float(d @ product) + d_log_det)
+            B[i, :] = B[:, i] = a @ product
         if self.noise:
-            traces = rows.products.traces(weights, rows.spread(E)) + weights.log_det
+            traces = rows.products.traces(weights, rows.add_by_column(E)) + weights.log_det
             B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
-        # The prior's mean is at f = (mean − at)/sd, which moves with sd: w·f in p and w·f² in ρ with it.
-        t = _from_point(conditional, prior, self.at)
-        far = prior.weight * (t - conditional.z)
-        line, z = lines[:, :p], prior.weight * conditional.z
-        gradient -= line @ (z * far)
-        B += (line * (far**2 - z * far)) @ line.T
-        B.flat[:: len(v) + 1] += bends[:, :p] @ (z * far)
+        # The prior mean f = (mean − origin)/sd depends on sd, and with it w·f in p and w·f² in ρ.
+        t = _mean_from_point(conditional, prior, self.origin)
+        prior_offset = prior.weight * (t - conditional.z)
+        first_x, z = first_logs[:, :p], prior.weight * conditional.z
+        gradient -= first_x @ (z * prior_offset)
+        B += (first_x * (prior_offset**2 - z * prior_offset)) @ first_x.T
+        B.flat[:: len(v) + 1] += second_logs[:, :p] @ (z * prior_offset)
         dM = dW[:, :p, :p]
-        pull = dW[:, :p, p] - dM @ t - line * far
+        pull = dW[:, :p, p] - dM @ t - first_x * prior_offset
         X = C @ dM
         H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
         H.flat[:: len(H) + 1] -= prior_bend
         return Evaluation(value, conditional, gradient, 0.5 * (H + H.T))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """Return weighted products of J and r, counted from `at`, at several φ."""
+        """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
         p = self.problem.size
-        if self.direct:
-            return self._from_readings(vs)
+        if self.is_direct:
+            return self._grams_from_readings(vs)
         covers = [part.expansions.cover(vs[:, part.free]) for part in self.parts]
         products, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
@@ -299,66 +303,69 @@ class Tabulated:
             products[members], log_det[members] = self.grams_of(rows, vs[members])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
-                self.table.drop((part.key, listed.number))
+                self.table.discard((part.key, listed.number))
         return Gram.of(products, log_det)
 
     @cached_property
-    def direct(self) -> bool:
-        """Return whether each φ has columns of its own, of several shapes, and readings are independent."""
+    def is_direct(self) -> bool:
+        """Return whether evaluation from the readings can be cheaper: independent noise, effects of several shapes."""
         moved = any(len(part.free) > 1 for part in self.parts)
         return moved and self.problem.noise.independent and self.problem.affine
 
-    def _from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+    def _grams_from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         problem, products = self.problem, []
         size = problem.record.size * (problem.size + 1)
-        for some in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
-            hyper = problem.hyper(some.T)
-            line = problem.linearise(np.tile(self.at, (len(some), 1)), hyper)
+        for batch in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
+            hyper = problem.hyper(batch.T)
+            line = problem.linearise(np.tile(self.origin, (len(batch), 1)), hyper)
             residual = (problem.record.y - line.mean)[..., None]
-            spread = variances(problem.noise, hyper, problem.record)
-            spread = np.broadcast_to(spread, line.mean.shape)
-            table = np.concatenate([line.jacobian, residual], axis=2) / np.sqrt(spread)[..., None]
-            products.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(spread), axis=1)))
+            variance = variances(problem.noise, hyper, problem.record)
+            variance = np.broadcast_to(variance, line.mean.shape)
+            table = np.concatenate([line.jacobian, residual], axis=2) / np.sqrt(variance)[..., None]
+            products.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(variance), axis=1)))
         return Gram.of(*map(np.concatenate, zip(*products, strict=True)))
 
     def grams_of(
         self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
     ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
-        """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
+        """Return the Gram matrices of [J r] and log|Σ| at several φ inside the boxes of `rows`."""
         products = []
-        parts = min(len(vs), -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE))
-        for some in np.array_split(vs, parts):
-            weights = self.weights(some[:, self.noise])
+        batch_count = min(len(vs), -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE))
+        for batch in np.array_split(vs, batch_count):
+            weights = self.weights(batch[:, self.noise])
             gram = rows.products.gram(weights)
-            if not rows.plain:
+            if not rows.is_identity:
                 gram = gram[:, rows.column[:, None], rows.column]
-            unit = rows.values(some)[:, :, None] * rows.owned
+            unit = rows.values(batch)[:, :, None] * rows.owned
             products.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
         grams, log_det = zip(*products, strict=True)
         return np.concatenate(grams), np.concatenate(log_det)
 
-    def about(
+    def fit_polynomials(
         self,
         v: Float[np.ndarray, "d"],
         covariance: Float[np.ndarray, "d d"],
         flat: Float[np.ndarray, "p"],
-    ) -> About | None:
-        """Return the table where a Gaussian fit of φ has its draws; None where columns are no polynomials there."""
+    ) -> PolynomialTable | None:
+        """Fit columns by polynomials in the region of a Gaussian fit of φ; None if inaccurate or too expensive."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for part in self.parts:
-            expansion = part.expansions.fitted(draws[:, part.free]) if part.free else None
+            expansion = part.expansions.fit_polynomials(draws[:, part.free]) if part.free else None
             if part.free and expansion is None:
                 return None
-            expansions.append(expansion or part.at(v, False))
-        about = About(self, tuple(expansions))
-        if self.direct and about.rows.width**2 > DIRECT * self.problem.record.size:
+            expansions.append(expansion or part.expansion_at(v, False))
+        about = PolynomialTable(self, tuple(expansions))
+        if (
+            self.is_direct
+            and about.rows.width**2 > MAX_PAIRS_PER_READING * self.problem.record.size
+        ):
             return None
         if not any(part.free for part in self.parts):
             return about
-        some = draws[:TRIED_DRAWS]
+        test_draws = draws[:TEST_DRAWS]
         exact, fitted = (
-            self.problem.drawn(table.grams(some), some, flat, self.at).log_marginal
+            self.problem.drawn(table.grams(test_draws), test_draws, flat, self.origin).log_marginal
             for table in (self, about)
         )
         error = fitted - exact
@@ -367,19 +374,19 @@ class Tabulated:
         )
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return the log prior of φ, its slopes and its second slopes."""
+        """Return the log prior of φ, and its first and second derivatives by each coordinate (d,)."""
         h, log_priors = DIFFERENCE, np.empty((3, len(v)))
         for i, hyper in enumerate(self.problem.hypers):
             log_priors[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))
         low, middle, high = log_priors
         return float(middle.sum()), (high - low) / (2 * h), (high - 2 * middle + low) / h**2
 
-    def _log_sizes(
+    def _log_deviations(
         self, v: Float[np.ndarray, "d"], hyper: Values
     ) -> tuple[Float[np.ndarray, "d p1"], Float[np.ndarray, "d p1"]]:
-        """Return first and second slopes of the log standard deviations of x, a zero for the residual last.
+        """Return first and second derivatives of the log prior deviations of x (d, p + 1), the last column zero.
 
-        Sizes that follow several shapes are products of functions of each.
+        A deviation that depends on several shapes is a product of functions of one shape each.
         """
         problem, h = self.problem, DIFFERENCE
         first, second = np.zeros((2, len(v), problem.size + 1))
@@ -401,89 +408,89 @@ class Tabulated:
         return first, second
 
 
-class About:
-    """A structure's table in the place of a Gaussian fit of φ, from which the products at many φ follow at once."""
+class PolynomialTable:
+    """Table of a structure with polynomial columns, valid in the region of a Gaussian fit of φ."""
 
     def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
-        self.whole, self.at = whole, whole.at
+        self.whole, self.origin = whole, whole.origin
         self.rows = _StructureRows(whole, expansions)
         for part, expansion in zip(whole.parts, expansions, strict=True):
-            if part.free:  # its own
-                whole.table.drop((part.key, expansion.number))
+            if part.free:  # columns of this table alone
+                whole.table.discard((part.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """Return weighted products of J and r, counted from `at`, at several φ."""
+        """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
         return Gram.of(*self.whole.grams_of(self.rows, vs))
 
-    def reaches(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
-        """Return whether each φ is where the columns were fitted."""
+    def contains(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
+        """Return whether each φ is inside the region of the polynomial fit (b,)."""
         inside = np.ones(len(vs), dtype=bool)
         for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
             if isinstance(expansion, PolynomialColumns):
-                inside &= expansion.reaches(vs[:, part.free])
+                inside &= expansion.contains(vs[:, part.free])
         return inside
 
 
 class _StructureRows:
-    """A structure's rows of the table in some boxes: which column each is of, whose coefficient owns it, how much."""
+    """Rows of Φ·D for a combination of expansions: table column, owner in x and constant factor of each row."""
 
     def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
         self.expansions, self.parts = expansions, whole.parts
         p, table, keys = whole.problem.size, whole.table, list[int]()
-        column, owner, amount, self.slices = [], [], [], []
-        first = 0
+        column, owner, factors, self.slices = [], [], [], []
+        start = 0
         for part, expansion in zip(whole.parts, expansions, strict=True):
             key = whole._block(part, expansion)
             keys.append(key)
             r = expansion.rank
-            columns = first + np.arange(len(part.owners) * r)
-            self.slices.append(slice(first, first + len(columns)))
+            columns = start + np.arange(len(part.owners) * r)
+            self.slices.append(slice(start, start + len(columns)))
             column.append(columns)
             owner.append(np.repeat(part.owners, r))
-            amount.append(np.repeat(part.amounts, r))
-            # The residual is counted from what was taken; x from `at`.
-            inside = part.owners < p
-            off = np.where(
-                inside, -whole.at[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0
+            factors.append(np.repeat(part.amounts, r))
+            # Add back what was subtracted from the residual, relative to the origin of x.
+            is_in_x = part.owners < p
+            gap = np.where(
+                is_in_x, -whole.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0
             )
-            off += table.taken.get(key, 0.0)
-            off = np.repeat(off, r)
-            put_back = np.flatnonzero(off)
-            column.append(columns[put_back])
-            owner.append(np.full(len(put_back), p))
-            amount.append(off[put_back])
-            first += len(columns)
-        for key in table.taken.keys() - set(keys):
-            width = table.taken[key].size
+            gap += table.removed.get(key, 0.0)
+            gap = np.repeat(gap, r)
+            shifted = np.flatnonzero(gap)
+            column.append(columns[shifted])
+            owner.append(np.full(len(shifted), p))
+            factors.append(gap[shifted])
+            start += len(columns)
+        for key in table.removed.keys() - set(keys):
+            width = table.removed[key].size
             keys.append(key)
-            column.append(first + np.arange(width))
+            column.append(start + np.arange(width))
             owner.append(np.full(width, p))
-            amount.append(table.taken[key])
-            first += width
-        self.column = np.concatenate([*column, [first]]).astype(int)
+            factors.append(table.removed[key])
+            start += width
+        self.column = np.concatenate([*column, [start]]).astype(int)
         self.owner = np.concatenate([*owner, [p]]).astype(int)
-        self.amount = np.concatenate([*amount, [1.0]])
-        self.width = first + 1
+        self.amounts = np.concatenate([*factors, [1.0]])
+        self.width = start + 1
         self.owned = np.zeros((len(self.owner), p + 1))
         self.owned[np.arange(len(self.owner)), self.owner] = 1.0
-        self.plain = np.array_equal(self.column, np.arange(self.width))
+        self.is_identity = np.array_equal(self.column, np.arange(self.width))
         self.products: Products = table.products(whole.nodes, [*keys, RESIDUAL])
 
     def select(self, gram: Float[np.ndarray, "w w"]) -> Float[np.ndarray, "R R"]:
-        """Return products of the rows of products of the columns."""
-        return gram if self.plain else gram[self.column[:, None], self.column]
+        """Select the products of rows (R, R) from those of table columns (w, w)."""
+        return gram if self.is_identity else gram[self.column[:, None], self.column]
 
-    def spread(self, e: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "w w"]:
-        """Return numbers of pairs of rows added up by pairs of columns."""
-        if self.plain:
+    def add_by_column(self, e: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "w w"]:
+        """Sum numbers of pairs of rows (R, R) over rows of equal table column (w, w); adjoint of `select`."""
+        if self.is_identity:
             return e
         sums = np.zeros((self.width, self.width))
         np.add.at(sums, (self.column[:, None], self.column), e)
         return sums
 
     @cached_property
-    def _moving(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Return each part that moves, its rows, and which of its expansion's columns each is."""
+    def _dynamic_rows(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Return each φ-dependent part's index, its rows, and each row's term in the expansion."""
         moving = []
         for i, (part, columns) in enumerate(zip(self.parts, self.slices, strict=True)):
             if part.free:
@@ -492,38 +499,38 @@ class _StructureRows:
         return moving
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
-        """Return each row's factor at several φ in these boxes."""
-        factors = np.tile(self.amount, (len(vs), 1))
-        for i, at, which in self._moving:
+        """Return the factor d of each row at several φ (b, R), without prior deviations."""
+        factors = np.tile(self.amounts, (len(vs), 1))
+        for i, at, which in self._dynamic_rows:
             factors[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
         return factors
 
-    def shares(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
-        """Return each row's factor; and for each part that moves: rows, entries of φ, first and second slopes."""
-        factors, slopes = self.amount.copy(), []
-        for i, at, which in self._moving:
+    def factors(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
+        """Return each row's factor; and of each φ-dependent part rows, indices in φ, first and second derivatives."""
+        factors, slopes = self.amounts.copy(), []
+        for i, at, which in self._dynamic_rows:
             free = self.parts[i].free
-            shares = self.expansions[i].shares(v[free])
+            shares = self.expansions[i].factors(v[free])
             factors[at] *= shares.value[which]
             if with_grad:
                 first, second = shares.first[:, which], shares.second[:, :, which]
-                slopes.append((at, free, first * self.amount[at], second * self.amount[at]))
+                slopes.append((at, free, first * self.amounts[at], second * self.amounts[at]))
         return factors, slopes
 
 
-def _from_point(
+def _mean_from_point(
     conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "p"]:
-    """Return t: how far the mean of x is from a point, in standard deviations of its prior."""
-    off = prior.weight * (prior.mean - at)
-    return conditional.z + np.where(off == 0, 0.0, off / np.where(prior.sd > 0, prior.sd, 1.0))
+    """Return t: the conditional mean of x minus a point, in prior standard deviations (p,)."""
+    gap = prior.weight * (prior.mean - at)
+    return conditional.z + np.where(gap == 0, 0.0, gap / np.where(prior.sd > 0, prior.sd, 1.0))
 
 
-def _moments(
+def _posterior_moments(
     conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p1 p1"]]:
-    """Return C and P."""
-    root, t, p = conditional.root_of_z, _from_point(conditional, prior, at), len(at)
+    """Return C = A⁻¹ and the matrix P of the module's formulas."""
+    root, t, p = conditional.root_of_z, _mean_from_point(conditional, prior, at), len(at)
     C, P = root @ root.T, np.empty((p + 1, p + 1))
     P[:p, :p], P[:p, p], P[p, :p], P[p, p] = C + np.outer(t, t), -t, -t, 1.0
     return C, P
@@ -531,19 +538,19 @@ def _moments(
 
 @cache
 def _stencil(q: int) -> Float[np.ndarray, "s q"]:
-    """Return shifts of the noise's coordinates: none; each up, each down; each two up, both down."""
+    """Return the shifts of q coordinates for central first and second differences (1 + 2q + q(q − 1), q)."""
     unit = np.eye(q)
-    two = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
+    pairs = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
         q * (q - 1) // 2, q
     )
-    return DIFFERENCE * np.concatenate([np.zeros((1, q)), unit, -unit, two, -two])
+    return DIFFERENCE * np.concatenate([np.zeros((1, q)), unit, -unit, pairs, -pairs])
 
 
 def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
-    """Return second slopes of what was computed on the stencil."""
+    """Return the Hessian (q, q) by central differences of values on the stencil."""
     middle, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
-    both = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
-    bends, pairs = np.diag(up - 2 * middle + down), [(i, j) for i in range(q) for j in range(i)]
-    for (i, j), two in zip(pairs, both, strict=True):
-        bends[i, j] = bends[j, i] = 0.5 * (two - up[i] - down[i] - up[j] - down[j] + 2 * middle)
-    return bends / DIFFERENCE**2
+    mixed = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
+    second, pairs = np.diag(up - 2 * middle + down), [(i, j) for i in range(q) for j in range(i)]
+    for (i, j), pair in zip(pairs, mixed, strict=True):
+        second[i, j] = second[j, i] = 0.5 * (pair - up[i] - down[i] - up[j] - down[j] + 2 * middle)
+    return second / DIFFERENCE**2

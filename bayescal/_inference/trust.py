@@ -1,7 +1,7 @@
-"""Convergence: when a sampler or optimum is reliable, from diagnostics to the reasons of a verdict.
+"""Convergence diagnostics of samplers and optima, and the reasons of a verdict.
 
-Draws from importance weights are trusted by Pareto k̂ and their effective size, chains by R-hat, their effective size
-and divergences, an optimum by its last step and its curvature.
+Importance weights: Pareto k̂ and effective sample size; chains: R-hat, effective sample size and divergences; an
+optimum: its last step and its Hessian.
 Sources: Vehtari et al., JMLR 25 (2024) 72 (k̂); Vehtari et al., Bayesian Analysis 16 (2021) 667 (R-hat).
 """
 
@@ -18,19 +18,18 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
 from bayescal._inference.nuts_chains import Chains
 
-K_HAT = 0.7  # above it, importance weights are not reliable (Vehtari et al. 2024)
-# `K_HAT` where the model is nonlinear: coefficients are proposed with a Gaussian's tails, thinner than those that
-# they may have, and k̂ then shows too little: at 0.6 to 0.7, standard deviations came out up to a third too small,
-# below 0.5 right.
+K_HAT = 0.7  # largest k̂ of reliable importance weights (Vehtari et al. 2024)
+# The same for a nonlinear model, whose coefficients are proposed from a Gaussian with tails that may be too thin, which
+# k̂ underestimates: at 0.6 to 0.7 standard deviations were up to a third too small, below 0.5 right.
 K_HAT_NONLINEAR = 0.5
-# Standard deviation of the log weights by nonlinearity, from which on a model counts as nonlinear.
+# Standard deviation of the nonlinear corrections of log weights, above which a model counts as nonlinear.
 NONLINEAR_SD = 0.3
-# Effective draws that will do where there is no time for more: a standard deviation is then known to 7 %.
+# Effective draws that are accepted at a deadline: a standard deviation is then known to 7 %.
 FEWEST_DRAWS = 100
-R_HAT = 1.02  # of chains that agree; Vehtari et al. 2021 ask for 1.01 of long chains
-CHAIN_DRAWS = 200  # effective draws of a coordinate, of which a standard deviation is known to 5 %
-DIVERGENT_SHARE = 0.005  # share of the transitions, up to which a corner of the posterior is none
-# Standard deviations that the mode's last round moved anything by, beyond which it was no mode.
+R_HAT = 1.02  # largest R-hat of converged chains; Vehtari et al. 2021 ask for 1.01 of long ones
+CHAIN_DRAWS = 200  # smallest effective sample size: a standard deviation is then known to 5 %
+DIVERGENT_SHARE = 0.005  # largest fraction of divergent transitions
+# Largest change in the last round of a converged mode, standard deviations.
 MOVING_SD = 0.05
 
 NOT_CONVERGED = "Levenberg–Marquardt stopped before its tolerance was met."
@@ -44,9 +43,9 @@ def unevenness(
     limit: float | None = None,
     enough: float | None = None,
 ) -> str:
-    """Return why weighted draws are not reliable, in numbers; empty if they are.
+    """Return k̂ and effective sample size as text if weighted draws are unreliable; empty if they are reliable.
 
-    The largest k̂ that is trusted and how many effective draws are enough are the settings', if not given.
+    `limit`: largest k̂; `enough`: smallest effective sample size; defaults from the settings.
     """
     effective = effective_size(weights)
     limit, enough = K_HAT if limit is None else limit, enough or settings().effective_draws
@@ -56,9 +55,8 @@ def unevenness(
 
 
 def largest_k_hat(correction: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
-    """Return the largest trusted k̂, given the log weights that nonlinearity adds to draws of φ."""
-    # Where nonlinearity counts, coefficients were proposed by a Gaussian: its thin tails hide from k̂ what the
-    # posterior has farther out, and the bound is tighter.
+    """Return the largest k̂ of reliable weights, given the corrections of log weights by nonlinearity."""
+    # A nonlinear model has heavier tails than the Gaussian proposals, which k̂ does not see: a tighter bound.
     correction = np.clip(correction, -1e3, 1e3)
     mean = weights @ correction
     nonlinear = weights @ (correction - mean) ** 2 > NONLINEAR_SD**2
@@ -72,7 +70,7 @@ def weights_verdict(
     mode: Mode | None = None,
     reasons: tuple[str, ...] = (),
 ) -> Verdict:
-    """Return the verdict on importance weights, even but for `reasons`, and on their mode."""
+    """Return the verdict on importance weights, given reasons against them, and on their mode."""
     if mode is not None and not mode.change <= MOVING_SD:
         message = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
         reasons = (*reasons, f"{message} when the optimiser stopped.")
@@ -85,7 +83,7 @@ def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
     draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
-    # The worst of all coordinates counts: split chains that agree in most of them have still not met in that one.
+    # The worst coordinate decides.
     r_hat = max(float(np.asarray(array_stats.rhat(d, chain_axis=0, draw_axis=1))) for d in draws)
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
     reasons = []

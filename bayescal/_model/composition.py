@@ -226,7 +226,7 @@ class TracedColumns:
         self.slots = tuple(s.name for s in instrument.slots)
 
     @property
-    def read(self) -> frozenset[str]:
+    def response_columns(self) -> frozenset[str]:
         """Return the columns of the readings that the instrument's response uses directly."""
         return find_response_columns(self.instrument, self.frame)
 

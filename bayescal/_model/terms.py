@@ -92,7 +92,7 @@ def terms_of(
     correcting = {b.effect.name for b in correcting_blocks}
     corrections: tuple[Correction, ...] = ()
     all_fixed = all(b.place == "fixed" and b.coefficient.per is None for b in correcting_blocks)
-    if correcting_blocks and all_fixed and source.read.isdisjoint(corrected):
+    if correcting_blocks and all_fixed and source.response_columns.isdisjoint(corrected):
         corrections, corrected = tuple(map(Correction.from_block, correcting_blocks)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
     columns: dict[str, tuple[ColumnSpec, tuple[str, ...]]] = {}

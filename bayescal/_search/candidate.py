@@ -14,7 +14,7 @@ from bayescal._calibration.judgement import off_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.linear_model import learned_size
+from bayescal._inference.linear_model import learned_amplitude
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
@@ -148,10 +148,10 @@ def _by_refit(effect, with_it: Weighed) -> dict:
         first_shape = effect.shapes[0]
         size, sd = problem.value_and_sd(effect.shape_name(first_shape), mode.v, mode.covariance)
         return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
-    if learned := learned_size(effect, problem, mode):
+    if learned := learned_amplitude(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
-    _, got = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    _, got = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
     # Given φ̂: the noise and the shapes are held, as in a score.
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.x_slice.start, term.x_slice.start])
     return {"size": float(mode.x[term.x_slice.start]), "size_sd": sd, "shape": shapes}

@@ -20,7 +20,7 @@ from bayescal._core.formatting import folded, number, probability, with_error
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.linear_model import amplitudes, sized
+from bayescal._inference.linear_model import amplitude_range, fill_amplitudes
 from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
 from bayescal._model.effect import READING, Effect, with_forms
@@ -276,8 +276,8 @@ def structures_over(
             shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
     frame = record.frame
-    model = sized(model, readings, record)
-    plausible = amplitudes(model, readings, record)
+    model = fill_amplitudes(model, readings, record)
+    plausible = amplitude_range(model, readings, record)
     open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     record.require_finite((*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}

@@ -22,7 +22,7 @@ from bayescal._calibration.confounding import is_widened_by, shifts
 from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, nats, undecided
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import column_scale
-from bayescal._inference.linear_model import RANK, LinearModel, about_priors
+from bayescal._inference.linear_model import RANK, LinearModel, linearise_at_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.frame import reference_of
@@ -70,7 +70,7 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 def _residual_sd(structures: Structures) -> float:
     """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
-    line = about_priors(Problem(layout, structures.record))
+    line = linearise_at_priors(Problem(layout, structures.record))
     library = Library(structures)
     named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
     points = [point for point, *others in named.values() if not others]
@@ -96,7 +96,7 @@ class _Columns(NamedTuple):
 def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
     """Return the base linearised at its priors' means, and the candidates' whitened columns."""
     layout = replace(structures.layout, model=structures.base)
-    line = about_priors(Problem(layout, structures.record), structures.floor)
+    line = linearise_at_priors(Problem(layout, structures.record), structures.floor)
     random = np.zeros(len(line.owners), dtype=bool)
     for t in line.problem.in_x:
         random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None

@@ -105,12 +105,12 @@ class Library:
         if count < 2:
             return line
         if self._means is None:
-            self._means = Means.over(self.structures.record, count)
+            self._means = Means.from_record(self.structures.record, count)
             for name, points in self.points.items():
                 columns = self.columns(line, _at_ends(points), {})
-                if np.max(self._means.within(columns)) > LOST:
+                if np.max(self._means.within_fraction(columns)) > LOST:
                     self.blurred |= {name}
-        return self._means.line(line)
+        return self._means.linear_model(line)
 
     def blocks(self, size: int) -> Iterator[list[GridPoint]]:
         """Yield all points, those apart that need all readings: as many as have columns of a length held together."""

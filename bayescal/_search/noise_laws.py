@@ -15,7 +15,7 @@ import numpy as np
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import at_mode, best
+from bayescal._inference.laplace import best_start, fit_at_mode
 from bayescal._inference.newton import Nearby, climb
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -90,7 +90,7 @@ def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnRe
         like = Nearby(coordinates, np.linalg.inv(near.covariance), True)
     density = Density(alone, alone.start, np.ones(0), like=like)
     # What is only a hint is found to a hundredth of a nat.
-    mode = at_mode(density, climb(density, best(density, at), math.inf), 0.0)
+    mode = fit_at_mode(density, climb(density, best_start(density, at), math.inf), 0.0)
     hint = dict(zip(priors, mode.v.tolist(), strict=True))
     return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
 

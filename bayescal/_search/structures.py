@@ -357,7 +357,7 @@ class Structures:
             line = self.line(weighed)
             is_own = np.array([owner == name for owner in line.owners])
             white = line.whiten(line.contribution(name)[:, None])[:, 0]
-            residual = line.beyond(white, ~is_own)
+            residual = line.deflate(white, ~is_own)
             share = math.sqrt(float(residual @ residual) / line.size)
             if share > NAMELESS_RMS or self._moves_coefficients(line, is_own, white):
                 substantial.add(name)
@@ -515,7 +515,7 @@ class SizeGains(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, mode: Mode, initial: Mapping[str, float]) -> SizeGains | None:
         """Return those at a mode; None where there is no density."""
-        gaussian = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)[1]
+        gaussian = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)[1]
         if gaussian is None or not math.isfinite(mode.log_evidence):
             return None
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.

@@ -117,7 +117,7 @@ def _followed(
     # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
     # took. Ridge regression by the priors' weights: c less what the others take of it, times c.
     both = others, others | theirs
-    without, with_added = (float(column @ last.beyond(column, is_other)) for is_other in both)
+    without, with_added = (float(column @ last.deflate(column, is_other)) for is_other in both)
     # Where its one coefficient stands, in the unit of its prior.
     i, j = first.owners.index(term.name), last.owners.index(term.name)
     m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])

@@ -19,7 +19,7 @@ from bayescal._calibration.summary import null_claims, null_vectors
 from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
-from bayescal._inference.linear_model import LinearModel, about_priors
+from bayescal._inference.linear_model import LinearModel, linearise_at_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
@@ -103,7 +103,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     def linear(rows: Measurements) -> LinearModel:
         frame = build_frame(rows, reference, levels, readings)
         record = Record(model.instrument, frame, np.asarray(rows["output"]))
-        return about_priors(Problem(layout, record))
+        return linearise_at_priors(Problem(layout, record))
 
     planned, vector = linear(readings), model.instrument.vector
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis

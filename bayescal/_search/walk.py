@@ -69,7 +69,7 @@ def explore(
         if end.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
-    structures.record.forget()
+    structures.record.clear_cache()
     memory.trim()
     return ended
 
@@ -201,11 +201,7 @@ class Move(NamedTuple):
 
 
 def _look_around(
-    library: Library,
-    at: Weighed,
-    max_effects: int,
-    among: Scope,
-    view: Callable[[Weighed], View],
+    library: Library, at: Weighed, max_effects: int, among: Scope, view: Callable[[Weighed], View]
 ) -> Evaluated:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, structure = library.structures, at.structure

@@ -86,7 +86,7 @@ def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
     """Return what `Marginal` promotes, chosen once, on the plan's own readings: one program serves all data sets."""
     layout, _ = bind(model, plan)
     record = Record(model.instrument, build_frame(plan, reference_of(plan)), plan["output"])
-    return sampled_products.choose(Problem(layout, record), None)[0].layout.promoted
+    return sampled_products.promote_products(Problem(layout, record), None)[0].layout.promoted
 
 
 def drawn_one_by_one(
@@ -111,7 +111,7 @@ def drawn_once(
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])
-    layout = sampled_products.choose(Problem(layout, record), method.promote)[0].layout
+    layout = sampled_products.promote_products(Problem(layout, record), method.promote)[0].layout
     problem = Problem(layout, record)
     drawn = weighted_draws(problem, find_mode(problem), seed, method.proposals, method.rounds)
     return drawn, (layout, levels)

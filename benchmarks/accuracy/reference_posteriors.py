@@ -62,9 +62,9 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     layout, _ = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), readings["output"]
     record = Record(model.instrument, frame, y)
-    layout = sampled_products.choose(Problem(layout, record), None)[0].layout
+    layout = sampled_products.promote_products(Problem(layout, record), None)[0].layout
     problem = Problem(layout, record)
-    density, unpack, start, covariance = nuts_chains.whitened(problem, find_mode(problem))
+    density, unpack, start, covariance = nuts_chains.whiten_posterior(problem, find_mode(problem))
     key = jax.random.key(SEED)
     plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
     ran = nuts_chains.run(density, start, covariance, key, plan)

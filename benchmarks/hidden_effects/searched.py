@@ -110,7 +110,7 @@ class Later:
     def expected(self, weighed: Weighed) -> np.ndarray:
         """Return a structure's expected output on the record."""
         mode = weighed.mode
-        _, posterior = Density(weighed.problem, mode.x, mode.flat).at(mode.v)
+        _, posterior = Density(weighed.problem, mode.x, mode.flat).condition_at(mode.v)
         x = mode.x if posterior is None else posterior.mean
         later_problem = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
         return later_problem.linearise(x, later_problem.hyper(mode.v)).mean

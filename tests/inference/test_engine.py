@@ -18,8 +18,8 @@ from bayescal._calibration.leave_group_out import Part
 from bayescal._inference import nuts
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import LOG_2PI, column_scale
-from bayescal._inference.laplace import across, find_mode
-from bayescal._inference.linear_model import sized
+from bayescal._inference.laplace import find_mode, scan_ragged
+from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
@@ -151,7 +151,7 @@ def assembled(case: str, *promoted: str) -> Problem:
     readings = simulate()
     model = model if isinstance(model, bc.Model) else model(readings)
     record = record_of(model.instrument, readings, constants_of(readings))
-    model = sized(model, readings, record)
+    model = fill_amplitudes(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
     return Problem(layout, record.with_frame())
 
@@ -215,7 +215,7 @@ def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
     a = assembled(case)
     _, v = somewhere(a)
     flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-    found, given = Density(a, a.start, flat, v).at(v)
+    found, given = Density(a, a.start, flat, v).condition_at(v)
     density, mean, covariance = dense(a, v, flat)
     assert found == pytest.approx(density, rel=1e-7, abs=1e-4)
     assert given is not None
@@ -236,7 +236,9 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     _, v = somewhere(problem)
     sigma, frame = problem.hyper(v)["noise.white"], problem.record.frame
     sd = GYRO.effect("bias.temperature").coefficients[0].size
-    found = [Density(problem, np.ones(2), np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
+    found = [
+        Density(problem, np.ones(2), np.full(2, scale), v).condition_at(v) for scale in (1.0, 30.0)
+    ]
     values = [total - problem.log_prior(v) for total, _ in found]
     # The same, whatever the scale of the flat column …
     assert values[0] == pytest.approx(values[1], abs=1e-8)
@@ -264,11 +266,15 @@ def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> No
     x = a.start if a.affine else x
     table, readings = Density(a, x, flat, v), Density(a, x, flat, v)
     monkeypatch.setitem(vars(readings), "tabulated", None)
-    assert table.at(v)[0] == pytest.approx(readings.at(v)[0], rel=1e-8, abs=1e-5)
-    np.testing.assert_allclose(table.at(v)[1].mean, readings.at(v)[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+    assert table.condition_at(v)[0] == pytest.approx(
+        readings.condition_at(v)[0], rel=1e-8, abs=1e-5
+    )
+    np.testing.assert_allclose(
+        table.condition_at(v)[1].mean, readings.condition_at(v)[1].mean, rtol=1e-5, atol=1e-7
+    )  # pyright: ignore[reportOptionalMemberAccess]
     vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
     vs = vs if a.affine else v[None]
-    one_by_one = [table.at(one)[0] for one in vs]
+    one_by_one = [table.condition_at(one)[0] for one in vs]
     np.testing.assert_allclose(table.values(vs), one_by_one, rtol=1e-8, atol=1e-5)
 
 
@@ -301,7 +307,7 @@ def test_table_about_a_mode_is_the_density(case: str) -> None:
     vs = mode.v + random.standard_normal((5, len(mode.v))) @ root.T
     many = BatchedDensity(a, mode)
     assert many.table is not None
-    found, _ = many.at(vs, np.zeros((5, a.size)))
+    found, _ = many.draw_at(vs, np.zeros((5, a.size)))
     np.testing.assert_allclose(found, many.density.values(vs), atol=0.02)
 
 
@@ -320,10 +326,10 @@ def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model
     mode = find_mode(a)
     v = mode.v + 0.1 * np.random.default_rng(0).standard_normal((3, len(a.hypers)))
     there = Density(a, mode.x, mode.flat, mode.v)
-    here, _ = BatchedDensity(a, mode).at(v, np.zeros((3, a.size)))
+    here, _ = BatchedDensity(a, mode).draw_at(v, np.zeros((3, a.size)))
     np.testing.assert_allclose(here, there.values(v), atol=0.05)
     left = np.tile(a.record.y, (3, 1))
-    both = [whitening(a.noise, a.hyper(one), a.record, 0.0).both(left.T) for one in v]
+    both = [whitening(a.noise, a.hyper(one), a.record, 0.0).whiten(left.T) for one in v]
     sums = [np.sum(w**2, axis=0)[0] + volume + a.record.size * LOG_2PI for w, volume in both]
     found = total_log_density(a.noise, a.record, left, a.hyper(v.T))
     np.testing.assert_allclose(found, -0.5 * np.array(sums), rtol=1e-9)
@@ -333,7 +339,7 @@ def test_the_mode_is_the_top_of_the_density() -> None:
     a = assembled("gyro")
     mode = find_mode(a)
     density = Density(a, mode.x, mode.flat, mode.v)
-    best = minimize(lambda v: -density.at(v)[0], mode.v, method="Nelder-Mead")
+    best = minimize(lambda v: -density.condition_at(v)[0], mode.v, method="Nelder-Mead")
     assert -best.fun < mode.log_density + 1e-3
     np.testing.assert_allclose(mode.v, best.x, atol=2e-3)
 
@@ -348,7 +354,7 @@ def stepped(place: float) -> Problem:
     readings = bc.Measurements.from_arrays(sensor, units=units, **columns)
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
     record = record_of(model.instrument, readings, constants_of(readings))
-    return Problem(bind(sized(model, readings, record), readings)[0], record)
+    return Problem(bind(fill_amplitudes(model, readings, record), readings)[0], record)
 
 
 @pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
@@ -356,8 +362,8 @@ def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     a = stepped(place)
     mode = find_mode(a)
     density = Density(a, mode.x, mode.flat)
-    (along,) = across(a, mode.v)
-    assert density.at(mode.v)[0] > max(density.at(v)[0] for v in along) - 1e-3
+    (along,) = scan_ragged(a, mode.v)
+    assert density.condition_at(mode.v)[0] > max(density.condition_at(v)[0] for v in along) - 1e-3
     assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
 
 
@@ -387,7 +393,7 @@ def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
     a = assembled("gyro")
     effect = ColumnSpec.from_effect(GYRO.effect("bias.thermal_lag"))
     v = np.array([effect.priors[0].coordinate(tau)])
-    box = a.record.expansions(effect, (None,)).at(v + 0.2, True)
+    box = a.record.expansions(effect, (None,)).get(v + 0.2, True)
     exact = a.record.columns(effect, (tau,))
     assert box.half > 0 and box.distance(v) < 1
     assert np.max(np.abs(box.columns @ box.shares(v).value - exact)) < 1e-7 * np.max(np.abs(exact))
@@ -410,7 +416,7 @@ def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: 
     same = run[:, None] == run
     covariance = same * 0.5 * 0.002**2 * 400.0 * np.exp(-apart / 400.0)
     covariance += np.diag(0.05**2 + extra * np.ones(record.size))
-    made, log_volume = white.both(table)
+    made, log_volume = white.whiten(table)
     np.testing.assert_allclose(made.T @ made, table.T @ np.linalg.solve(covariance, table))
     assert log_volume == pytest.approx(np.linalg.slogdet(covariance)[1])
 

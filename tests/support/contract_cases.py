@@ -148,7 +148,7 @@ class Case:
     def promoted(self) -> tuple[str, ...]:
         layout, _ = bind(self.model, self.readings)
         record = record_of(self.instrument, self.readings, constants_of(self.readings))
-        return sampled_products.choose(Problem(layout, record), None)[0].layout.promoted
+        return sampled_products.promote_products(Problem(layout, record), None)[0].layout.promoted
 
     @cached_property
     def reference(self) -> dict[str, Any]:
