@@ -139,7 +139,7 @@ class Record:
             self.table.clear()
 
     def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
-        """Return the expansions of an effect's columns in coordinates of free shapes; `fixed`: value or None of each."""
+        """Return the expansions of an effect's columns in its free shapes; `fixed`: value or None of each."""
         key = effect.key, fixed
         if sum(e.nbytes for e in self._expansions.values()) > CACHE_BYTES:
             self._expansions.clear()
