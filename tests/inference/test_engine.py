@@ -236,9 +236,8 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     _, v = somewhere(problem)
     sigma, frame = problem.hyper(v)["noise.white"], problem.record.frame
     sd = GYRO.effect("bias.temperature").coefficients[0].size
-    found = [
-        Density(problem, np.ones(2), np.full(2, scale), v).condition_at(v) for scale in (1.0, 30.0)
-    ]
+    scales = (np.full(2, scale) for scale in (1.0, 30.0))
+    found = [Density(problem, np.ones(2), flat, v).condition_at(v) for flat in scales]
     values = [total - problem.log_prior(v) for total, _ in found]
     # The same, whatever the scale of the flat column …
     assert values[0] == pytest.approx(values[1], abs=1e-8)
@@ -266,12 +265,9 @@ def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> No
     x = a.start if a.affine else x
     table, readings = Density(a, x, flat, v), Density(a, x, flat, v)
     monkeypatch.setitem(vars(readings), "tabulated", None)
-    assert table.condition_at(v)[0] == pytest.approx(
-        readings.condition_at(v)[0], rel=1e-8, abs=1e-5
-    )
-    np.testing.assert_allclose(
-        table.condition_at(v)[1].mean, readings.condition_at(v)[1].mean, rtol=1e-5, atol=1e-7
-    )  # pyright: ignore[reportOptionalMemberAccess]
+    (value, by_table), (exact, by_readings) = (d.condition_at(v) for d in (table, readings))
+    assert value == pytest.approx(exact, rel=1e-8, abs=1e-5)
+    np.testing.assert_allclose(by_table.mean, by_readings.mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
     vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
     vs = vs if a.affine else v[None]
     one_by_one = [table.condition_at(one)[0] for one in vs]
