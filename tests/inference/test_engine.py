@@ -236,8 +236,7 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     _, v = somewhere(problem)
     sigma, frame = problem.hyper(v)["noise.white"], problem.record.frame
     sd = GYRO.effect("bias.temperature").coefficients[0].size
-    scales = (np.full(2, scale) for scale in (1.0, 30.0))
-    found = [Density(problem, np.ones(2), flat, v).condition_at(v) for flat in scales]
+    found = [Density(problem, np.ones(2), np.full(2, s), v).condition_at(v) for s in (1.0, 30.0)]
     values = [total - problem.log_prior(v) for total, _ in found]
     # The same, whatever the scale of the flat column …
     assert values[0] == pytest.approx(values[1], abs=1e-8)
@@ -262,12 +261,11 @@ def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> No
     a = assembled(case)
     x, v = somewhere(a)
     flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-    x = a.start if a.affine else x
-    table, readings = Density(a, x, flat, v), Density(a, x, flat, v)
+    table, readings = (Density(a, a.start if a.affine else x, flat, v) for _ in range(2))
     monkeypatch.setitem(vars(readings), "tabulated", None)
-    (value, by_table), (exact, by_readings) = (d.condition_at(v) for d in (table, readings))
-    assert value == pytest.approx(exact, rel=1e-8, abs=1e-5)
-    np.testing.assert_allclose(by_table.mean, by_readings.mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+    ours, exact = table.condition_at(v), readings.condition_at(v)
+    assert ours[0] == pytest.approx(exact[0], rel=1e-8, abs=1e-5)
+    np.testing.assert_allclose(ours[1].mean, exact[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
     vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
     vs = vs if a.affine else v[None]
     one_by_one = [table.condition_at(one)[0] for one in vs]
@@ -392,7 +390,7 @@ def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
     box = a.record.expansions(effect, (None,)).get(v + 0.2, True)
     exact = a.record.columns(effect, (tau,))
     assert box.half > 0 and box.distance(v) < 1
-    assert np.max(np.abs(box.columns @ box.shares(v).value - exact)) < 1e-7 * np.max(np.abs(exact))
+    assert np.max(np.abs(box.columns @ box.factors(v).value - exact)) < 1e-7 * np.max(np.abs(exact))
 
 
 @pytest.mark.parametrize("known", [False, True])

@@ -243,7 +243,7 @@ def test_columns_at_each_draw_are_those_of_the_table(monkeypatch, law: bc.Noise)
     fit = bc.fit(model, mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1), bc.LeastSquares())
     density = Density(fit.problem, fit.mode.x, fit.mode.flat, fit.mode.v)
     vs = fit.mode.v + 0.1 * np.random.default_rng(0).standard_normal((6, len(fit.mode.v)))
-    assert density.tabulated.direct
+    assert density.tabulated.is_direct
     at_each = density.values(vs)
     monkeypatch.setattr(density.tabulated, "direct", False)
     np.testing.assert_allclose(at_each, density.values(vs), atol=1e-6)
