@@ -274,8 +274,8 @@ def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Mod
                 f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
                 "give its plausible amplitudes, low and high"
             )
-    known = replace(model, effects=tuple(e for e in model.effects if not e.open))
-    low_high = amplitude_range(known, readings, record)
+    reduced = replace(model, effects=tuple(e for e in model.effects if not e.open))
+    low_high = amplitude_range(reduced, readings, record)
     effects = tuple(e.sized(*low_high) if e.open else e for e in model.effects)
     return replace(model, effects=effects)
 

@@ -234,10 +234,10 @@ class ByValues:
         if near is not None:
             scale = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
             curvature = near.curvature / np.outer(scale, scale)
-            known = near.reliable & (diagonal > 0)
+            usable = near.reliable & (diagonal > 0)
             is_close = np.abs(v - near.v) * scale < UNMOVED
             reuse = (np.abs(curvature) < LOOSE) | np.outer(is_close, is_close)
-            reuse &= np.outer(known, known)
+            reuse &= np.outer(usable, usable)
             second[reuse] = (curvature * np.sqrt(np.abs(np.outer(diagonal, diagonal))))[reuse]
         np.fill_diagonal(second, diagonal)
         return second

@@ -306,8 +306,8 @@ def _run_by_draws(
 ) -> Float[np.ndarray, "b n"]:
     """Run a program over draws in batches; the last batch is padded with its last draw."""
     names = list(law.parameters())
-    given = [a for a in arrays if a is not None]
-    count = max([*(np.size(hyper[n]) for n in names), *map(len, given), 1])
+    arrays_given = [a for a in arrays if a is not None]
+    count = max([*(np.size(hyper[n]) for n in names), *map(len, arrays_given), 1])
     phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     arrays = tuple(a if a is None else _to_law_order(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))

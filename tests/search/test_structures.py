@@ -245,5 +245,5 @@ def test_columns_at_each_draw_are_those_of_the_table(monkeypatch, law: bc.Noise)
     vs = fit.mode.v + 0.1 * np.random.default_rng(0).standard_normal((6, len(fit.mode.v)))
     assert density.tabulated.is_direct
     at_each = density.values(vs)
-    monkeypatch.setattr(density.tabulated, "direct", False)
+    monkeypatch.setattr(density.tabulated, "is_direct", False)
     np.testing.assert_allclose(at_each, density.values(vs), atol=1e-6)
