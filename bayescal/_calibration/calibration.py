@@ -53,9 +53,11 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """Return unidentified directions, the verdict, conflicts and failed checks, one per line."""
-        stated = {(claim.code, claim.of) for claim in self.conflicts}
+        stated = {(claim.code, claim.subjects) for claim in self.conflicts}
         against = self.verdict.against
-        further = (f for f in against if not isinstance(f, Flag) or (f.code, f.of) not in stated)
+        further = (
+            f for f in against if not isinstance(f, Flag) or (f.code, f.subjects) not in stated
+        )
         lines = [
             *(f"not measured: {direction}" for direction in null_directions(self)),
             str(self.verdict),

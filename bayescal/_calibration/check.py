@@ -21,7 +21,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._core.formatting import number
+from bayescal._core.formatting import folded, number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
@@ -168,6 +168,8 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         lines += [_fixed_text(check.fixed, check.residuals, unit), ""]
     lines.append(check_table(rows) if rows else "no covariate varies")
     strong = settings().strong_evidence
+    depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
+    lines.append(folded(f"log Bayes factor above {strong:g}: {depends or 'none'}"))
     strongest = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "

@@ -61,7 +61,7 @@ class Claim(Flag):
 
     Attributes:
         code: a key of `CRITERIA`.
-        of: names of the effects, coefficients, columns or groups concerned, the most important first.
+        subjects: names of the effects, coefficients, columns or groups concerned, the most important first.
         numbers: values of the template's fields, by name: numbers, names (several in a tuple) and units.
     """
 
@@ -76,7 +76,7 @@ class Claim(Flag):
         return claim
 
     def __getnewargs_ex__(self) -> tuple[tuple[str, ...], dict[str, Any]]:
-        return (self.code, *self.of), self.numbers
+        return (self.code, *self.subjects), self.numbers
 
     @property
     def severity(self) -> str:
@@ -85,7 +85,7 @@ class Claim(Flag):
 
     def data(self) -> dict[str, Any]:
         """Return the claim's record in result.json."""
-        record = {"code": self.code, "of": list(self.of), "severity": self.severity}
+        record = {"code": self.code, "of": list(self.subjects), "severity": self.severity}
         return {**record, "in_words": str(self)}
 
 

@@ -72,25 +72,26 @@ class Comparison(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
         grouped = self.chosen_by != BY_READINGS
+        unit = unit_label(self.unit)
         by_group = (
-            TableColumn(scheme(self.group), "group_rmse", number),
-            TableColumn("score", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn(f"{scheme(self.group)} rmse", "group_rmse", number, unit),
+            TableColumn("log score", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
             TableColumn("model", "name"),
-            TableColumn("rmse", "rmse", number, unit_label(self.unit)),
+            TableColumn("rmse", "rmse", number, unit),
             *(by_group if grouped else ()),
-            TableColumn("LOO", "loo", "{:.1f}".format),
+            TableColumn("leave-one-out log score", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
             TableColumn(
                 "log evidence", "log_evidence", lambda v: "null" if v is None else f"{v:.1f}"
             ),
-            TableColumn("weight", "weight", "{:.2f}".format),
+            TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
-        heading = [f"the best first, by {self.chosen_by}{count}"]
+        heading = [f"best first, by {self.chosen_by}{count}; differences are from the best score"]
         return [table, *heading, *(folded(w, "") for w in self.warnings)]
 
     def _brief(self) -> str:

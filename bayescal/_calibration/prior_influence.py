@@ -31,7 +31,6 @@ def variance_by_origin(
 
     With J the Jacobian of the readings, Σ their noise and D the prior covariance at the fit, the linearised
     posterior covariance P = (JᵀΣ⁻¹J + D⁻¹)⁻¹ splits exactly into P·JᵀΣ⁻¹J·P and P·D⁻¹·P, a sum over priors.
-
     Slopes are by the names of unknowns, per reported unit; other names are ignored, and so are directions that neither
     readings nor priors determine.
     """

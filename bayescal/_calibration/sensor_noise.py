@@ -32,7 +32,7 @@ from scipy.special import ndtri, softmax
 from bayescal._calibration.claim import Claim, limit
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, probability
+from bayescal._core.formatting import folded, number, probability
 from bayescal._core.importance_weights import resample
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, plain_table
@@ -114,9 +114,9 @@ class NoiseFigure:
         extent = f"{number(self.low)} to {number(self.high)}"
         value, si = number(self.value), number(self.si[0])
         if self.bound and not math.isfinite(self.high):
-            return [name, "", "not seen", ""]
+            return [name, "", "not determined", ""]
         if self.bound:
-            value, extent, si = f"< {number(self.high)}", "not seen", f"< {number(self.si[2])}"
+            value, extent, si = f"< {number(self.high)}", "one-sided", f"< {number(self.si[2])}"
         units = unit_label(self.unit), unit_label(self.si_unit)
         return [name, f"{value} {units[0]}".strip(), extent, f"{si} {units[1]}".strip()]
 
@@ -164,24 +164,27 @@ class SensorNoise(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
-        terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
         likely = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
         ]
-        notes = [f"Noise law: {', '.join(likely[:SHOWN_SUMS])}."]
-        notes += [f"Note: {claim}" for claim in self.claims]
-        m, unit = self.measured, unit_label(self.unit)
-        head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
+        doubts = [f"Not to be used as they are: {c}" for c in self.claims if c.severity != "note"]
+        term = "term" + " of a law that does not fit" * bool(doubts)
+        terms = plain_table([term, "value", "95 % interval", "SI"], rows, fold=40)
+        which = "Best noise law, which does not fit" if doubts else "Noise law (probability)"
+        notes = [*doubts, f"{which}: {', '.join(likely[:SHOWN_SUMS])}."]
+        notes += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
+        m, unit = self.measured, unit_label(self.unit) or "1"
+        head = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of records of that law"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
         curve = [
-            [number(t), f"{number(d)} {unit}".strip(), number(e), f"{number(a)} to {number(b)}"]
+            [number(t), number(d), number(e), f"{number(a)} to {number(b)}"]
             for t, d, e, a, b in zip(*columns, strict=True)
         ]
-        lines = [line for note in notes for line in ("", note)]
+        lines = [line for note in notes for line in ("", folded(note, ""))]
         return [terms, *lines, "", plain_table(head, curve, left=0)]
 
     def _brief(self) -> str:
-        figures = (f"{f.symbol} = {number(f.value)} {f.unit}" for f in self.figures)
+        figures = (f"{f.symbol} {f.row()[1] or f.row()[2]}" for f in self.figures)
         return f"{self.law}; {', '.join(figures)}"
 
     def _columns(self) -> dict[str, list[Any]]:
@@ -641,7 +644,6 @@ def _impute_run(
     With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
     the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
     and their covariance Q_mm⁻¹. The level is free: 1/D is taken as zero at frequency zero.
-
     Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
     """
     lost, n = np.isnan(columns[:, -1]), len(columns)

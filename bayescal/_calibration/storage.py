@@ -58,11 +58,7 @@ _PRIOR = re.compile(rf"\b({'|'.join(_PRIORS)})\(([^()]*)\)")
 
 
 def save(calibration: Fitted, path: Path) -> Path:
-    """Write a calibration to NetCDF.
-
-    Raises:
-        InputError: the file cannot be written, or the disk is full.
-    """
+    """Write a calibration to NetCDF; raise InputError if that fails, or the disk is full."""
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
@@ -210,7 +206,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "form_factor": c.form_factor if c.form_factor != 1.0 else None,
         "unfound_spreads": c.unfound_spreads,
         # Code and names of flags, by their words.
-        "flag_codes": {str(flag): [flag.code, *flag.of] for flag in flags},
+        "flag_codes": {str(flag): [flag.code, *flag.subjects] for flag in flags},
         "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
     }
     return {
@@ -300,10 +296,10 @@ def _noise_fields(noise: Noise) -> dict[str, Any]:
 def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
     """Rebuild a described noise law; raise InputError if it is not loaded, or has changed."""
     name, fields = described["law"], dict[str, Any]()
-    if name not in Noise.known:
+    if name not in Noise.registry:
         raise InputError(
             f"{path.name} was fitted with the noise law {name}, which is not loaded (there are: "
-            f"{', '.join(Noise.known)}). {LAW_FILE}"
+            f"{', '.join(Noise.registry)}). {LAW_FILE}"
         )
     for key, value in described.items():
         if isinstance(value, list):
@@ -312,7 +308,8 @@ def _noise_from(path: Path, described: Mapping[str, Any]) -> Noise:
         fields[key] = value
     then = described.get(UNKNOWNS)
     try:
-        law = Noise.known[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
+        kept = {k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)}
+        law = Noise.registry[name](**kept)
         if (now := _noise_fields(law).get(UNKNOWNS)) != then:
             raise TypeError(f"its unknowns were {then}; now {now}")
     except TypeError as error:
@@ -345,11 +342,7 @@ def _instrument_from(path: Path, described, readings: Measurements, instruments)
 
 
 def model_from(path: Path, described, readings: Measurements, effects, instruments) -> Model:
-    """Rebuild a file's model from its description, installed instruments and given effects.
-
-    Raises:
-        InputError: an instrument, effect or noise law is missing, or has changed; names it.
-    """
+    """Rebuild a file's model; raise InputError naming an instrument, effect or law that is missing or has changed."""
     instrument = _instrument_from(path, described, readings, instruments)
     ranges, then = described["ranges"], described["unknowns"]
     offered, names = _catalogue(instrument), described["effects"]

@@ -93,7 +93,7 @@ def unknown_rows(
             rows[effect] = [effect, where, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
             means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
-            extent = f"{number(min(means), 3)} to {number(max(means), 3)}"
+            extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
             rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
             (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]

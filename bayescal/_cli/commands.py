@@ -48,7 +48,7 @@ from bayescal._core.annex import first_offered, offered
 from bayescal._core.as_json import as_json
 from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
-from bayescal._core.progress import print_notes
+from bayescal._core.progress import counted, print_notes
 from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -239,7 +239,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             }
             from bayescal._cli.output import ConsoleReporter, search_shown
 
-            reporter = ConsoleReporter(self.json_ or bool(names), self.verbose)
+            reporter = ConsoleReporter(self.json_ or bool(names), self.verbose, names)
             if names:
                 how |= {"holdout": holdout or None, "follow": reporter.follow}
                 searched = bc.calibrate_channels(models, readings, **how)
@@ -253,7 +253,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
                 files = (n for n in usual if n in (*files_of(folder), MANIFEST))
                 listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(files)
                 written = f"{folder}/{listed}"
-            trails = searched.trails if isinstance(searched, bc.Channels) else {"": searched}
+            trails = searched.search_paths if isinstance(searched, bc.Channels) else {"": searched}
             fitted = {n: t.final.calibration.readings for n, t in trails.items()}
             before = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
@@ -382,9 +382,9 @@ class CompareCommand(ReadRequest, AsJson, Command):
         how = {"seed": self.seed, "strict": False}
         how["reference"] = named_numbers(self.reference, "--reference")
         method, fits = request.method_named(self.method), {}
-        for i, (name, model) in enumerate(models.items()):
+        for i, name in enumerate(counted([*models], "structures")):
             with deadline.sooner(1 / (len(models) - i)):
-                fits[name] = bc.fit(model, readings, method, **how)
+                fits[name] = bc.fit(models[name], readings, method, **how)
         comparison = bc.compare(fits)
         failed = [
             f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok
@@ -417,10 +417,9 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
             write_prediction(prediction, readings, self.out)
         expected = float((prediction.sd**2).mean()) ** 0.5
         unit = unit_label(loaded.unit)
-        text = (
-            f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit}, "
-            f"expected {number(expected)} {unit}" + (f"\nwritten: {self.out}" if self.out else "")
-        )
+        text = f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit} "
+        text += f"({number(expected)} {unit} expected from the standard uncertainties)"
+        text += f"\nwritten: {self.out}" if self.out else ""
         data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected}
         data |= {"unit": loaded.unit, "file": str(self.out) if self.out else None}
         return Answer(text, data, ok=loaded.verdict.reliable, why=loaded.verdict.why_not)
@@ -454,9 +453,9 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             print_notes(request.flags_of(readings))
             devices, written = request.each_device(readings), list[Path]()
             results = dict[str, Any]()
-            for i, (name, record) in enumerate(devices.items()):
+            for i, name in enumerate(counted([*devices], "records")):
                 with deadline.sooner(1 / (len(devices) - i)):
-                    results[name] = bc.noise(record, seed=self.seed)
+                    results[name] = bc.noise(devices[name], seed=self.seed)
             if self.yaml is not None:
                 text = first_offered("noise_file", "--yaml")(results, self.topic, self.quantile)
                 written.append(write_text(text, self.yaml))
@@ -511,9 +510,11 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         )
         flags = (flag for flag in done.flags if getattr(flag, "code", "") != "rows.dropped")
         print_notes((*chosen.notes, *flags, *beyond))
+        noise = f"with{'out' * self.without_noise} the noise of one reading"
         added = f"columns {' and '.join(done.columns)} [{chosen.unit}] added"
         text = f"{self.out}: {done.rows} readings, {added}"
         text += f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
+        text += f"\n{done.columns[1]}: k = 1, {noise}"
         data = {"file": str(self.out), "rows": done.rows, "columns": list(done.columns)}
         data |= {"unit": chosen.unit, "epoch": chosen.about.epoch, "outside": done.outside}
         data |= {"unsolved": done.unsolved, "missing": done.missing}

@@ -32,6 +32,8 @@ from bayescal._search.own_files import in_one_line, own_file_line
 # New objects between two garbage collections: one of a million takes a quarter of a second.
 # With Python's own 700 there are thirty while modules load.
 COLLECTION_OBJECTS = 1_000_000
+# In the help of an option, by its type.
+METAVARS = {"Path": "FILE", "float": "NUMBER", "int": "INTEGER", "str": "TEXT", "Texts": "TEXT"}
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory")  # XLA, C++, C
 
@@ -51,6 +53,11 @@ def application(name: str | None = None) -> typer.Typer:
     for group in (commands.COMMANDS, *offered("commands")):
         for command in group:
             called, words = command.called(), inspect.getdoc(command)
+            for p in inspect.signature(command).parameters.values():
+                kind = re.search("Path|float|int|str|Texts", str(p.annotation))
+                is_option = hasattr(p.default, "count")
+                if kind and is_option and p.default.metavar is None:
+                    p.default.metavar = METAVARS[kind[0]]
             parsed = command if name in (None, called) else lambda: None
             app.command(called, help=words, epilog=f"Example: {command.example}")(parsed)
     return app

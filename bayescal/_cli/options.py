@@ -282,11 +282,7 @@ class ColumnOptions(Options):
     save_mapping: Path | None = opt("TOML file to keep these options in, for --mapping.")
 
     def for_read(self) -> dict[str, Any]:
-        """Return the options as arguments of `read`; those of the mapping where no option overrides it.
-
-        Raises:
-            InputError: an option is not of its form, or the mapping cannot be used.
-        """
+        """Return arguments of `read`, from options before the mapping; raise InputError for one that is malformed."""
         saved = {} if self.mapping is None else load_mapping(self.mapping)
         columns = parse_values(self.columns, "--columns")
         repeated: dict[str, dict[str, Any]] = {

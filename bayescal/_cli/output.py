@@ -25,6 +25,7 @@ from bayescal._search.calibrate_channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import SearchPath, Step
 
+SOURCES = 'sources (numbered in docs/sources.md; "ours": estimated by the authors of bayescal)'
 # Lines of a table without --verbose, so that a result is a screen.
 MAX_STRUCTURES = 2  # of those averaged over
 MAX_CHECKS = 3  # covariates that a first model is checked against, the worst
@@ -81,7 +82,7 @@ def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
             head = [kind, "plausible size", "needs", "equation"]
             parts.append(str(plain_table(head, rows, left=3, fold=42)))
     sources = (folded(f"{source}: {', '.join(names)}") for source, names in by_source.items())
-    return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
+    return "\n\n".join([*parts, "\n".join([SOURCES, *sources])]), data
 
 
 def fit_data(calibration: Calibration) -> dict[str, Any]:
@@ -106,7 +107,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
     """Format the output of `calibrate` after the fit of the first model."""
     parts = check_parts(trail.steps[0].check, None if verbose else MAX_CHECKS)
-    return _headed("WHERE THE FIRST MODEL FAILS", *parts)
+    return _headed("RESIDUALS OF THE FIRST MODEL", *parts)
 
 
 def _headed(head: str, *parts: object) -> str:
@@ -116,8 +117,8 @@ def _headed(head: str, *parts: object) -> str:
 class ConsoleReporter:
     """Printer of a search's progress: the first table at once, a line where the best changes or every ten seconds."""
 
-    def __init__(self, started: bool, verbose: bool = False) -> None:
-        self.begun, self.verbose = started, verbose
+    def __init__(self, started: bool, verbose: bool = False, channels: Sequence[str] = ()) -> None:
+        self.begun, self.verbose, self.channels = started, verbose, [*channels]
         self._printed = dict[str, tuple[int, str]]()
 
     def follow(self, name: str, trail: SearchPath) -> None:
@@ -129,7 +130,9 @@ class ConsoleReporter:
             assert trail.search is not None  # where it has a line
             best = (len(trail.steps), str(trail.search.structures[0]))
             if best != self._printed.get(name) or progress.quiet() >= progress.INTERVAL_SECONDS:
-                progress.tell(f"{name}: {line}" if name else line)
+                place = self.channels.index(name) + 1 if name else 0
+                where = f"{name}, channel {place} of {len(self.channels)}: " * bool(name)
+                progress.tell(where + line)
                 self._printed[name] = best
 
 
@@ -137,7 +140,7 @@ def search_shown(search: SearchPath | Channels, as_data: bool, **how: Any) -> An
     """Return the output of `calibrate`: JSON data, or text."""
     if isinstance(search, SearchPath):
         return result(search) if as_data else loop_text(search, **how)
-    texts = (folded(f"{name}: {trail.in_short}") for name, trail in search.trails.items())
+    texts = (folded(f"{name}: {trail.in_short}") for name, trail in search.search_paths.items())
     return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
@@ -152,7 +155,7 @@ def loop_text(trail: SearchPath, started: bool = False, verbose: bool = False) -
     final = trail.final
     parts = [""] if started else [first_text(trail, verbose)]
     if final.discovery and (sets := final.discovery.equivalent):
-        lines = [f"{claim.of[0]} and {' + '.join(claim.numbers['beside'])}" for claim in sets]
+        lines = [f"{claim.subjects[0]} and {' + '.join(claim.numbers['beside'])}" for claim in sets]
         parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
     for i, step in enumerate(trail.steps if verbose else ()):
         head = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
@@ -164,7 +167,7 @@ def loop_text(trail: SearchPath, started: bool = False, verbose: bool = False) -
     notes = [] if verbose else _missing_lines(trail)
     notes += [folded(f"end: {trail.ending}")] if trail.ending else []
     parts.append(_headed("THE ERROR, STEP BY STEP", trail, *notes))
-    notes = [averaged_text(trail, verbose), folded(f"gate: {trail.gate.reason}")]
+    notes = [averaged_text(trail, verbose), folded(f"verdict: {trail.gate}")]
     parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, notes)))
     parts.append(_headed("IN SHORT", folded(trail.in_short, "")))
     return "\n\n".join(parts).removeprefix("\n")
@@ -210,7 +213,7 @@ def _missing_lines(trail: SearchPath) -> list[str]:
         questions |= dict.fromkeys(discovery.off_scale)
         sets = [
             f"{' or '.join(s.effects)} ({probability(s.probability)})"
-            for s in discovery.sets
+            for s in discovery.findings
             if tuple(s.effects) not in found_alone
         ]
         lines += [f"missing from step {i}: {'; '.join(sets)}"] if sets else []
@@ -218,9 +221,9 @@ def _missing_lines(trail: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """Write the readings with columns predicted, predicted_uncertainty, residual."""
+    """Write the readings with columns predicted, predicted_standard_uncertainty, residual."""
     p = prediction
-    columns = {"predicted": p.mean, "predicted_uncertainty": p.sd, "residual": p.residual}
+    columns = {"predicted": p.mean, "predicted_standard_uncertainty": p.sd, "residual": p.residual}
     for name, values in columns.items():
         readings = readings.with_column(name, values, readings.unit("output"))
     readings.write(path)

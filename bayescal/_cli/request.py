@@ -55,15 +55,7 @@ def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]
 def open_channels(
     names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Return instrument, models and readings of a unit's channels; each model's instrument is tailored to its readings.
-
-    Args:
-        names: of the channels; none: a single output, called "".
-        request: the command's options.
-
-    Raises:
-        InputError, ModelError: an option, file or effect cannot be used.
-    """
+    """Return instrument, models and readings of channels (none named: one, called ""), models tailored to them."""
     general = instrument_named(request.instrument)
     records = _read(request.files, general, request, names)
     if not request.typed and general.tailor is None:  # what is typed may need the readings

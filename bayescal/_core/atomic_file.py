@@ -60,11 +60,7 @@ def _runs(process: str) -> bool:
 
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
-    """Yield a temporary file as `replacing` does, for a place that the user chose; make its folder if missing.
-
-    Raises:
-        InputError: a place that cannot be written to, or no room; the old file is as it was.
-    """
+    """Yield a temporary file for a place that the user chose; raise InputError if it cannot be written."""
     try:
         with result_folder(path.parent), replacing(path) as partial:
             yield partial
@@ -74,11 +70,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Make a folder with its parents, if one is named; remove the folders made on failure.
-
-    Raises:
-        InputError: it cannot be made, or is a file.
-    """
+    """Make a folder with its parents, if named; remove it on failure; raise InputError if it cannot be made."""
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:
@@ -154,16 +146,7 @@ def write_sealed(content: bytes | memoryview, path: Path) -> None:
 
 
 def verified(path: Path, what: str, instead: str) -> memoryview:
-    """Read the bytes of a sealed file without their trailer, and verify the checksum.
-
-    Args:
-        path: of the file.
-        what: it should be, such as "a saved calibration".
-        instead: what to do where it is not.
-
-    Raises:
-        InputError: it cannot be read, has no trailer, or is not as it was written.
-    """
+    """Read and verify a sealed file, without its trailer; raise InputError that it is not `what`, and `instead`."""
     try:
         data = path.read_bytes()
     except OSError as error:

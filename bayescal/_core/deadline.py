@@ -25,15 +25,11 @@ class TimeIsUp(Exception):
 
 @dataclass(eq=False)
 class Interrupt:
-    """State of Ctrl-C during one command, or one call from Python.
+    """State of Ctrl-C during one command, or one call from Python."""
 
-    Attributes:
-        requested: whether it was pressed while it was deferred, or another thread requested an end.
-        deferred: whether a first one waits until the next check, since there is a result to be returned.
-    """
-
+    # whether it was pressed while it was deferred, or another thread requested an end
     requested: bool = False
-    deferred: bool = False
+    deferred: bool = False  # whether a first one waits until the next check, since there is a result to be returned
 
     def handle(self, _: int, frame: FrameType | None) -> None:
         """Record a first Ctrl-C where it is deferred; raise any other, once the main thread is outside JAX.
@@ -53,19 +49,12 @@ class Interrupt:
 
 @dataclass(frozen=True)
 class Deadline:
-    """A moment by which work ends.
+    """A moment by which work ends."""
 
-    Attributes:
-        ends_at: by `time.monotonic`, s.
-        limit: its reason, in words.
-        interrupt: Ctrl-C.
-        heeds: whether Ctrl-C ends the work.
-    """
-
-    ends_at: float = math.inf
-    limit: str = ""
-    interrupt: Interrupt = field(default_factory=Interrupt)
-    heeds: bool = True
+    ends_at: float = math.inf  # by `time.monotonic`, s
+    limit: str = ""  # its reason, in words
+    interrupt: Interrupt = field(default_factory=Interrupt)  # Ctrl-C
+    heeds: bool = True  # whether Ctrl-C ends the work
 
     @property
     def interrupted(self) -> bool:

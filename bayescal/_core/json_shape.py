@@ -31,16 +31,10 @@ _NAMES |= {float: "a finite number", NoneType: "null"}
 
 
 def as_type(value: Any, kind: Any, where: str = "") -> Any:
-    """Validate a parsed JSON or TOML value as one of a type.
+    """Validate a parsed JSON or TOML value as one of a type; raise ValueError with the place `where` it is none.
 
-    Args:
-        value: of lists, tables, text, numbers, truth values and dates.
-        kind: str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; a union of such; a data
-            class or TypedDict, of whose keys those without a default have to be there, and no others.
-        where: the place of the value, for messages.
-
-    Raises:
-        ValueError: it is none; names the place in it, the value and what was expected.
+    A type is str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; a union of such; a data
+    class or TypedDict, of whose keys those without a default have to be there, and no others.
     """
     origin, args = get_origin(kind), get_args(kind)
     if kind is Any:
@@ -92,11 +86,7 @@ def _unexpected(value: Any, what: str, where: str) -> ValueError:
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """Parse JSON.
-
-    Raises:
-        ValueError: it is none, nested deeper than anything that is written here, or holds a larger whole number.
-    """
+    """Parse JSON; raise ValueError if it is none, too deep, or holds too large a whole number."""
     return _parsed(json.loads, text, "JSON")
 
 
@@ -119,29 +109,14 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes, language: str) -> An
 
 
 def read_json(path: Path, kind: Any = Any) -> Any:
-    """Read and validate a JSON file as a value of a type; see `as_type`.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is larger than any that is written here, no JSON, or of another type; says where.
-    """
+    """Read and validate a JSON file by `as_type`; raise OSError, or ValueError with the place."""
     if path.stat().st_size > MAX_JSON_BYTES:
         raise ValueError(f"it is larger than {MAX_JSON_BYTES / 1e6:.0f} MB")
     return as_type(parsed_json(path.read_bytes()), kind)
 
 
 def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
-    """Read and validate a TOML file that a person wrote as a value of a type; see `as_type`.
-
-    Args:
-        path, called: where it is, and what messages call it.
-        kind: of the whole file.
-        cure: what to do where it holds something else.
-
-    Raises:
-        InputError: it cannot be read, is larger than any that a person writes, no TOML, nested deeper than any, or of
-            another type; names the place in it, what came and what was expected.
-    """
+    """Read and validate a TOML file; raise InputError with `called`, the place, what was expected and the cure."""
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ValueError(f"it is larger than {MAX_TOML_BYTES / 1e3:.0f} kB")

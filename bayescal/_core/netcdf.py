@@ -24,15 +24,7 @@ Group = Mapping[str, Variable]
 
 
 def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
-    """Encode a NetCDF-4 file of numbers and text in memory: HDF5 aborts the process where a disk is full.
-
-    Args:
-        groups: variables by name, by the name of their group; "" is the root.
-        **attributes: of the root.
-
-    Raises:
-        TypeError: a variable is neither numbers nor text.
-    """
+    """Encode a NetCDF-4 file in memory (HDF5 aborts on a full disk), of groups of numbers and text; "" is the root."""
     import h5netcdf  # a tenth of a second that only a saved file needs
     import h5py
 

@@ -24,14 +24,7 @@ UNDECIDED_SHARE = 0.01  # of a group's squares, as residuals on others: below, i
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
-    """Return the null space of a matrix as sparse directions.
-
-    Args:
-        columns: (n, p), such as a whitened Jacobian; any units.
-
-    Returns:
-        A basis (k, p) of its null space, few entries in each row, the others exactly zero; k may be 0.
-    """
+    """Return a basis (k, p) of the null space of columns (n, p) in any units, few entries a row, the others zero."""
     # Columns of unit length: whether a direction is null must not depend on the units of its coefficients.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
@@ -43,10 +36,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
 
 
 def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the null direction of a row's large entries alone, if there is one; else the row.
-
-    Nearly null directions leave traces of themselves in computed null spaces.
-    """
+    """Return the null direction of a row's large entries alone, without traces of others; else the row."""
     large = np.abs(row) > TRACE_SHARE * np.abs(row).max()
     if large.all():
         return row
@@ -59,16 +49,10 @@ def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 
 def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
-    """Return the directions of information below `limit`, without the exact ones.
+    """Return directions (m, p) of information |columns·z|² below `limit`, without the `exact` ones.
 
-    Args:
-        columns: (n, p), whitened, per prior standard deviation.
-        exact: (k, p), the result of `exact` for these columns.
-        limit: largest information (|columns·z|² for a unit z).
-        alone: of a coefficient's unit vector within these directions, above which it is one of them by itself.
-
-    Returns:
-        Directions (m, p); unidentified coefficients first, each a unit vector.
+    Columns (n, p) are whitened, per prior standard deviation. A coefficient whose unit vector has more than `alone` of
+    its square within these directions is one of them by itself; these come first.
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
@@ -155,14 +139,11 @@ def undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Groups of columns by name, and their collinearity.
+    """Groups of columns by name, and their collinearity."""
 
-    Attributes:
-        left: columns projected off a model's, whitened, per prior standard deviation (n, k).
-        latent: names of further groups, in the span of the model's columns, and the effects of it that they equal.
-    """
-
+    # columns projected off a model's, whitened, per prior standard deviation (n, k)
     left: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # names of further groups, in the span of the model's columns, and the effects of it that they equal
     latent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -6,11 +6,12 @@ from a file are the same table on the screen, in a report and in the workbench.
 
 from __future__ import annotations
 
+import re
 import textwrap
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, groupby, zip_longest
+from itertools import chain, groupby, product, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from bayescal._core.formatting import WIDTH
@@ -25,23 +26,16 @@ MAX_REPR_CHARACTERS = 200  # in one line
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column.
+    """One column."""
 
-    Attributes:
-        head: above it, without its unit.
-        of: key of the row, or function of the row, that gives the value.
-        show: format of the value for people; None for a column that is only in the numbers, not printed.
-        unit: of all its values, as people read it; stands behind the head.
-        left: whether it is flush left; None: where it is the first.
-        name: of its numbers; that of `head` if None, and "" for what has none.
-    """
-
-    head: str
+    head: str  # above it, without its unit
+    # key of the row, or function of the row, that gives the value
     of: str | Callable[[Any], Any] = ""
+    # format of the value for people; None for a column that is only in the numbers, not printed
     show: Callable[[Any], str] | None = str
-    unit: str = ""
-    left: bool | None = None
-    name: str | None = None
+    unit: str = ""  # of all its values, as people read it; stands behind the head
+    left: bool | None = None  # whether it is flush left; None: where it is the first
+    name: str | None = None  # of its numbers; that of `head` if None, and "" for what has none
 
     def value(self, row: Any) -> Any:
         """Return the value of a row in this column."""
@@ -120,21 +114,46 @@ def plain_table(
 
 
 def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
+    """Format a table; one wider than the page has its heads and then its names folded."""
     split_rows = [[cell.split("\n") for cell in row] for row in (head, *rows)]
-    widths = [max(_width(t) for row in split_rows for t in row[i]) for i in range(len(head))]
+    split_head, *body = split_rows
+    widths = [max(map(_width, chain(*column))) for column in zip(*split_rows, strict=True)]
+    room = WIDTH - 2 * (len(head) - 1)
     if fold:
-        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
-        last = widths[-1] = min(widths[-1], max(room, fold))
+        last = widths[-1] = min(widths[-1], max(room - sum(widths[:-1]), fold))
         for row in split_rows:
             parts = ([t] if _width(t) <= last else textwrap.wrap(t, last) for t in row[-1])
             row[-1] = [*chain(*parts)]
+    least = [max((_width(t) for row in body for t in row[i]), default=0) for i in range(len(head))]
+    by_gain = sorted(range(len(head)), key=lambda i: least[i] - widths[i])
+    for lines, i in product((2, 3, 4), by_gain):
+        if sum(widths) > room:
+            folds = (_folded_name(head[i], w) for w in range(least[i], widths[i] + 1))
+            split_head[i] = next(fold for fold in folds if len(fold) <= lines)
+            widths[i] = max(least[i], *map(_width, split_head[i]))
+    if sum(widths) > room:
+        for row in split_rows:
+            row[0] = [*chain(*(_folded_name(t, widths[0] + room - sum(widths)) for t in row[0]))]
+        widths[0] = max(_width(t) for row in split_rows for t in row[0])
+    height = max(map(len, split_head))
+    split_rows[0] = [[""] * (height - len(texts)) + texts for texts in split_head]
     lines = []
     for row in split_rows:
         for texts in zip_longest(*row, fillvalue=""):
             pads = [" " * (width - _width(t)) for t, width in zip(texts, widths, strict=True)]
             parts = zip(texts, pads, flush_left, strict=True)
             lines.append("  ".join(t + p if flush else p + t for t, p, flush in parts).rstrip())
-    return "\n".join([lines[0], "  ".join("─" * w for w in widths), *lines[1:]])
+    return "\n".join([*lines[:height], "  ".join("─" * w for w in widths), *lines[height:]])
+
+
+def _folded_name(text: str, width: int) -> list[str]:
+    """Fold a name to a width where it can be: at blanks, before a dot or bracket, behind a hyphen."""
+    lines = [""]
+    for part in re.split(r"(?= (?![^(]*\)))|(?=[.\[(])|(?<=\w-)", text):
+        if _width(lines[-1] + part) > width and lines[-1]:
+            lines.append("")
+        lines[-1] += part if lines[-1] else part.lstrip()
+    return [line.rstrip() for line in lines]
 
 
 def _width(text: str) -> int:

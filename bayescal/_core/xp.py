@@ -70,13 +70,7 @@ class Namespace:
         return placed
 
     def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
-        """Run a recursion over rows (n, …), as `jax.lax.scan`: state, output = advance(state, row); return outputs.
-
-        Args:
-            advance: of a state and a row; both may be tuples.
-            start: the state before the first row.
-            rows: an array (n, …), or a tuple of them.
-        """
+        """Run a recursion over rows (n, …), or a tuple of such, as `jax.lax.scan`: state, out = advance(state, row)."""
         if is_traced((start, rows)):
             return import_module("jax").lax.scan(advance, start, rows)[1]
         state, outputs = start, []

@@ -16,10 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
+from bayescal._core.formatting import number
 from bayescal._core.jit import by_value
 from bayescal._core.lazy_jax import Array
+from bayescal._core.result_table import ResultTable, as_html, plain_table
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model import prior as priors
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
@@ -246,6 +249,9 @@ class Effect:
         head = f"{self.name} [{self.coefficients[0].unit}]"
         return f"<Effect: {head}: {self.equation}>" if self.equation else f"<Effect: {head}>"
 
+    def _repr_html_(self) -> str:
+        return as_html([effects_table([self])])
+
     @property
     def reported(self) -> str:
         """Return the name in a search's report: of the effect, or of the family of which it is a form."""
@@ -348,17 +354,26 @@ class Effect:
         return (*names, *self.spread_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
-        """Evaluate the basis as a matrix (n, p), one column per coefficient; scalars are broadcast over the readings.
-
-        Raises:
-            ModelError: the basis has another number of columns than there are coefficients.
-        """
+        """Evaluate the basis as a matrix (n, p), a column per coefficient; ModelError if it has another number."""
         values = {s.name: shapes[s.name] for s in self.column_shapes}
         return evaluate_basis(self.basis, len(self.coefficients), self.name, frame, values)
 
 
 def _type_name(prior: Any) -> str:
     return prior.__name__ if isinstance(prior, type) else type(prior).__name__
+
+
+def effects_table(effects: Iterable[Effect]) -> ResultTable:
+    """Tabulate effects: coefficients, plausible size of the first, equation."""
+    rows = []
+    for effect in effects:
+        first, count = effect.coefficients[0], len(effect.coefficients)
+        size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
+        per = f"one a {first.per}" if first.per else "one" if count == 1 else f"{count}"
+        rows.append([effect.name, per, size.rstrip(), effect.equation])
+    return plain_table(
+        ["effect", "coefficients", "plausible size", "equation"], rows, left=2, fold=30
+    )
 
 
 def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:

@@ -163,9 +163,7 @@ def effect(
 
 
 def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Split a line into name, formula and definitions of names.
-
-    InputError: there is no formula, or something behind a semicolon is no assignment."""
+    """Split a line into name, formula and definitions of names; raise InputError for one of another form."""
     stated = {n: str(v).strip() for n, v in stated.items()}
     if not formula:
         name, colon, tail = name.partition(":")
@@ -221,7 +219,7 @@ class _TypedLine:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
 
     def parse_tree(self) -> ast.expr:
-        """Parse the formula to an AST whose names are keys of `names`; InputError: it is none; the place is marked."""
+        """Parse the formula to an AST whose names are keys of `names`; raise InputError, the place marked."""
         if len(self.text) > MAX_LENGTH:
             raise InputError(f"a formula of {len(self.text)} characters: {MAX_LENGTH} at most")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
@@ -581,7 +579,7 @@ def _nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
 
 
 def _to_float(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
-    """Parse a number; InputError: by `refusal`: it is too large, or too small, for a computer's numbers."""
+    """Parse a number; raise InputError, by `refusal`, for one too large or small for a computer."""
     value, is_zero = float(text), not re.search("[1-9]", text.lower().split("e")[0])
     if math.isfinite(value) and (abs(value) >= TINY or is_zero):
         return value
@@ -601,9 +599,7 @@ def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]
 
 
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Raise ModelError if readings or slot have other units than a typed effect was parsed for.
-
-    ModelError: a column, or the whole, is in another unit."""
+    """Raise ModelError if readings or slot have other units than a typed effect was parsed for."""
     basis = effect_.basis
     if not isinstance(basis, Formula):
         return

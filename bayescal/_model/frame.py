@@ -68,11 +68,7 @@ class Frame:
         return self.columns[name]
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
-        """Return a column minus its reference value, such as T − T0; if not in °C, minus the middle of its range.
-
-        Raises:
-            ModelError: it is no numeric column.
-        """
+        """Return a column minus its reference (T − T0, or the middle of its range); ModelError if not numeric."""
         constant, low, high = reference_name(name), f"{name}_low", f"{name}_high"
         if constant in self.reference:
             return self.columns[name] - self.reference[constant]
@@ -102,11 +98,7 @@ class Frame:
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
 
     def rate(self, name: str = "temperature") -> Float[Array, "n"]:
-        """Return dT/dt, the causal least-squares slope within the run, °C/s.
-
-        Raises:
-            ModelError: the column has none, since it is not in °C.
-        """
+        """Return dT/dt, the causal least-squares slope within the run, °C/s; ModelError if not in °C."""
         if name not in self.rates:
             raise ModelError(
                 f"the column {name!r} has no rate, which columns in [degC] have where there is time: "

@@ -19,11 +19,7 @@ def installed_names() -> list[str]:
 
 
 def installed_instrument(name: str) -> Instrument:
-    """Load an installed instrument by name.
-
-    Raises:
-        InputError: none is installed under that name.
-    """
+    """Load an installed instrument by name; raise InputError if there is none."""
     if name not in (names := installed_names()):
         raise InputError(
             f"no instrument is called {name!r}; installed: {', '.join(names) or 'none'}. "

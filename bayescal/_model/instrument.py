@@ -18,10 +18,11 @@ import bayescal._model.independent_noise  # registers the built-in noise laws
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.lazy_jax import Array
+from bayescal._core.result_table import as_html, plain_table
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import ANY, basis_factor
-from bayescal._model.effect import READING, Coefficient, Effect, with_forms
+from bayescal._data.unit_conversion import ANY, basis_factor, unit_label
+from bayescal._model.effect import READING, Coefficient, Effect, effects_table, with_forms
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
@@ -152,6 +153,16 @@ class Instrument:
 
     def __repr__(self) -> str:
         return f"<Instrument: {self.name}, {self.title}>"
+
+    def _repr_html_(self) -> str:
+        columns = [
+            [c.name, unit_label(c.unit) if c.unit else "label", c.meaning] for c in self.columns
+        ]
+        table, effects = (
+            plain_table(["column", "unit", "meaning"], columns, left=3),
+            self.known.values(),
+        )
+        return as_html([f"{self.name}: {self.title}", table, effects_table(effects)])
 
     def for_readings(self, readings: Measurements) -> Instrument:
         """Tailor the instrument to readings if it has a `tailor`; otherwise return it unchanged."""

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from bayescal._core.errors import ModelError
-from bayescal._core.formatting import number
-from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._core.result_table import Printed, ResultTable
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import ANY, unit_label
-from bayescal._model.effect import READING, Coefficient, Effect
+from bayescal._data.unit_conversion import ANY
+from bayescal._model.effect import READING, Coefficient, Effect, effects_table
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS, list_covariates
 from bayescal._model.instrument import Instrument, factor_of
@@ -50,17 +49,9 @@ class Model(Printed):
                 _require_known_group(self.instrument, effect, coefficient.per)
 
     def _parts(self) -> list[str | ResultTable]:
-        header = ["effect", "coefficient", "plausible size", "equation"]
-        rows = []
-        for effect in self.effects:
-            first = effect.coefficients[0]
-            size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
-            count = len(effect.coefficients)
-            per = f"one a {first.per}" if first.per else "one" if count == 1 else f"{count}"
-            rows.append([effect.name, per, size.rstrip(), effect.equation])
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
-        table = [plain_table(header, rows, left=2, fold=30)] if rows else []
+        table = [effects_table(self.effects)] if self.effects else []
         return [*lines, *table, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
     def _brief(self) -> str:
@@ -112,7 +103,7 @@ class Model(Printed):
         return replace(self, effects=(*self.effects, effect))
 
     def __sub__(self, other: Effect | str) -> Model:
-        """Remove an effect; ModelError: it is not in the model."""
+        """Remove an effect; raise ModelError if it is not in the model."""
         removed = self.effect(other if isinstance(other, str) else other.name)
         effects = tuple(e for e in self.effects if e.name != removed.name)
         fixed = tuple((n, v) for n, v in self.fixed if n not in removed.unknown_names)
@@ -195,10 +186,7 @@ class Model(Printed):
                 raise ModelError(why)
 
     def require(self, readings: Measurements) -> None:
-        """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs.
-
-        Raises:
-            ModelError: the output has another unit, or a column is missing."""
+        """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs."""
         model_unit, unit = self.instrument.unit, readings.unit(readings.output)
         if model_unit == ANY:
             raise ModelError(

@@ -23,6 +23,7 @@ from jaxtyping import Float
 from typing_extensions import dataclass_transform
 
 from bayescal._core.lazy_jax import Array, jax, jnp
+from bayescal._core.renamed import renamed
 from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
@@ -34,6 +35,7 @@ WHITE = "noise.white"  # standard deviation of the white noise, output unit
 LOG_2PI = math.log(2 * math.pi)
 
 
+@renamed(known="registry")
 @static
 @dataclass_transform(frozen_default=True)
 class Noise(abc.ABC):
@@ -67,26 +69,26 @@ class Noise(abc.ABC):
     stationary: ClassVar[bool] = False  # has a power spectrum on evenly spaced readings
 
     # Class name, as saved in calibration files → class.
-    known: ClassVar[dict[str, type[Noise]]] = {}
+    registry: ClassVar[dict[str, type[Noise]]] = {}
 
     def __init_subclass__(cls, interface: bool = False, **options: Any) -> None:
         super().__init_subclass__(**options)
         if interface:  # an abstract base of several laws
             return
         _check_noise_class(cls)
-        Noise.known[cls.__name__] = cls
+        Noise.registry[cls.__name__] = cls
         static(cls)
 
     @classmethod
     def usual(cls) -> Noise:
         """Return the default noise law, with which a search begins."""
-        return next(kind() for kind in Noise.known.values() if kind.first)
+        return next(kind() for kind in Noise.registry.values() if kind.first)
 
     @classmethod
     def correlates(cls, name: str) -> bool:
         """Return whether the law named `law` or `law(column)` has correlated readings."""
         law = name.partition("(")[0]
-        return any(k.law == law and not k.independent for k in Noise.known.values())
+        return any(k.law == law and not k.independent for k in Noise.registry.values())
 
     # names, parameters and required columns ---------------------------------------------------------------------
 
@@ -306,7 +308,7 @@ def _check_noise_class(kind: type[Noise]) -> None:
     if missing := [n for n in dict.fromkeys(needed) if getattr(kind, n) is getattr(Noise, n)]:
         why = "does not take readings as independent" if attrs["gaussian"] else "is not Gaussian"
         raise TypeError(f"{name} {why}: it must have a method {' and '.join(missing)} of its own")
-    for other in Noise.known.values():
+    for other in Noise.registry.values():
         built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
         if built_in and (other.__name__ == name or other.law == kind.law):
             raise TypeError(

@@ -74,11 +74,7 @@ def axis_label(name: str, unit: str) -> str:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG atomically.
-
-    Raises:
-        InputError: no such folder, or a place that cannot be written to.
-    """
+    """Write a PNG atomically; raise InputError for a place that cannot be written to."""
     path = Path(path)
     dpi = figure.dpi
     with replacing_for_user(path) as partial:
@@ -90,6 +86,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 MAX_PANELS = 6  # of residuals
 MIN_IMAGE_READINGS = 3000  # from which points become one image within a vector picture
+MARKERS = "o^sDvx"  # of runs, which print in grey too
 NO_UNIT = {"order": "row"}  # covariates that count
 
 
@@ -122,6 +119,8 @@ def residual_panel(
 ) -> None:
     """Plot residuals against one covariate."""
     values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
+    of_body = body_temperature(calibration, entry.against)
+    values = values if of_body is None else of_body
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
         rows = codes == run
@@ -129,8 +128,8 @@ def residual_panel(
         ax.plot(
             values[rows],
             checked.residuals[rows],
-            ".",
-            ms=4,
+            MARKERS[int(run) % len(MARKERS)],
+            ms=3,
             color=CYCLE[int(run) % len(CYCLE)],
             alpha=0.7,
             label=label,
@@ -138,10 +137,11 @@ def residual_panel(
         )
     ax.axhspan(-checked.noise, checked.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
-    if entry.log_bayes_factor > 0:
+    if entry.log_bayes_factor > 0 and of_body is None:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
     unit = entry.worst.covariate_unit or NO_UNIT.get(entry.against, "")
-    name = f"{entry.against} [{unit}]" if unit == "row" else axis_label(entry.against, unit)
+    against = entry.against if of_body is None else f"lagged {entry.against}"
+    name = f"{against} [{unit}]" if unit == "row" else axis_label(against, unit)
     ax.set_xlabel(name)
     ax.set_ylabel(axis_label("residual", checked.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
@@ -151,6 +151,22 @@ def residual_panel(
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.15 * (high - low))  # room for the legend
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
+
+
+def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None:
+    """Return the temperature T̃ of the body that lags `column` in the model, (n,); None without one.
+
+    With several bodies it is that of the last effect; by its most probable shapes.
+    """
+    problem, values = calibration.problem, None
+    hyper = problem.hyper(calibration.mode.v)
+    catalogue = calibration.model.instrument.known
+    for e in calibration.model.effects:
+        if column in e.varies and catalogue.get(e.reported, e).kind == "lag":
+            shapes = tuple(float(hyper[e.shape_name(s)]) for s in e.shapes)
+            columns = np.asarray(e.basis(calibration.frame, *shapes))
+            values = calibration.readings[column] + columns[:, int(e.slot == column)]
+    return values
 
 
 MAX_CANDIDATES = 12  # in one picture: bars and names stay readable
@@ -171,7 +187,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
     ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
     # Without an effect of a run there is no second bar.
-    runs = any(s["rmse"] > 1.001 * s["rmse_fitted"] for s in steps)
+    runs = any(number(s["rmse"]) != number(s["rmse_fitted"]) for s in steps)
     series = [
         ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
         ("new run", [s["rmse"] if runs else None for s in steps], PALE),
@@ -196,7 +212,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         title = f"{i}  {plain(step['title'])}{fall}"
         ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
     floor = last["noise_floor"]
-    line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
+    line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", last["unit"]))
     handles, _ = ax.get_legend_handles_labels()
@@ -253,7 +269,7 @@ def loop(found: SearchPath) -> Figure:
     first, final = found.steps[0], found.final
     entry = next((e for e in first.check.entries if not e.by_group), None)
     if entry is not None:
-        title = "1  where the first model fails"
+        title = "1  residuals of the first model"
         residual_panel(upper, first.calibration, first.check, entry, title)
         last = next(e for e in final.check.entries if e.against == entry.against)
         title = "3  the same, with what was found"
@@ -287,14 +303,16 @@ def noise(found: SensorNoise) -> Figure:
         if f.symbol and not f.bound
     ]
     ax, tau = axes_of(None, 5.2, 3.6), found.measured.tau
+    fits = all(claim.severity == "note" for claim in found.claims)
+    law = found.law + " (does not fit)" * (not fits)
     bands = (
-        (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of such records"),
-        (found.low, found.high, ORANGE, 0.4, "law, 95 %"),
+        (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of records of that law"),
+        (found.low, found.high, ORANGE, 0.4, "noise law, 95 % credible"),
     )
     for low, high, colour, alpha, label in bands:
         ax.fill_between(tau, low, high, color=colour, alpha=alpha, lw=0, label=label)
-    ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=found.law)
-    _measured(ax, found.measured, fmt="o", lw=1, label="readings")
+    ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=f"noise law: {law}")
+    _measured(ax, found.measured, fmt="o", lw=1, label="readings, 95 %")
     return _labelled(ax, found.unit, terms)
 
 

@@ -286,7 +286,7 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     if chapter.used.model.instrument.use is None:
         return None, NO_STIMULUS
     try:
-        return budget(chapter.used, k=report_text.K).shown(), ""
+        return budget(chapter.used, k=report_text.K).in_output_unit(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
 

@@ -23,11 +23,11 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
 from bayescal._search.discover import not_tested
 from bayescal._search.gate import WORSE
-from bayescal._search.search_path import rises, steps_table
+from bayescal._search.search_path import in_forms, rises, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED = 14  # coefficients on the page that is signed
@@ -225,6 +225,7 @@ PRIORS: dict[type, Callable[[Any], str]] = {
     LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
     LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
     Flat: lambda p: "flat prior",
+    Known: lambda p: "1 in structures that have it, 0 in the others" if p.averaged else "1",
 }
 
 
@@ -241,7 +242,7 @@ def _failed_checks(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
     claims = [claim["in_words"] for claim in gate.get("claims", ())]
     if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
-        yield f"Not to be used as it is: {reasons[0]}"  # the rest stands at the gate
+        yield f"Not to be used as it is: {reasons[0]}"  # the others stand in the verdict
 
 
 def _effects(chapter: Chapter) -> str:
@@ -265,7 +266,9 @@ def _effects(chapter: Chapter) -> str:
         likely, how = _probability(chapter, effect), ""
         if likely is not None and likely < settings().found_probability:
             how = f"probably ({likely:.2f}) "
-        texts.append(how + _describe_effect(chapter.used, effect))
+        averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
+        name = in_forms(effect.name, effect.reported, averaged)
+        texts.append(how + _describe_effect(chapter.used, effect, name))
     return f"Found in addition to the first model: {'; '.join(texts)}."
 
 
@@ -286,17 +289,17 @@ PHYSICS = {  # description of an effect by the form of its dependence
 }
 
 
-def _describe_effect(c: Calibration, effect: Effect) -> str:
+def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
     """Describe an effect with its name and size: of a curve its extent, else its unknowns, given that it is present."""
     of = c.model.instrument.known.get(effect.reported, effect)  # a form is what its family is
     along = effect.covariate if effect.is_placeholder else of.columns[-1] if of.columns else ""
     what = f"{PHYSICS[of.kind]} {along.replace('_', ' ')}, " if of.kind in PHYSICS else ""
     if (per := effect.coefficients[0].per) and not effect.shapes:
         what = f"differences from {per} to {per}, "
-    return what + _numbers(c, effect)
+    return what + _numbers(c, effect, name)
 
 
-def _numbers(c: Calibration, effect: Effect) -> str:
+def _numbers(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
         _, largest, covariate, at = curve_extent(c, effect.name)
         place = place_of(c, covariate, at)
@@ -308,7 +311,9 @@ def _numbers(c: Calibration, effect: Effect) -> str:
             value = with_error(row["given"]["mean"], row["given"]["sd"])
             texts.append(f"{name} {value} {unit_label(row['unit'])}".strip())
     texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
-    return f"{effect.name} ({', '.join(texts)})" if texts else effect.name
+    if texts and effect_name.endswith(")"):  # with the probabilities of its forms
+        return f"{effect_name[:-1]}; with the first {', '.join(texts)})"
+    return f"{effect_name} ({', '.join(texts)})" if texts else effect_name
 
 
 def _probability(chapter: Chapter, effect: Effect) -> float | None:
@@ -327,7 +332,7 @@ def _error(chapter: Chapter) -> str:
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     first, last = steps[0], steps[-1]
     outs = [s["leave_one_group_out"] for s in (first, last)]
-    # A group may be predicted worse because it lacks its past, or where readings weigh little: no loss to the gate.
+    # A group may be predicted worse because it lacks its past, or where readings weigh little: no failure.
     rose = all(outs) and outs[1]["rmse"] > outs[0]["rmse"]
     comparable = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
 
@@ -374,7 +379,7 @@ def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
 def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     """Yield sentences on columns that were left out, and effects without a required column."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
-    if names := [name for f in flags if f.code == "column.ignored" for name in f.of]:
+    if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
         yield f"Not looked at: {', '.join(names)}."
     if by_reason := not_tested(_last_candidates(chapter)):
         untested = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())

@@ -199,7 +199,7 @@ def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any
         "unstated": discovery.unstated,
         "correlated_noise": discovery.correlated_noise,
         "noise_laws": discovery.noise,
-        "sets": discovery.sets,
+        "sets": discovery.findings,
         "candidates": discovery.candidates,
         "unknown": [
             {
@@ -275,15 +275,7 @@ class Chapter:
 
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Make the chapters of a report, in their order.
-
-    Args:
-        results: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
-        effects: of the user's own.
-
-    Raises:
-        InputError: no results, or another type.
-    """
+    """Make a report's chapters of calibrations, trails, chapters or failed fits; raise InputError for others."""
     own_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
     ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in results)
     several = [g if calibration is None else calibration for g, calibration in ended]
@@ -306,11 +298,7 @@ def of_trail(trail: SearchPath) -> Chapter:
 def of_folder(
     folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
 ) -> Chapter:
-    """Read the chapter of a folder that `bayescal calibrate --out` wrote.
-
-    Raises:
-        InputError: it does not hold both files, they cannot be read, or they do not belong together.
-    """
+    """Read a result folder's chapter; raise InputError if files are missing, unreadable or of two results."""
     missing = [n for n in (RESULT, CALIBRATION) if not (folder / n).is_file()]
     if missing:
         raise InputError(

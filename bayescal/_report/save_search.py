@@ -49,7 +49,8 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
     """
     folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
     if isinstance(self, Channels):
-        searches = {inner: self.trails[name] for name, inner in folders_of(self.trails).items()}
+        paths = self.search_paths
+        searches = {inner: paths[name] for name, inner in folders_of(paths).items()}
     else:
         searches[""] = self
     with whole_folder(folder) as hidden:
@@ -102,7 +103,7 @@ SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
 
 def channels_data(channels: Channels) -> dict[str, Any]:
     """Convert the channels of a unit and their shared effects to plain data; results of each are in its result.json."""
-    folders = folders_of(channels.trails)
+    folders = folders_of(channels.search_paths)
     return as_json(
         {
             "schema": CHANNELS_SCHEMA,
@@ -117,7 +118,7 @@ def channels_data(channels: Channels) -> dict[str, Any]:
                     "ok": trail.ok,
                     "reason": trail.gate.reason,
                 }
-                for name, trail in channels.trails.items()
+                for name, trail in channels.search_paths.items()
             },
             "shared": [
                 {

@@ -130,15 +130,7 @@ def files_of(folder: Path) -> dict[str, str]:
 
 
 def refuse_mixed(folder: Path, *names: str) -> None:
-    """Raise InputError for files that do not belong to the results of their folder, if it has a manifest.
-
-    Args:
-        folder: which may have one.
-        names: of the files asked for; none: all that are there.
-
-    Raises:
-        InputError: a file is another than the manifest lists.
-    """
+    """Raise InputError for files (those named, or all) that are others than the manifest of their folder lists."""
     listed = {n: d for n, d in files_of(folder).items() if not names or n in names}
     for name, digest in listed.items():
         if (folder / name).is_file() and sha256_of(folder / name) != digest:
@@ -181,11 +173,7 @@ def _move(hidden: Path, visible: Path, keep_results: bool) -> None:
 
 
 def _list_files(source: Path, target: Path, keep_results: bool) -> tuple[list[str], list[str]]:
-    """Write the manifest of the files in a folder, and flush all of them to the disk.
-
-    Returns:
-        Names of the files to move to the folder `target`, the manifest last, and of those to remove there.
-    """
+    """Write the manifest, flush all files to disk; return names to move to `target`, manifest last, and to remove."""
     paths, old = sorted(p for p in source.iterdir() if p.is_file()), _results(target)
     new = {p.name: sha256_of(p) for p in paths}
     if not new:

@@ -156,7 +156,7 @@ class Loop:
         self.max_effects = max(self.max_effects, len(self.reconsidered))
         self.reference = first.calibration.reference
         self.steps, freed_effects = [first], self.freed(first)
-        if freed_effects or not first.against:
+        if freed_effects or not first.failures:
             self.open(first, (*effects, *freed_effects), widen_noise)
 
     def is_reconsidered(self, effect: Effect, model: Model) -> bool:
@@ -192,11 +192,11 @@ class Loop:
         None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
         effect is missing that it stands in for, and the search weighs both.
         """
-        if any(claim.code != judgement.PRIOR for claim in first.against):
+        if any(claim.code != judgement.PRIOR for claim in first.failures):
             return ()
         model, away = first.calibration.model, dict[str, float]()
-        for claim in first.against:
-            effect = claim.of[1]
+        for claim in first.failures:
+            effect = claim.subjects[1]
             away[effect] = max(claim.numbers["away"], away.get(effect, 0.0))
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
@@ -252,7 +252,7 @@ class Loop:
     def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
         """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
         if self.library is None:
-            why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].against))}"
+            why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=why)
             return SearchPath(*judged(self.steps), self.holdout, None, search)
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
@@ -336,7 +336,7 @@ class Loop:
         if before is not None:
             added = " + ".join(sorted(at.effects - before.effects)) or None
             changed = f"noise widened: {model.noise.in_words}" if at.noise != before.noise else ""
-        return replace(step, added=added, changed=changed)
+        return replace(step, added=added, description=changed)
 
     def trail(self, search: Search | None = None, steps: Sequence[Step] = ()) -> SearchPath:
         """Return the trail so far; its last model's verdict says that the search is under way."""
@@ -353,8 +353,8 @@ class Loop:
         if 0 < self.max_effects <= added and tested:
             most = f"the {added} effects that it may (--max-effects)"
             return f"not stated, as the search added {most}"
-        if last.left_out and left_out_better(last, steps[:-1]):
-            return f"not stated, as the {scheme(last.left_out.group)} error has risen on the way"
+        if last.leave_one_group_out and left_out_better(last, steps[:-1]):
+            return f"not stated, as the {scheme(last.leave_one_group_out.group)} error has risen on the way"
         return ""
 
     def step(
@@ -391,12 +391,12 @@ def step_of(
         rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
         holdout_rmse=None if prediction is None else prediction.rmse,
         holdout_test=test,
-        left_out=leave_one_group_out(calibration),
+        leave_one_group_out=leave_one_group_out(calibration),
         noise_floor=floor,
         check=checked,
         discovery=None,
-        against=judgement.wrong_question(calibration, floor, accepted),
-        different=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),
+        failures=judgement.wrong_question(calibration, floor, accepted),
+        outlying_groups=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),
     )
 
 

@@ -15,6 +15,7 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.progress import stage
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
@@ -37,22 +38,19 @@ Follow = Callable[[str, SearchPath], None]
 APART_RATIO = 1.1
 
 
+@renamed(trails="search_paths")
 @dataclass(frozen=True, repr=False)
 class Channels(Printed):
-    """What `calibrate_channels` gives.
+    """What `calibrate_channels` gives."""
 
-    Attributes:
-        trails: of each channel, by name: its models, errors, findings and last calibration.
-        shared: what the channels say of each effect whose shape they share.
-    """
-
-    trails: Mapping[str, SearchPath]
-    shared: tuple[SharedShape, ...]
+    # of each channel, by name: its models, errors, findings and last calibration
+    search_paths: Mapping[str, SearchPath]
+    shared: tuple[SharedShape, ...]  # what the channels say of each effect whose shape they share
 
     @property
     def ok(self) -> bool:
         """Return whether every channel's result is reliable."""
-        return all(trail.ok for trail in self.trails.values())
+        return all(trail.ok for trail in self.search_paths.values())
 
     if TYPE_CHECKING:
 
@@ -62,50 +60,50 @@ class Channels(Printed):
     @property
     def reason(self) -> str:
         """Return why some are not, channel by channel; empty if all are."""
-        return " ".join(f"{n}: {t.gate.reason}" for n, t in self.trails.items() if not t.ok)
+        return " ".join(f"{n}: {t.gate.reason}" for n, t in self.search_paths.items() if not t.ok)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Return the effects of all channels' last models, in the order of the models."""
-        models = (t.final.calibration.model for t in self.trails.values())
+        models = (t.final.calibration.model for t in self.search_paths.values())
         return tuple(dict.fromkeys(n for model in models for n in model.names))
 
     def _parts(self) -> list[str | ResultTable]:
-        noise = ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
+        laws = (t.final.calibration.model.noise.law for t in self.search_paths.values())
         rows = self._errors()
         for name in self.effects:
-            sizes = (_size(trail, name) for trail in self.trails.values())
+            sizes = (_size(trail, name) for trail in self.search_paths.values())
             cells = ("–" if mean is None else with_error(mean, sd) for mean, sd in sizes)
             rows.append([name, *cells])
-        rows.append(noise)
-        parts: list[str | ResultTable] = [plain_table(["", *self.trails], rows)]
+        rows.append(["noise", *laws])
+        parts: list[str | ResultTable] = [plain_table(["", *self.search_paths], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         # Of a search that ended early; one that could not begin is not reliable, which is said.
-        searches = {n: t.search for n, t in self.trails.items() if t.search is not None}
+        searches = {n: t.search for n, t in self.search_paths.items() if t.search is not None}
         parts += [f"{n}: {s.stopped}" for n, s in searches.items() if not s.complete]
-        against = {n: t.gate.reason for n, t in self.trails.items() if not t.ok}
+        against = {n: t.gate.reason for n, t in self.search_paths.items() if not t.ok}
         return [*parts, *(f"{n}: result not reliable: {why}" for n, why in against.items())]
 
     def _brief(self) -> str:
-        return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"
+        return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return a row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
-        finals = [trail.final for trail in self.trails.values()]
+        finals = [trail.final for trail in self.search_paths.values()]
         return {
-            "channel": list(self.trails),
+            "channel": list(self.search_paths),
             "unit": [s.calibration.unit for s in finals],
-            "as fitted, first model": [t.steps[0].rmse_fitted for t in self.trails.values()],
+            "as fitted, first model": [t.steps[0].rmse_fitted for t in self.search_paths.values()],
             "as fitted, last": [s.rmse_fitted for s in finals],
             "new run, last": [s.rmse for s in finals],
             "held out": [s.holdout_rmse for s in finals],
             "noise floor": [s.noise_floor for s in finals],
-            **{e: [_size(t, e)[0] for t in self.trails.values()] for e in self.effects},
+            **{e: [_size(t, e)[0] for t in self.search_paths.values()] for e in self.effects},
             "noise": [s.calibration.model.noise.law for s in finals],
         }
 
     def _errors(self) -> list[list[str]]:
-        trails, columns = self.trails.values(), self._columns()
+        trails, columns = self.search_paths.values(), self._columns()
         row_names = ["as fitted, first model", "as fitted, last"]
         if any(t.final.rmse > APART_RATIO * t.final.rmse_fitted for t in trails):
             row_names.append("new run, last")
@@ -187,23 +185,23 @@ def calibrate_channels(
     channels, count = list[_Channel](), len(models)
     trails, shared = dict[str, SearchPath](), list[SharedShape]()
     with deadline.until(time_limit):
-        for name, model in models.items():
+        for i, (name, model) in enumerate(models.items(), 1):
             pair = readings[name], None if holdout is None else holdout[name]
             used = prepared(model, *pair, keep_spikes, ignore, covariates)
             how = method, seed_of(seed), reference, max_effects
             loop = Loop(*used, *how, frozenset(accept_conflicts))
-            with stage(name):
+            with stage(f"{name}, channel {i} of {count}"):
                 loop.begin(model, effects, widen_noise)
             channels.append(_Channel(name, loop))
             follow(name, loop.trail())
         for i, c in enumerate(channels):
-            with stage(c.name), deadline.sooner(1 / (2 * count - i)):
+            with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (2 * count - i)):
                 c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
             for update in _exchange_evidence(channels, follow):
                 shared = update
         for i, c in enumerate(channels):
-            with stage(c.name), deadline.sooner(1 / (count - i)):
+            with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
                 trails[c.name] = c.loop.to_best(partial(follow, c.name))
             memory.trim()
     return Channels(trails, tuple(shared))

@@ -17,6 +17,7 @@ from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import folded, number, probability, with_error
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -65,6 +66,7 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
+@renamed(sets="findings")
 @dataclass(frozen=True, repr=False)
 class Discovery(Printed):
     """The answer to "which effect is missing?".
@@ -72,7 +74,7 @@ class Discovery(Printed):
     Attributes:
         nothing_missing: probability that the model is complete: that none of the candidates that these readings can
             show is missing, and that no description stands for what has no name; None where the search cannot say.
-        sets: findings, the most probable first.
+        findings: sets of which one is missing, the most probable first.
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
@@ -88,7 +90,7 @@ class Discovery(Printed):
     """
 
     nothing_missing: float | None
-    sets: tuple[Finding, ...]
+    findings: tuple[Finding, ...]
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
     rivals: tuple[Effect, ...] = ()
@@ -151,7 +153,7 @@ class Discovery(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return what is missing and the table of candidates, the most probable first."""
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
-        lines += _findings(self)
+        lines += map(folded, _findings(self))
         if self.noise:
             laws = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
@@ -378,7 +380,7 @@ def discovery_at(
         unnamed=(*sorted(structures.matters(base)), *[f"{noise} noise"] * base.noise_describes),
         latent=tuple(sorted(structures.latent(base.structure))),
         equivalent=claims_of_equivalents(structures, base.structure),
-        sets=findings,
+        findings=findings,
         candidates=(*ranked, *shut),
         best=tuple(best),
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
@@ -396,12 +398,12 @@ def _findings(discovery: Discovery) -> list[str]:
             f"something is missing that has no name here: {' and '.join(discovery.unnamed)} "
             f"{'stands' if len(discovery.unnamed) == 1 else 'stand'} for it"
         )
-    for s in discovery.sets:
+    for s in discovery.findings:
         names = " or ".join(s.effects)
-        tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        tail = "" if len(s.effects) == 1 else " (one of these; these readings cannot tell which)"
         form = next((c.form for c in discovery.candidates if (c.effect,) == s.effects), "")
         if form not in ("", *s.effects):
-            tail = f"  (in the form {form.removeprefix(f'{s.effects[0]}.')})"
+            tail = f" (most probable form: {form.removeprefix(f'{s.effects[0]}.')})"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
@@ -426,7 +428,11 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
     def size(c: Mapping[str, Any]) -> str:
         value = with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
-        return f"{value} {unit_label(c['unit'])}".rstrip()
+        name = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
+        return f"{name}{value} {unit_label(c['unit'])}".rstrip()
+
+    def detectable(c: Mapping[str, Any]) -> str:
+        return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
 
     def remark(kind: str | None) -> str:
         return "not detectable in this experiment" if kind == "not visible" else kind or ""
@@ -436,7 +442,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("probability", "probability", probability),
         TableColumn("log BF", factor),
         TableColumn("expected size", size),
-        TableColumn("detectable", "minimum_detectable", lambda v: number(v, 2)),
+        TableColumn("detectable size", detectable),
         TableColumn("remark", "kind", remark),
     )
     tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -40,18 +41,19 @@ def gate(steps: Sequence[Step]) -> Gate:
 def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
     """Return why the last model is not to be used; what was found against it earlier among it."""
     last = steps[-1]
-    claims = dict.fromkeys([*freed_value_claims(steps), *(last.against or _claims_of_last(steps))])
+    claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
     earlier = (w for w in last.calibration.verdict.against if w not in claims)
     return (*dict.fromkeys(map(as_claim, earlier)), *claims)
 
 
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
-    judged = {"check": last.check, "left_out": last.left_out, "doubts": last.doubts}
-    subject = Subject(last.calibration, **judged, first=first, missing=_may_be_missing(last))
+    judged: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
+    judged |= {"doubts": last.multimodality, "missing": _may_be_missing(last), "first": first}
+    subject = Subject(last.calibration, **judged)
     replaced = [term.claim for term in _followed_terms(steps) if not term.measured][:1]
     return [
-        *(*last.different, *residual_claims(subject)),
+        *(*last.outlying_groups, *residual_claims(subject)),
         *(*undecided(steps), *equivalent(steps, "doubt")),
         *(*odd_thermometers(subject), *replaced, *worsened(steps)),
         *(*unexpected_groups(subject), *runs_unlike(steps), *contradicted(steps)),
@@ -77,7 +79,7 @@ def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield what stands against a model in which a coefficient is free of its stated value."""
     if free := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
         yield Claim("value.freed", *free)
-        yield from (claim for claim in steps[0].against if not set(claim.of).isdisjoint(free))
+        yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(free))
 
 
 def _followed_terms(steps: Sequence[Step]) -> list[TakenOver]:
@@ -168,7 +170,7 @@ def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
     discovery = steps[-1].discovery
     if discovery is None or discovery.nothing_missing is None:
         return
-    if discovery.sets or discovery.unnamed:
+    if discovery.findings or discovery.unnamed:
         return
     if discovery.nothing_missing < limit("complete.undecided", "probability"):
         leads = [c for c in discovery.candidates if c.probability is not None][:3]
@@ -180,7 +182,7 @@ def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
 def worsened(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield claims on errors that the last effect raised: as fitted, leave-one-group-out, hold-out."""
     *earlier, last = steps
-    unit, out = last.calibration.unit, last.left_out
+    unit, out = last.calibration.unit, last.leave_one_group_out
     # Under another noise law readings weigh differently, and correlated noise takes up what an effect explained: their
     # plain error may well be larger.
     noise = last.calibration.model.noise
@@ -189,9 +191,9 @@ def worsened(steps: Sequence[Step]) -> Iterator[Claim]:
     if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
         errors = {"then": before, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
-    if out and (best := left_out_better(last, earlier)) and best.left_out:
+    if out and (best := left_out_better(last, earlier)) and best.leave_one_group_out:
         what = f"each {out.group} from the others ({scheme(out.group)})"
-        errors = {"then": best.left_out.rmse, "now": out.rmse, "unit": unit}
+        errors = {"then": best.leave_one_group_out.rmse, "now": out.rmse, "unit": unit}
         yield Claim(WORSE, out.group, what=what, step=best.title, **errors)
     if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
@@ -204,7 +206,7 @@ def runs_unlike(steps: Sequence[Step]) -> Iterator[Claim]:
     The state in which a run begins, a noise that wanders or a step between runs takes up any such difference. A
     deviation from run to run is a name for it, with a spread that a new run is predicted with.
     """
-    out, calibration = steps[-1].left_out, steps[-1].calibration
+    out, calibration = steps[-1].leave_one_group_out, steps[-1].calibration
     coefficients = (b.coefficient for b in calibration.layout.blocks)
     if out is None or out.group != "run" or not np.isfinite(out.residual).all():
         return
@@ -224,14 +226,15 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     predictive density of the groups: if the last model is right, another's is k times as high with probability 1/k at
     most (Markov's inequality; the ratio's mean is one).
     """
-    if (out := last.left_out) is None:
+    if (out := last.leave_one_group_out) is None:
         return None
-    scored_steps = [(s.left_out.error(out.variance), s) for s in earlier if s.left_out]
+    pairs = ((s.leave_one_group_out, s) for s in earlier)
+    scored_steps = [(before.error(out.variance), s) for before, s in pairs if before]
     error, best = min(scored_steps, key=lambda pair: pair[0], default=(math.inf, last))
-    if out.error(out.variance) <= WORSE_RATIO * error or best.left_out is None:
+    if out.error(out.variance) <= WORSE_RATIO * error or best.leave_one_group_out is None:
         return None
     # Densities are of whole groups: correlated noise makes readings of one group no separate evidence.
-    ratio = float(np.sum(best.left_out.log_score - out.log_score))
+    ratio = float(np.sum(best.leave_one_group_out.log_score - out.log_score))
     return None if ratio <= -math.log(settings().holdout_p) else best
 
 

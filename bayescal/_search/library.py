@@ -61,20 +61,15 @@ class Library:
     """All candidates at all points of their shapes, with their sizes: the same for every structure.
 
     Candidates that correct a column are not among them: they have no columns of their own to be scored by.
-
-    Attributes:
-        grids: for some candidates alone, the coordinates of their shapes (points, shapes); none for all at usual ones.
-        points: of each candidate.
-        sizes: of each candidate.
-        width: columns in all.
-        blurred: candidates that change within means: they are scored by all readings.
     """
 
     structures: Structures
+    # for some candidates alone, the coordinates of their shapes (points, shapes); none for all at usual ones
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
-    points: dict[str, list[GridPoint]] = field(default_factory=dict)
-    sizes: dict[str, list[Size]] = field(default_factory=dict)
-    width: int = 0
+    points: dict[str, list[GridPoint]] = field(default_factory=dict)  # of each candidate
+    sizes: dict[str, list[Size]] = field(default_factory=dict)  # of each candidate
+    width: int = 0  # columns in all
+    # candidates that change within means: they are scored by all readings
     blurred: frozenset[str] = frozenset()
     _means: Means | None = None
     _columns: dict[str, dict[bool, tuple[Any, ...]]] = field(default_factory=dict)

@@ -27,23 +27,14 @@ IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
 
 @dataclass(eq=False)
 class ScoredPoint:
-    """One candidate at one point of its shapes, at the likeliest size there.
+    """One candidate at one point of its shapes, at the likeliest size there."""
 
-    Attributes:
-        point: which.
-        gain: log Bayes factor by score, averaged over sizes.
-        size: the likeliest.
-        view: of the structure that it is beside.
-        inside: what the nuisances take of its columns (q, k).
-        u: score after the nuisances.
-    """
-
-    point: GridPoint
-    gain: float
-    size: Size
-    view: View
-    inside: Float[np.ndarray, "q k"]
-    u: Float[np.ndarray, "k"]
+    point: GridPoint  # which
+    gain: float  # log Bayes factor by score, averaged over sizes
+    size: Size  # the likeliest
+    view: View  # of the structure that it is beside
+    inside: Float[np.ndarray, "q k"]  # what the nuisances take of its columns (q, k)
+    u: Float[np.ndarray, "k"]  # score after the nuisances
 
     @property
     def effect(self) -> str:

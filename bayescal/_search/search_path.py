@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +16,8 @@ from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.judgement import multimodality
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.predict import HoldoutTest
-from bayescal._core.formatting import number, probability
+from bayescal._core.formatting import folded, number, probability
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
@@ -26,8 +28,11 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISES = " ↑"  # beside a hold-out error that is so
+FLOOR = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
 
 
+@renamed(against="failures", different="outlying_groups", doubts="multimodality")
+@renamed(left_out="leave_one_group_out", changed="description")
 @dataclass(frozen=True)
 class Step:
     """One model of the sequence, with its errors in the output unit."""
@@ -37,17 +42,17 @@ class Step:
     rmse: float  # of the fitted readings, group deviations at zero (what an unseen group would see)
     rmse_fitted: float  # the same with group deviations as fitted
     holdout_rmse: float | None  # of the hold-out data; None without them
-    left_out: LeaveOneGroupOut | None  # each group predicted from the others
+    leave_one_group_out: LeaveOneGroupOut | None  # each group predicted from the others
     noise_floor: float  # from neighbouring readings alone, whatever the model
     check: Check  # where this model fails
     # what is missing from it; None where probabilities would not be honest
     discovery: Discovery | None
     # what was done to the model beside or in place of that, in words; empty if nothing
-    changed: str = ""
+    description: str = ""
     holdout_test: HoldoutTest | None = None  # what they say against this model
-    against: tuple[Claim, ...] = ()  # why nothing can be learnt from this model; empty for most
+    failures: tuple[Claim, ...] = ()  # why nothing can be learnt from this model; empty for most
     # members of groups that differ far more than is plausible, or along a column
-    different: tuple[Claim, ...] = ()
+    outlying_groups: tuple[Claim, ...] = ()
 
     def judged(self, against: Sequence[str]) -> Step:
         """Return the step, whose calibration has this verdict against it."""
@@ -60,14 +65,14 @@ class Step:
         return replace(self, calibration=self.calibration.with_verdict(notes=all_notes))
 
     @cached_property
-    def doubts(self) -> tuple[Claim, ...]:
+    def multimodality(self) -> tuple[Claim, ...]:
         """Return why a Gaussian about the mode does not describe the posterior; empty for most."""
         return tuple(multimodality(self.calibration))
 
     @property
     def title(self) -> str:
         """Return the step in a few words."""
-        return self.changed or "baseline" if self.added is None else f"+ {self.added}"
+        return self.description or "baseline" if self.added is None else f"+ {self.added}"
 
     def row(self, before: Step | None) -> dict[str, Any]:
         """Return the step's row of a table: errors, whether the hold-out error rises, evidence, P(complete)."""
@@ -81,7 +86,7 @@ class Step:
 
     def errors(self) -> dict[str, Any]:
         """Return title and errors as plain data, output unit, for result.json and plots."""
-        out = self.left_out
+        out = self.leave_one_group_out
         return {
             "title": self.title,
             "unit": self.calibration.unit,
@@ -100,6 +105,9 @@ class Gate:
     ok: bool
     reason: str
     claims: tuple[Claim, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{'' if self.ok else 'NOT '}fit for use: {self.reason}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -144,10 +152,11 @@ class SearchPath(Printed):
             error = f"{number(self.final.rmse_fitted)} {unit} rms as fitted"
             return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error}"
         best = search.structures[0]
-        return (
-            f"{search.seconds:.0f} s, structures weighed: {search.weighed}; best so far: {best}, "
-            f"{number(best.rms)} {unit} rms as fitted, probability {probability(best.probability)}"
-        )
+        text = f"{number(best.rms)} {unit} rms as fitted"
+        if search.weighed == 1:
+            return f"{search.seconds:.0f} s, first model: {text}"
+        share = f"probability {probability(best.probability)} of {search.weighed} structures"
+        return f"{search.seconds:.0f} s, best so far: {best}, {text}, {share}"
 
     @property
     def ending(self) -> str:
@@ -192,16 +201,17 @@ class SearchPath(Printed):
         rows = self.rows
         note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
         lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
-        probabilities = {n: p for n, p in self.added.items() if p is not None}
-        sure = [n for n, p in probabilities.items() if p >= settings().found_probability]
-        unsure = {n: p for n, p in probabilities.items() if n not in sure}
-        likely = [f"{n} ({probability(p)})" for n, p in unsure.items() if p > 0.5]
-        others = [f"{n} ({probability(p)})" for n, p in unsure.items() if p <= 0.5]
-        head = "found" if self.complete else "best when the search ended"
-        lines += [f"{head}: {', '.join(sure)}"] if sure else []
-        lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
-        lines += [f"in the model shown, one of several: {', '.join(others)}"] if others else []
-        return lines
+        lines += [FLOOR] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
+        shares = [(s.effects, s.probability) for s in self.shares]
+        sure = settings().found_probability
+        heads = {sure: "found" if self.complete else "best when the search ended"}
+        heads |= {0.5: "more probable than not", 0.0: "in the model shown, one of several"}
+        texts = dict[str, list[str]]()
+        for name, p in ((n, p) for n, p in self.added.items() if p is not None):
+            family = self.final.calibration.model.effect(name).reported
+            text = f"{in_forms(name, family, shares)}, probability {probability(p)}"
+            texts.setdefault(next(h for least, h in heads.items() if p >= least), []).append(text)
+        return lines + [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -225,6 +235,19 @@ class SearchPath(Printed):
         return f"{', '.join(s.title for s in self.steps)}; {errors}"
 
 
+def in_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
+    """Format an effect's family with its forms in an average: "bias.thermal_lag (form: diffusion 0.58, …)"."""
+    forms = Counter[str]()
+    for effects, share in shares:
+        for n in effects:
+            if n == family or n.startswith(f"{family}."):
+                forms[n.removeprefix(family).removeprefix(".") or "basic"] += share
+    if not {*forms} - {"basic"}:
+        return name
+    texts = [f"{n} {probability(p / forms.total())}" for n, p in forms.most_common()]
+    return f"{family} (form: {', '.join(texts)})"
+
+
 def rises(now: float | None, then: float | None) -> bool:
     """Return whether a hold-out error is more than a twentieth above another."""
     return now is not None and then is not None and now > WORSE_RATIO * then
@@ -235,24 +258,27 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
+    runs = any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)  # else one is the other
+
     def held_out(row: Mapping[str, Any]) -> str:
         return f"{number(row['holdout_rmse'])}{RISES * row['rises']}"
 
-    holdout_columns = [TableColumn("held-out", held_out, name="")]
+    holdout_columns = [TableColumn("held-out", held_out, unit=unit, name="")]
     columns = (
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
         TableColumn("as fitted", "rmse_fitted", number, unit),
-        TableColumn("new run", "rmse", number),
+        TableColumn("new run", "rmse", number if runs else None, unit),
         TableColumn(
             scheme(group or "group"),
             lambda r: out["rmse"] if (out := r["leave_one_group_out"]) else None,
             number,
+            unit,
             name="left-out",
         ),
         *(holdout_columns if any(r["holdout_rmse"] is not None for r in rows) else []),
         TableColumn("held-out", "holdout_rmse", None),
-        TableColumn("floor", "noise_floor", number),
+        TableColumn("noise floor", "noise_floor", number, unit),
         TableColumn("unit", "unit", None),
         TableColumn(
             "log evidence",

@@ -76,19 +76,12 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A structure with its evidence, its prior, and its mode.
+    """A structure with its evidence, its prior, and its mode."""
 
-    Attributes:
-        structure: which.
-        log_evidence: by Laplace, averaged over the sizes.
-        log_prior: of the structure.
-        problem, mode: at the likeliest sizes.
-    """
-
-    structure: Structure
-    log_evidence: float
-    log_prior: float
-    problem: Problem
+    structure: Structure  # which
+    log_evidence: float  # by Laplace, averaged over the sizes
+    log_prior: float  # of the structure
+    problem: Problem  # problem, mode: at the likeliest sizes
     mode: Mode
 
     @property
@@ -131,30 +124,21 @@ class Weighed:
 
 @dataclass(eq=False)
 class Structures:
-    """All structures over one model on one record.
+    """All structures over one model on one record."""
 
-    Attributes:
-        base: the model that effects are added to.
-        layout: its own, for the groups' sizes.
-        record: the readings.
-        candidates: effects that may be added, by name.
-        laws: further noise laws that the readings can tell, by name.
-        odds: prior log odds of candidates of which more is known than their number.
-        floor: noise that no model removes, output unit.
-        spans: which candidates these readings cannot tell from which.
-        earlier: structures weighed with other ranges of shapes: where refits begin.
-        thrifty: whether forms without a score, and other noise laws, are weighed near the best structure alone.
-    """
-
-    base: Model
-    layout: Layout
-    record: Record
-    candidates: Mapping[str, Effect]
-    laws: Mapping[str, Noise]
+    base: Model  # the model that effects are added to
+    layout: Layout  # its own, for the groups' sizes
+    record: Record  # the readings
+    candidates: Mapping[str, Effect]  # effects that may be added, by name
+    laws: Mapping[str, Noise]  # further noise laws that the readings can tell, by name
+    # prior log odds of candidates of which more is known than their number
     odds: Mapping[str, float] = field(default_factory=dict)
-    floor: float = 0.0
+    floor: float = 0.0  # noise that no model removes, output unit
+    # which candidates these readings cannot tell from which
     spans: Spans = field(default_factory=Spans)
+    # structures weighed with other ranges of shapes: where refits begin
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
+    # whether forms without a score, and other noise laws, are weighed near the best structure alone
     thrifty: bool = False
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score

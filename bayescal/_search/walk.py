@@ -175,15 +175,10 @@ def _next(structures: Structures, expanded: set[Structure], among: Scope) -> Wei
 
 
 class Scope(NamedTuple):
-    """Where a walk goes.
+    """Where a walk goes."""
 
-    Attributes:
-        effects: candidates that it adds, drops and exchanges.
-        laws: names of the noise laws that it changes to; None for all.
-    """
-
-    effects: frozenset[str]
-    laws: tuple[str, ...] | None = None
+    effects: frozenset[str]  # candidates that it adds, drops and exchanges
+    laws: tuple[str, ...] | None = None  # names of the noise laws that it changes to; None for all
 
     def holds(self, structure: Structure) -> bool:
         return structure.effects <= self.effects and self.has(structure.noise)

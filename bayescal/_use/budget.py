@@ -24,6 +24,7 @@ from bayescal._calibration.prior_influence import not_measured, variance_by_orig
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
@@ -37,8 +38,9 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
 
 REMAINDER = "between-group sd, shapes, curvature"
-STRUCTURES = "which effects there are (average over structures)"
+STRUCTURES = "choice of effects (average over structures)"
 FORM = "form of the model: effects outside the candidates"
+SHARES = "Shares of the variance add up to 100 %; by correlation one can be above 100 % or below 0."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
 CERTIFIED = re.compile(r"(?<=\.certificate)\[.*")  # parts of a reference's error: one row
@@ -67,6 +69,7 @@ class SourceShare:
     share: float
 
 
+@renamed(shown="in_output_unit")
 @dataclass(frozen=True, repr=False)
 class Budget(Printed):
     """An uncertainty budget.
@@ -114,7 +117,7 @@ class Budget(Printed):
         sd = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
 
-    def shown(self) -> Budget:
+    def in_output_unit(self) -> Budget:
         """Convert to the readings' unit where the dimensions agree, and the point's angles to degrees."""
         to = self.output_unit
         if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
@@ -142,19 +145,17 @@ class Budget(Printed):
         return {**as_json(self), **expanded}
 
     def _parts(self) -> list[str | ResultTable]:
-        b = self.shown()
+        b = self.in_output_unit()
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
-        printed = [c for c in b.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
-        omitted = len(b.coefficients) - len(printed)
-        note = f" {omitted} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown."
+        omitted = len(b.coefficients) - len(by_coefficient.rows)
+        note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
         sizes = b.uncertainty, b.noise, b.expanded_reading / b.k
         combined, noise, both = (f"{number(size)} {unit}" for size in sizes)
         parts = [
-            f"Uncertainty budget of {b.stimulus} at {b.place}",
-            replace(by_coefficient, rows=printed),
-            "Shares include correlations and add up to 100 %: a single one can be negative or exceed 100 %."
-            + note * (omitted > 0),
-            replace(by_source, rows=[r for r in b.sources if abs(r.share) >= LEAST_VARIANCE_SHARE]),
+            folded(f"Uncertainty budget of {b.stimulus} at {b.place}"),
+            by_coefficient,
+            folded(f"{SHARES}{note * (omitted > 0)}", ""),
+            by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
             f"Expanded uncertainty (k = {b.k:g}): {number(b.expanded)} {unit}; with the noise of one reading: "
             f"{number(b.expanded_reading)} {unit}.",
@@ -163,7 +164,7 @@ class Budget(Printed):
         return [line for part in parts for line in (part, "")][:-1]
 
     def _brief(self) -> str:
-        b = self.shown()
+        b = self.in_output_unit()
         unit = unit_label(b.unit)
         return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit} (k = {self.k:g})"
 
@@ -182,7 +183,9 @@ class Budget(Printed):
         return ", ".join(f"{name} = {value}" for (_, value), name in values.items())
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
-        """Return the tables by coefficient and by source."""
+        """Return the tables by coefficient and by source, without the smallest shares."""
+        rows = (self.coefficients, self.sources)
+        printed = ([r for r in of if abs(r.share) >= LEAST_VARIANCE_SHARE] for of in rows)
         size = f"contribution {unit_label(self.unit)}".strip()
         tail = (
             TableColumn(size, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
@@ -203,7 +206,7 @@ class Budget(Printed):
             TableColumn("type", lambda s: s.kind),
             *tail,
         )
-        return ResultTable(by_coefficient, self.coefficients), ResultTable(by_source, self.sources)
+        return ResultTable(by_coefficient, next(printed)), ResultTable(by_source, next(printed))
 
 
 def budget(
@@ -315,7 +318,8 @@ def _by_source(
         parts[f"{confounder.of_column}, not told from the model's own", "B"] = shift**2
     not_found = 0.0
     for name, (i, size) in chosen.equation.unfound_spreads.items():
-        part = parts[f"{name} (new run), not excluded", "B"] = float(gradient[i] * size) ** 2
+        part = float(gradient[i] * size) ** 2
+        parts[f"{name} of a new run, neither found nor excluded", "B"] = part
         not_found += part
     if (extra := 1 - calibration.form_factor**-2) > 0:
         part = gradient * [u.kind != "new" for u in unknowns]
@@ -349,6 +353,9 @@ def _range_claims(chosen: Compensator, point: Mapping[str, float]) -> list[Claim
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
     """Return claims of a budget's short coverage and omissions, for a correction or a slot alone."""
     notes = clock_note(chosen.equation)
+    beyond = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
+    beyond += ["the form of the model"] * (chosen.calibration.form_factor > 1)
+    notes += [Claim("budget.beyond_fit", *beyond)] * bool(beyond)
     learned = _learned_group_sds(chosen.equation)
     for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in learned):
         count = len(chosen.calibration.levels.get(per, ()))

@@ -78,7 +78,7 @@ def compensate_file(
     noise: bool = True,
     **how: Any,
 ) -> CompensationSummary:
-    """Add `<output>_compensated` and `<output>_uncertainty` to a file of readings.
+    """Add `<output>_compensated` and `<output>_standard_uncertainty` (k = 1) to a file of readings.
 
     Args:
         compensator: of the instrument.
@@ -186,7 +186,7 @@ def _names(
     header = table.headers[places["output"]]
     behind = unit_behind(Header.parse(header.raw))  # of a unit in other brackets than [] too
     name = header.name if behind is None or header.name != header.raw else behind.name
-    names = f"{name}_compensated", f"{name}_uncertainty"
+    names = f"{name}_compensated", f"{name}_standard_uncertainty"
     for name in names:
         if any(h.name == name for h in table.headers):
             raise InputError(

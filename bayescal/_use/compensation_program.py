@@ -415,11 +415,7 @@ class CompensationProgram(CorrectionInUse):
         return True
 
     def exportable(self) -> CompensationProgram:
-        """Return this program if every operation can be exported.
-
-        Raises:
-            ModelError: an effect, or the noise law, has an operation that cannot.
-        """
+        """Return this program; raise ModelError if an effect or the noise law has an operation that no export has."""
         for op, *args in self.equation.operations:
             if op == "call":
                 raise ModelError(

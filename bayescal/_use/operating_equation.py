@@ -121,16 +121,12 @@ class PosteriorMoments(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OperatingEquation:
-    """The measurement equation of a calibrated model for one reading in use.
+    """The measurement equation of a calibrated model for one reading in use."""
 
-    Attributes:
-        calibration: a fit, or an average over structures.
-        members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        held_inputs: (name, value, unit) of inputs that only improbable effects need: fixed at one value.
-    """
-
-    calibration: Calibration
+    calibration: Calibration  # a fit, or an average over structures
+    # (group, member) chosen by name, such as ("device", "A17"); others are new
     members: tuple[tuple[str, str], ...] = ()
+    # (name, value, unit) of inputs that only improbable effects need: fixed at one value
     held_inputs: tuple[tuple[str, float, str], ...] = ()
 
     @cached_property

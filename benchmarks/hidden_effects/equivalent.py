@@ -25,7 +25,7 @@ and of one or two other effects. Where these leave less than a hundredth of its 
 (½·log(1 + K), K the information in units of its prior), the readings cannot tell it from what spans it. What cannot be
 told from coefficients of the first model, *in* the table, is in every model with its prior, and these coefficients are
 as uncertain as that leaves them; what cannot be told from effects that are found enters with them. `bayescal calibrate`
-says every set before what it finds, and those of its model at the gate or among the notes.
+says every set before what it finds, and those of its model in the verdict or among the notes.
 
 *Test that tells*: of the experiments that the instrument lists, the one that leaves most of the first effect, in nats
 at its plausible size; more than half a one.

@@ -97,7 +97,7 @@ def _search_answer(path: bc.SearchPath) -> dict[str, Any]:
         tuple(s.effects): s.probability
         for step in path.steps
         if step.discovery
-        for s in step.discovery.sets
+        for s in step.discovery.findings
     }
     return {
         "final": [e.name for e in effects],

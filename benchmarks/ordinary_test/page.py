@@ -130,7 +130,7 @@ GOOD_CLAIMS: tuple[Claim, ...] = (
             f"a thermometer doubted in a {where}",
             lambda rows, w=key: share(w in r["doubted"] for r in rows),
         )
-        for where, key in (("reason of the gate", "reason"), ("flag", "flags"), ("note", "notes"))
+        for where, key in (("failed check", "reason"), ("flag", "flags"), ("note", "notes"))
     ),
 )
 

@@ -36,7 +36,7 @@ A second campaign, which the search does not see, judges the result. *Right*: ev
 model holds lies within {AWAY:g} posterior standard deviations, and the error of the second campaign is at most
 {WORSE:g} times what it should be: the error of the true structure fitted to the record before it was spoilt, and
 the model's own stated standard uncertainty (at most {MAX_SD:g} times that one's), in squares. *Said*: refused, or the
-gate is shut, or a flag or an effect that was added names the cause. *Wrong*: neither, or an error that is no
+verdict fails, or a flag or an effect that was added names the cause. *Wrong*: neither, or an error that is no
 refusal. Cells: right/said/wrong.
 """
 

@@ -188,7 +188,7 @@ def _effects(rows: Rows, low: float, high: float) -> str:
 
 
 def _named_where_open(rows: Rows) -> str:
-    """Return how often names stated from 0.95 on were right where the gate is open: else none is to be believed."""
+    """Return how often names stated from 0.95 on were right where the verdict holds: else none is to be believed."""
     return _effects([row for row in rows if row["open"]], *BANDS[-1])
 
 
@@ -213,13 +213,13 @@ CLAIMS: tuple[Claim, ...] = (
         for r, words in (("fitted", "fitted"), ("later", "new runs"), ("other", "another profile"))
     ),
     ("95 % intervals of the baseline's coefficients: average", _coefficients),
-    ("gate shut", lambda rows: share(not row["open"] for row in rows)),
+    ("verdict fails", lambda rows: share(not row["open"] for row in rows)),
     *(
         (f"{what}, stated {low:g} to {high:g}, true", partial(say, low=low, high=high))
         for what, say in (("an effect is there", _effects), ("complete", _complete))
         for low, high in BANDS
     ),
-    ("an effect is there, stated 0.95 to 1, gate open, true", _named_where_open),
+    ("an effect is there, stated 0.95 to 1, verdict holds, true", _named_where_open),
 )
 ABOUT = """
 Campaigns of three instruments whose laws are none of the catalogue's (a lag of two stages, saturating gradients, a

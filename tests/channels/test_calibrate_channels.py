@@ -27,9 +27,8 @@ def unit() -> bc.Channels:
 
 @pytest.mark.slow
 def test_what_one_channel_shows_helps_another_and_none_gets_what_it_has_not(unit) -> None:
-    models = {n: t.final.calibration.model for n, t in unit.trails.items()}
-    assert LAG in models["strong"].names
-    assert LAG in models["weak"].names
+    models = {n: t.final.calibration.model for n, t in unit.search_paths.items()}
+    assert LAG in models["strong"].names and LAG in models["weak"].names
     assert LAG not in models["none"].names and QUADRATIC in models["none"].names
     shape = {n: models[n].effect(LAG).shared_shape for n in ("strong", "weak")}
     assert shape["weak"].high / shape["weak"].low < 2  # by what the strong one says
@@ -42,7 +41,8 @@ def test_the_unit_has_one_time_and_it_is_the_true_one(unit) -> None:
     _, low, high = lag.posterior
     assert lag.probability > 0.95
     assert low < LAG_TIME < high
-    tau = {n: unit.trails[n].final.calibration.samples(f"{LAG}.tau") for n in ("strong", "weak")}
+    paths = unit.search_paths
+    tau = {n: paths[n].final.calibration.samples(f"{LAG}.tau") for n in ("strong", "weak")}
     for (
         draws
     ) in tau.values():  # each channel's own readings, with what the others say: one posterior
@@ -58,7 +58,7 @@ def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, t
     assert set(data["channels"]) == set(HIDDEN)
     for name, told in data["channels"].items():
         kept = bc.load(tmp_path / told["folder"] / "calibration.nc")
-        now = unit.trails[name].final.calibration
+        now = unit.search_paths[name].final.calibration
         assert kept.model.names == now.model.names
         assert [e.shapes for e in kept.model.effects] == [e.shapes for e in now.model.effects]
         np.testing.assert_array_equal(kept.samples("bias.constant"), now.samples("bias.constant"))
@@ -72,7 +72,7 @@ def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_use
 ) -> None:
     unit.save(tmp_path)
     (tmp_path / "weak" / "notes.txt").write_text("mine", encoding="utf-8")
-    bc.Channels({"strong": unit.trails["strong"]}, unit.shared).save(tmp_path)
+    bc.Channels({"strong": unit.search_paths["strong"]}, unit.shared).save(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
         "strong",
         "weak",

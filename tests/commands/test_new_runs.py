@@ -45,7 +45,7 @@ def test_a_file_without_runs_is_one_new_run(tilt, tmp_path) -> None:
     assert named.status == none.status == 0, none.err
     assert none.data["rmse"] == named.data["rmse"] and none.data["rows"] == len(one)
     both = [pd.read_csv(tmp_path / "deep" / "er" / n) for n in ("named.csv", "none.csv")]
-    for name in ("predicted [rad]", "predicted_uncertainty [rad]"):
+    for name in ("predicted [rad]", "predicted_standard_uncertainty [rad]"):
         name = next(c for c in both[0] if c.startswith(name.split(" ")[0] + " "))
         np.testing.assert_array_equal(both[0][name], both[1][name])
     done = [

@@ -112,8 +112,8 @@ def test_every_channel_is_there_after_ctrl_c_in_the_first_one_s_search(unit) -> 
         told.extend([name] * bool(trail.search.structures))
 
     found = bc.calibrate_channels(models, unit, method=QUICK, follow=follow)
-    assert [*found.trails] == [*unit]
-    assert all(t.search is not None and t.search.stopped for t in found.trails.values())
+    assert [*found.search_paths] == [*unit]
+    assert all(t.search is not None and t.search.stopped for t in found.search_paths.values())
 
 
 @pytest.mark.parametrize("method", [bc.Marginal(), bc.NUTS()])
@@ -130,7 +130,7 @@ def test_a_fit_without_time_is_the_gaussian_about_its_mode(readings, method) -> 
 def test_what_is_missing_is_not_stated_without_time(readings) -> None:
     fitted = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings, QUICK)
     found = bc.discover(fitted, time_limit=NO_TIME)
-    assert found.stopped and found.nothing_missing is None and not found.sets
+    assert found.stopped and found.nothing_missing is None and not found.findings
     assert all(c.probability is None for c in found.candidates)
 
 
@@ -241,7 +241,7 @@ def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ende
 def test_every_channel_is_there_without_time(unit, tmp_path) -> None:
     models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
     found = bc.calibrate_channels(models, unit, method=QUICK, time_limit=NO_TIME)
-    assert [*found.trails] == [*unit]
+    assert [*found.search_paths] == [*unit]
     found.save(tmp_path)
     for told in json.loads((tmp_path / "channels.json").read_text("utf-8"))["channels"].values():
         assert told["stopped"] and (tmp_path / told["folder"] / "calibration.nc").is_file()

@@ -126,10 +126,9 @@ def test_every_line_of_a_csv_stays_as_it_was(gyro, tmp_path) -> None:
     (tmp_path / "in.csv").write_bytes(TEXT)
     done = compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv", columns=RENAMED)
     before, after = TEXT.split(b"\n"), (tmp_path / "out.csv").read_bytes().split(b"\n")
-    assert done.rows == 3 and done.columns == ("gyro x_compensated", "gyro x_uncertainty")
-    assert (
-        after[1] == before[1].rstrip() + b";gyro x_compensated [deg/s];gyro x_uncertainty [deg/s]\r"
-    )
+    assert done.rows == 3 and done.columns == ("gyro x_compensated", "gyro x_standard_uncertainty")
+    heads = b";gyro x_compensated [deg/s];gyro x_standard_uncertainty [deg/s]\r"
+    assert after[1] == before[1].rstrip() + heads
     assert after[0] == before[0] and after[3] == before[3]
     want = gyro(output=[25.25, -7.5, 0.0], temperature=[40.5, 100.0, 55.0])
     rows = [line for line in after[2:] if line.strip()]
@@ -153,7 +152,7 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
     for name in record.columns:
         np.testing.assert_array_equal(back[name], record[name])
     np.testing.assert_allclose(back["output_compensated"], want.value, rtol=1e-12)
-    np.testing.assert_allclose(back["output_uncertainty"], want.uncertainty, rtol=1e-12)
+    np.testing.assert_allclose(back["output_standard_uncertainty"], want.uncertainty, rtol=1e-12)
     if suffix == ".parquet":
         fields = pq.read_schema(out)
         assert fields.field(len(fields) - 1).metadata == {b"units": b"ug"}

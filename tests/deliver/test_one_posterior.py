@@ -165,7 +165,7 @@ def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> N
     assert drawn.value[0] == pytest.approx(value.value[0], abs=0.02 * budget.uncertainty)
     assert drawn.uncertainty[0] == pytest.approx(budget.uncertainty, rel=0.01)
     text = bc.report(found, tmp_path / "report.html").read_text("utf-8")
-    shown = budget.shown()
+    shown = budget.in_output_unit()
     assert f"U = {number(shown.expanded, 2)} {unit_label(shown.unit)}" in text
 
 

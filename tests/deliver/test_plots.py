@@ -52,7 +52,7 @@ def test_every_axis_has_a_unit(figures) -> None:
 def test_the_trail_shows_the_fall_to_the_floor(figures) -> None:
     ax = figures["trail"].axes[0]
     widths = sorted(p.get_width() for p in ax.patches)
-    errors = [s.rmse for s in trail().steps]
+    errors = [s.rmse_fitted for s in trail().steps]
     assert all(any(np.isclose(w, e) for w in widths) for e in errors)
     (floor,) = [line for line in ax.lines if line.get_linestyle() == "--"]
     assert floor.get_xdata()[0] == pytest.approx(trail().final.noise_floor)

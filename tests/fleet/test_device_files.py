@@ -77,7 +77,7 @@ def test_a_large_file_is_cut_between_devices(result, tmp_path, together: bool) -
     made.iloc[at, made.columns.get_loc("output [deg/s]")] = "broken"
     made.astype({"output [deg/s]": str}).to_parquet(file, row_group_size=37)
     found = fitted(file)
-    assert list(found.doubted) == ["D20"] and f"row {at + 1} " in found["D20"].reason
+    assert list(found.unreliable) == ["D20"] and f"row {at + 1} " in found["D20"].reason
 
 
 def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path, capsys) -> None:
@@ -140,7 +140,7 @@ def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, tmp_path) -> 
     made["temperature [degC]"] = 25.0  # all devices of a part
     made.to_parquet(folder / "lot-0.parquet")
     found = fitted(folder)
-    assert (len(found), found.fitted) == (24, 19) and "D00" in found.doubted
+    assert (len(found), found.fitted) == (24, 19) and "D00" in found.unreliable
     with pytest.raises(bc.InputError, match="D00"):
         bc.fit_batch(MODEL, folder / "lot-0.parquet")
 

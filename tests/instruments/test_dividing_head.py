@@ -24,7 +24,7 @@ def test_what_is_hidden_is_found(name: str) -> None:
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
     line = bc.fit(head.INSTRUMENT.baseline(), head.simulate(seed=4), LS)
     found = bc.discover(line, widen_noise=False)
-    assert not found.sets
+    assert not found.findings
 
 
 def test_off_the_head_what_acts_along_the_input_axis_is_what_is_asked_for() -> None:

@@ -142,7 +142,7 @@ def test_a_file_is_the_same_whatever_instrument_reads_it(hidden: dict[str, float
         line = bc.fit(instrument.for_readings(readings).baseline(), readings, bc.LeastSquares())
         found = bc.discover(line)
         assert {e.reported for e in found.best} == {*hidden}, instrument.name
-        assert {s.effects for s in found.sets} == {(name,) for name in hidden}, instrument.name
+        assert {s.effects for s in found.findings} == {(name,) for name in hidden}, instrument.name
 
 
 def test_a_row_of_the_instruments_own_stands_in_the_place_of_the_catalogues() -> None:

@@ -120,7 +120,7 @@ def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:
         readings = bc.Measurements.from_arrays(gyro, run=run, **columns)
         model = gyro.baseline() + wave
         path = bc.calibrate(model, readings, method=FAST, max_effects=0, widen_noise=False)
-        doubts.append(path.final.doubts)
+        doubts.append(path.final.multimodality)
     (reason,), none = doubts
     assert none == ()
-    assert (reason.code, reason.of) == ("mode.two", ("bias.wave.period",))
+    assert (reason.code, reason.subjects) == ("mode.two", ("bias.wave.period",))

@@ -54,7 +54,7 @@ def searched(gravity: float, drag: float) -> bc.SearchPath:
 
 def test_a_missing_effect_that_bends_a_constant_is_found_and_the_constant_kept() -> None:
     path = searched(KNOWN, 2.0)
-    assert path.steps[0].against[0].of[0] == "height.gravity"
+    assert path.steps[0].failures[0].subjects[0] == "height.gravity"
     assert [step.added for step in path.steps] == [None, "height.drag"]
     assert path.ok, path.gate.reason
     g = path.final.calibration.samples("height.gravity")

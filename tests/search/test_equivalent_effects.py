@@ -59,7 +59,7 @@ def test_slope_of_one_slow_ramp_is_as_uncertain_as_a_drift(seed, drift, wobble) 
     assert off(path.calibration, "bias.temperature", SLOPE) < 3
     assert path.calibration.samples("bias.temperature").std() > 0.05 * SLOPE
     (claim,) = (c for c in path.gate.claims if c.code == "equivalent.undecided")
-    assert claim.of == ("bias.drift",) and claim.numbers["beside"] == ("bias.temperature",)
+    assert claim.subjects == ("bias.drift",) and claim.numbers["beside"] == ("bias.temperature",)
     assert claim.numbers["experiment"] in dict(mems_gyro.INSTRUMENT.experiments)
     assert not path.ok
 
@@ -96,9 +96,9 @@ def test_harmonics_of_a_dividing_head_are_one_set_with_the_second_order(seed: in
     for name, truth in (("second_order.constant", 30.0), ("cross_coupling.constant", 25.0)):
         assert off(path.calibration, name, truth) < 3
     (claim,) = (c for c in path.gate.claims if c.code == "equivalent.undecided")
-    assert {*claim.of} == every
+    assert {*claim.subjects} == every
     first = path.steps[0].discovery
-    assert first is not None and every <= {n for s in first.sets for n in s.effects}
+    assert first is not None and every <= {n for s in first.findings for n in s.effects}
 
 
 def rows(instrument: str) -> list[set[str]]:
@@ -118,7 +118,7 @@ def test_every_set_of_the_page_is_said(module: Any) -> None:
     readings = module.simulate(seed=1)
     fitted = bc.fit(module.INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=100))
     found = bc.discover(fitted, max_effects=0, widen_noise=False)
-    said = [{*claim.of} for claim in found.equivalent]
+    said = [{*claim.subjects} for claim in found.equivalent]
     expected = rows(module.INSTRUMENT.name)
     assert expected and sorted(map(sorted, said)) == sorted(map(sorted, expected))
     # What is to be added holds what cannot be told from the model as it is.

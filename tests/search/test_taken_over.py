@@ -26,8 +26,8 @@ def left_out(calibration: bc.Calibration) -> Any:
     """Each group predicted from the others, as a search of nothing asks of its one model."""
     how: dict[str, Any] = {"method": QUICK, "max_effects": 0, "widen_noise": False}
     path = bc.calibrate(calibration.model, calibration.readings, **how)
-    assert path.final.left_out is not None
-    return path.final.left_out
+    assert path.final.leave_one_group_out is not None
+    return path.final.leave_one_group_out
 
 
 def spoilt(seed: int, change) -> bc.Measurements:
@@ -52,7 +52,7 @@ def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer
     assert found.term.name == "bias.temperature"
     assert not found.measured
     assert found.ratio < 0.1
-    assert (found.claim.code, found.claim.of) == ("term.replaced", ("bias.temperature",))
+    assert (found.claim.code, found.claim.subjects) == ("term.replaced", ("bias.temperature",))
     assert found.claim.numbers["by"] == ("unknown(elapsed)",)
 
 

@@ -125,7 +125,7 @@ def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
     hidden = {"bias.temperature_quadratic": 5e-4, "bias.drift": 0.25}
     readings = mems_gyro.simulate(hidden, seed=35)
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=200)))
-    assert {name for s in found.sets for name in s.effects} >= set(hidden)
+    assert {name for s in found.findings for name in s.effects} >= set(hidden)
     assert found.best[0].name in hidden
 
 

@@ -135,7 +135,7 @@ def at_stations(share: float = 1.0) -> bc.Measurements:
 def test_a_candidate_per_station_is_found(effect: bc.Effect) -> None:
     line = bc.fit(AT_STATIONS.baseline(), at_stations(), bc.LeastSquares(draws=100), strict=False)
     found = bc.discover(line, effects=[effect], widen_noise=False)
-    named = [name for one in found.sets for name in one.effects]
+    named = [name for one in found.findings for name in one.effects]
     assert effect.name in named
 
 

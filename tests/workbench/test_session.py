@@ -29,7 +29,7 @@ def again(session: Session, **given: Any) -> Session:
 def test_the_loop_by_hand(session: Session) -> None:
     """What is found and added brings the hold-out error down to the floor; a step back begins a branch."""
     found = session.look()
-    assert {name for s in found.sets for name in s.effects} == set(HIDDEN)
+    assert {name for s in found.findings for name in s.effects} == set(HIDDEN)
     assert session.current.discovery is found
     before = session.current.step
     for name in HIDDEN:

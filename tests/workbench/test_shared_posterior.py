@@ -119,4 +119,4 @@ def test_a_form_in_the_model_leaves_nothing_of_its_family_missing() -> None:
     model = INSTRUMENT.baseline() + "bias.thermal_lag.body"
     found = bc.discover(bc.fit(model, readings, bc.LeastSquares()))
     assert "bias.thermal_lag" not in {c.effect for c in found.candidates}
-    assert {n for s in found.sets for n in s.effects} == {"bias.temperature_quadratic"}
+    assert {n for s in found.findings for n in s.effects} == {"bias.temperature_quadratic"}

@@ -59,12 +59,25 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str 
     return [*lines, f"  … and {hidden} more{ending}"] if hidden > 0 else lines
 
 
-def printed(table: pd.DataFrame, digits: int) -> str:
+# Heads of printed tables.
+HEADS = {"between devices": "sd between devices", "typical sd": "standard uncertainty (median)"}
+EFFECT_HEADS = {"devices": "devices with it", "possible": "it or another", "low": "95 % from"}
+EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices", "high": "95 % to"}
+
+
+def printed(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> str:
     """Format a table with so many significant digits."""
-    return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
+
+    def cell(v: Any) -> str:
+        number = "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
+        return ws.unit_label(v) if isinstance(v, str) and v in units else number
+
+    units = {*table.get("unit", ())}
+    rows = [[*map(cell, row)] for row in table.to_numpy()]
+    return str(ws.plain_table([heads.get(n, n) for n in table.columns], rows))
 
 
-NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
+NOT_CHECKED = "missing effects were looked for in none of them (--find, in Python find=True)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +117,7 @@ class DeviceResult:
         return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
     def __getitem__(self, name: str) -> tuple[float, float]:
-        """Return mean and standard uncertainty of one unknown.
-
-        Raises:
-            InputError: nothing is called so.
-        """
+        """Return mean and standard uncertainty of one unknown; raise InputError if nothing is called so."""
         if name not in self.names:
             raise bc.InputError(
                 f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
@@ -178,11 +187,7 @@ def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
 
 
 def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
-    """Return the devices of such rows.
-
-    Raises:
-        ValueError: rows of a device are missing, or stand apart.
-    """
+    """Return the devices of such rows; raise ValueError if rows of one are missing, or stand apart."""
     fits = list[DeviceResult]()
     for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
         first, *_ = group_rows = [*group]
@@ -197,6 +202,7 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
     return tuple(fits)
 
 
+@ws.renamed(doubted="unreliable")
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.
@@ -255,11 +261,7 @@ class BatchResult:
         return iter(self.results)
 
     def __getitem__(self, device: str | int) -> DeviceResult:
-        """Return one device's result, by its name or by its place.
-
-        Raises:
-            InputError: there is no such device.
-        """
+        """Return one device's result, by its name or its place; raise InputError if there is none."""
         if isinstance(device, int) and -len(self) <= device < len(self):
             return self.results[device]
         if device not in self._by_name:
@@ -280,7 +282,7 @@ class BatchResult:
         return int(self.ok.sum())
 
     @property
-    def doubted(self) -> dict[str, str]:
+    def unreliable(self) -> dict[str, str]:
         """Return the devices whose fit is not to be relied on, and why."""
         return {fit.device: fit.reason for fit in self if not fit.ok}
 
@@ -305,7 +307,7 @@ class BatchResult:
                 "schema": FORMAT,
                 "devices": len(self),
                 "fitted": self.fitted,
-                "not_fitted": list(self.doubted),
+                "not_fitted": list(self.unreliable),
                 **{name: getattr(self, name) for name in fields},
                 "coefficients": self.coefficients().to_dict("records"),
                 "population": self.population and self.population.data(),
@@ -337,8 +339,11 @@ class BatchResult:
             pq.write_table(table, place, write_page_checksum=True)
         return path
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{ws.html_text(self)}</pre>"
+
     def __str__(self) -> str:
-        bad, odd = self.doubted, {n: "; ".join(why) for n, why in self.odd.items()}
+        bad, odd = self.unreliable, {n: "; ".join(why) for n, why in self.odd.items()}
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
         lines += first_few(bad, len(bad))
         lines.append(
@@ -350,9 +355,9 @@ class BatchResult:
         lines += first_few(odd, len(odd), ending=", all in `odd`")
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
-        lines += [printed(self.coefficients(), 4)] * bool(self.fitted)
+        lines += [printed(self.coefficients(), 4, HEADS)] * bool(self.fitted)
         if len(self.effects):
-            table = printed(self.effects.head(SHOWN_DEVICES), 3)
+            table = printed(self.effects.head(SHOWN_DEVICES), 3, EFFECT_HEADS)
             lines.append(f"missing from the devices' models:\n{table}")
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 

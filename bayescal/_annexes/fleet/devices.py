@@ -43,11 +43,7 @@ class Devices:
         return len(self.names)
 
     def __getitem__(self, name: str) -> bc.Measurements:
-        """Return one device's readings.
-
-        Raises:
-            InputError: no device is called so, or it was refused.
-        """
+        """Return one device's readings; raise InputError if none is called so, or it was refused."""
         if name in self.refused:
             raise bc.InputError(f"device {name!r} was refused: {self.refused[name]}")
         if name in self.measurements:

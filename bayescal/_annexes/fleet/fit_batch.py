@@ -156,12 +156,18 @@ class _Run:
         values, errors = dict[int, Any](), dict[int, str]()
         start = last = time.monotonic()
         tasks = [(self.request, part) for part in self.parts]
-        for count, (i, value, error) in enumerate(run_tasks(self.client, function, tasks), 1):
+        read = all(isinstance(piece, Devices) for part in self.parts for piece in part)
+        sizes = [sum(len(getattr(p, "names", "1")) for p in part) for part in self.parts]
+        count, total, what = 0, sum(sizes), "devices" if read else "files"
+        for i, value, error in run_tasks(self.client, function, tasks):
             (errors if error else values)[i] = error or value
-            if time.monotonic() > last + PROGRESS_SECONDS:
+            count += sizes[i]
+            if time.monotonic() > last + PROGRESS_SECONDS and count < total:
                 last = time.monotonic()
-                remaining = (last - start) * (len(tasks) / count - 1)
-                ws.tell(f"{count} of {len(tasks)} parts, about {remaining:,.0f} s left")
+                remaining = (last - start) * (total / count - 1)
+                ws.tell(
+                    f"{count:,} of {total:,} {what}, about {remaining:,.0f} s left", count / total
+                )
         return [value_of_part for _, value_of_part in sorted(values.items())], errors
 
     def with_request(self, **changed: Any) -> _Run:
@@ -169,11 +175,7 @@ class _Run:
         return replace(self, request=replace(self.request, **changed))
 
     def with_reference(self) -> _Run:
-        """Return the run with T0 and its like over all devices, so that offsets mean the same.
-
-        Raises:
-            InputError: a part cannot be read.
-        """
+        """Return the run with one T0 over all devices; raise InputError if a part is unreadable."""
         options = self.request.fit_options
         if not isinstance(self.parts[-1][0], Devices):
             if "T0" in options.reference:
@@ -304,11 +306,7 @@ def fit_batch(
 
 
 def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
-    """Fit all devices, compare them with each other, and put a population to them.
-
-    Raises:
-        InputError: none can be used.
-    """
+    """Fit all devices, compare them, and put a population to them; raise InputError if none can be used."""
     model, options, find = run.request.model, run.request.fit_options, run.request.find
     named = chosen(model, population)
     with ws.stage("fitting devices"):
@@ -325,7 +323,7 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         fitted.results, about | ({"settings": settings} if (settings := ws.unusual()) else {})
     )
     if not any(fit.names for fit in result):
-        reasons = result.doubted | fitted.missing
+        reasons = result.unreliable | fitted.missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]

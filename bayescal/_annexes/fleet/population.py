@@ -60,21 +60,14 @@ AskedPopulation = bool | Sequence[str] | Mapping[str, GroupSdPrior]
 
 @dataclass(frozen=True)
 class Population:
-    """What the devices have in common.
+    """What the devices have in common."""
 
-    Attributes:
-        table: per coefficient: mean, standard deviation between devices (`group_sd`), their uncertainties, unit.
-        ok: whether the weights of the between-group standard deviations are reliable.
-        reason: why not.
-        devices: how many it was learned from.
-        pareto_k: of the weights.
-    """
-
+    # per coefficient: mean, standard deviation between devices (`group_sd`), their uncertainties, unit
     table: pd.DataFrame
-    ok: bool
-    reason: str
-    devices: int
-    pareto_k: float
+    ok: bool  # whether the weights of the between-group standard deviations are reliable
+    reason: str  # why not
+    devices: int  # how many it was learned from
+    pareto_k: float  # of the weights
 
     def data(self) -> dict[str, Any]:
         """Return plain JSON."""
@@ -82,7 +75,14 @@ class Population:
 
     def __str__(self) -> str:
         head = f"population of {self.devices} devices"
-        return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
+        pairs = {
+            "mean ± u": ("mean", "mean_sd"),
+            "sd between devices ± u": ("group_sd", "group_sd_sd"),
+        }
+        columns = {h: map(ws.with_error, *(self.table[n] for n in p)) for h, p in pairs.items()}
+        columns |= {"unit": map(ws.unit_label, self.table["unit"])}
+        rows = zip(self.table["coefficient"], *columns.values(), strict=True)
+        return f"{head}{'' if self.ok else ': ' + self.reason}\n{ws.plain_table(['coefficient', *columns], rows)}"
 
 
 def chosen(model: bc.Model, requested: AskedPopulation) -> Named:

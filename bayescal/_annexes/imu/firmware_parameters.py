@@ -357,11 +357,7 @@ class FirmwareParameters:
         return autopilot.text(comments, self.values)
 
     def write(self, path: str | Path) -> Path:
-        """Write the parameter file atomically.
-
-        Raises:
-            InputError: a place that cannot be written to.
-        """
+        """Write the parameter file atomically; raise InputError for a place that cannot be written to."""
         return ws.write_text(self.text(), path)
 
 

@@ -52,7 +52,7 @@ def kalibr_yaml(
         lines.append(f"# {ws.c_comment(name)}: {noise.law}. {_left_out(noise)}")
         for n in (figure for figure in noise.figures if figure.symbol == "N"):
             middle, low, high = (f"{value:.4e}" for value in n.si)
-            density_text = "not seen" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
+            density_text = "unknown" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
             lines.append(f"#   N: {density_text}")
     for kind, unit in KINDS.items():
         group = [noise for name, noise in channels.items() if kinds[name] == kind]

@@ -101,7 +101,7 @@ def plain_correction(
         half = 0.5 * (correction.high - correction.low)
         warm, shares = correction.low + half * (1 + RANGE_NODES), RANGE_WEIGHTS
     powers = correction.powers(warm)  # of T − T0
-    first = np.r_[0:12, p - 9 * bool(correction.beside) : p]  # terms that are of first order
+    first = np.r_[0:12, p - 9 * bool(correction.beside) : p]  # terms of first order
     to_plain = np.eye(p)[first]
     for i in range(3):
         if order > 1 and not ws.same_dimension(correction.unit, "rad/s"):

@@ -225,6 +225,9 @@ class VectorCorrection(ws.CorrectionInUse):
         """Format offset, matrix and the other terms, as exports have them."""
         return str(terms_table(self.rows))
 
+    def _repr_html_(self) -> str:
+        return terms_table(self.rows).html()
+
     def __call__(
         self,
         outputs: bc.Measurements | ArrayLike,
@@ -353,15 +356,15 @@ def term_rows(
     terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary: Sequence[str]
 ) -> list[TermRow]:
     """Return the non-zero terms of a correction as rows."""
-    axes, terms = "xyz", np.asarray(terms, float)
+    axes, terms, per = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
     names = [(f"offset {a}", unit) for a in axes]
     names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
     size = terms.shape[1] - 9 * bool(secondary)
     if size > 12:
         pairs = [axes[i] + axes[j] for i, j in PAIRS]
-        names += [(f"second order {a}·{p}", f"1/({unit})") for a in axes for p in pairs]
+        names += [(f"second order {a}·{p}", f"1/{per}") for a in axes for p in pairs]
     if size > 30:
-        names += [(f"cube {a}", f"1/({unit})^2") for a in axes]
+        names += [(f"cube {a}", f"1/{per}^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
     rows = zip(range(4), terms, np.asarray(uncertainty, float), strict=False)
     return [

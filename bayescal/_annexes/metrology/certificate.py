@@ -69,11 +69,7 @@ class Certificate:
         return {name: str(value) for name, value in self.stated.get("conditions", {}).items()}
 
     def require(self, *needed: str) -> None:
-        """Require keys such as "device.serial".
-
-        Raises:
-            InputError: something is missing; all of it is named.
-        """
+        """Require keys such as "device.serial"; raise InputError that names all that are missing."""
         missing = [n for n in needed if not self.get(*n.split("."))]
         if missing:
             raise bc.InputError(
@@ -262,11 +258,7 @@ D_SI = {
 
 
 def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
-    """Convert a unit to D-SI: return the factor and the D-SI text, such as \\radian\\second\\tothe{-1}; degC stays one.
-
-    Raises:
-        InputError: it is no unit.
-    """
+    """Return a unit's factor and D-SI text, such as \\radian\\second\\tothe{-1}; raise InputError if it is none."""
     if unit in (None, "", "1"):
         return 1.0, "\\one"
     if unit == "degC":

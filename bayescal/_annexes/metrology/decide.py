@@ -17,6 +17,7 @@ nothing changes with time, the reason is said (ILAC-G24/OIML D 10:2022 leaves th
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -292,8 +293,11 @@ def statement_lines(d: Decision) -> list[str]:
     lines = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
         scatter = f"; single readings scatter by {ws.number(d.scatter)} {ws.unit_label(d.unit)}"
-        places = ", ".join(_place(name, *place) for name, place in d.at.items())
-        lines.append(f"  at {places}{scatter * (d.scatter > 0)}")
+        places = dict[tuple[str, str], str]()  # lags of one value are named once, as in a budget
+        for name, place in d.at.items():
+            value = _place("", *place)
+            places.setdefault((re.sub(r"_lag_\d+$", "_lag", name), value), f"{name} {value}")
+        lines.append(f"  at {', '.join(places.values())}{scatter * (d.scatter > 0)}")
     if (g := d.global_risks) is not None:
         which = f" {ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(

@@ -183,7 +183,7 @@ class Session:
                     "folder (--out), or remove it"
                 )
             step = ws.step_of(calibration, self.holdout, accepted)
-            step = replace(step, added=entry.added, changed=entry.changed)
+            step = replace(step, added=entry.added, description=entry.changed)
             self._states[n] = State(n, entry.parent, step, datetime.fromisoformat(entry.at))
         self._at = saved.current
         store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # a torn state
@@ -335,8 +335,8 @@ class Session:
             ModelError: nothing can be learnt from the current model.
         """
         begin = self.current
-        if begin.step.against and not self._loop.freed(begin.step):
-            raise bc.ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
+        if begin.step.failures and not self._loop.freed(begin.step):
+            raise bc.ModelError(f"nothing is looked for: {' '.join(begin.step.failures)}")
         with self._in_time():
             loop, at = self._weighed(begin, follow)
             steps, number = [begin.step], begin.number
@@ -435,7 +435,7 @@ class Session:
     def _judged(self, state: State) -> bc.SearchPath:
         loop, way = self._loop, self.path(state.number)
         step = loop.step(state.model, loop.method, state.calibration.start or {})
-        step = replace(step, added=state.step.added, changed=state.step.changed)
+        step = replace(step, added=state.step.added, description=state.step.description)
         weighed = None
         if step.calibration.verdict.ok:
             with suppress(ws.deadline.TimeIsUp), self._in_time():
@@ -510,7 +510,7 @@ class Session:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
         step = loop.step(change.model, loop.quick(change.model))
-        return self._append(replace(step, added=change.added, changed=change.in_words), parent)
+        return self._append(replace(step, added=change.added, description=change.in_words), parent)
 
     def _append(
         self, step: ws.Step, parent: int | None, discovery: bc.Discovery | None = None

@@ -143,7 +143,7 @@ class SavedState:
     @classmethod
     def of(cls, state: State) -> SavedState:
         step = state.step
-        fields = state.at.isoformat(), step.added, step.changed, ws.identity(state.calibration)
+        fields = state.at.isoformat(), step.added, step.description, ws.identity(state.calibration)
         return cls(state.parent, *fields)
 
 

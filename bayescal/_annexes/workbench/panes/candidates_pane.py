@@ -82,7 +82,7 @@ def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
     """Return rows: findings, substitutes as "one of these", then the others; undetectable and untestable in grey."""
     by_name = {c.effect: c for c in discovery.candidates}
     rows, placed = [], set()
-    for i, alternatives in enumerate(discovery.sets):
+    for i, alternatives in enumerate(discovery.findings):
         which = "Missing" if i == 0 else "Also missing"
         if len(alternatives.effects) > 1:
             which = "One of these; these readings cannot tell which"

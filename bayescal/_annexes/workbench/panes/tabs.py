@@ -98,7 +98,7 @@ def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:
     return order
 
 
-COLUMNS = ("step", "as fitted", "new run", "held-out", "floor", "P(complete)")
+COLUMNS = ("step", "as fitted", "new run", "held-out", "noise floor", "P(complete)")
 TITLES = {"P(complete)": "probability that the model is complete"}
 
 

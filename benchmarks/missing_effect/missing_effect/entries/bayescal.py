@@ -150,7 +150,7 @@ def _sets(discovery: bc.Discovery) -> dict[tuple[str, ...], float]:
     """
     remaining = {c.effect: c.probability or 0.0 for c in discovery.candidates}
     choices = []
-    for finding in discovery.sets:
+    for finding in discovery.findings:
         shares = {n: remaining.pop(n, 0.0) for n in finding.effects}
         choices.append(
             {n: finding.probability * p / sum(shares.values()) for n, p in shares.items()}
