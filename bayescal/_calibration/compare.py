@@ -20,7 +20,7 @@ from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_gr
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number
-from bayescal._core.importance_weights import stacking
+from bayescal._core.importance_weights import stacking_weights
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -135,7 +135,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             )
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     best_loo = max((points for points, _ in loo.values()), key=np.sum)
-    weights = stacking(np.stack([points for points, _ in loo.values()], axis=1))
+    weights = stacking_weights(np.stack([points for points, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     left_out = [f for f in folds.values() if f is not None]
     fold, grouped = next(iter(left_out), None), len(left_out) == len(folds)

@@ -8,7 +8,7 @@ import xarray as xr
 
 from bayescal._calibration.fitted import CELLS, Fitted, flat, named, replicate
 from bayescal._calibration.storage import draws_group
-from bayescal._core.atomic_file import storable
+from bayescal._core.atomic_file import encode_name
 from bayescal._model.prior import HalfCauchy, HalfNormal, slope
 
 PRIOR_DRAWS = 1000  # in ArviZ's tree: enough to plot a prior
@@ -56,7 +56,7 @@ def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
         # Indices of pandas: xarray would load Dask to look at arrays.
         draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
         group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
-    names = {str(n): storable(str(n)) for n in (*group.variables, *group.dims)}
+    names = {str(n): encode_name(str(n)) for n in (*group.variables, *group.dims)}
     return group.rename({old: new for old, new in names.items() if old != new})
 
 

@@ -64,7 +64,7 @@ def save(calibration: Fitted, path: Path) -> Path:
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
     meaning = {c.name: c.meaning or c.name for c in calibration.model.instrument.columns}
     readings = {
-        atomic_file.storable(n): v._replace(attrs={**v.attrs, "long_name": meaning.get(n, n)})
+        atomic_file.encode_name(n): v._replace(attrs={**v.attrs, "long_name": meaning.get(n, n)})
         for n, v in calibration.readings.variables().items()
     }
     mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
@@ -98,7 +98,7 @@ def load_calibration(
         raise InputError(f"{path} is a folder: give the calibration in it, {candidates}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
-    content = io.BytesIO(atomic_file.verified(path, "a saved calibration", AGAIN))
+    content = io.BytesIO(atomic_file.read_sealed(path, "a saved calibration", AGAIN))
     try:
         return _read(path, content, effects, instruments)
     except MISMATCHES as error:
@@ -158,7 +158,7 @@ def _flagged(messages: Sequence[str], described: Mapping[str, Any]) -> tuple[str
 def _readings_from(groups: Mapping[str, Group], described: Mapping[str, Any]) -> Measurements:
     both = {**groups["constant_data"], **groups["observed_data"]}
     columns = {
-        atomic_file.named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW
+        atomic_file.decode_name(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW
     }
     sources = tuple(Source(**s) for s in described["sources"])
     nominal, flags = (described.get("nominal_scale"), _flagged(described["flags"], described))

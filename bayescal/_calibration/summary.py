@@ -201,7 +201,7 @@ def null_claims(
     exact, weak, others = null_vectors(linear, exactly)
     for v in exact:  # combinations that change no reading, in the coefficients' units
         vector = v * linear.sd[: len(v)]
-        vector, order = null_space.simple(vector), np.flatnonzero(vector)
+        vector, order = null_space.scale_to_integers(vector), np.flatnonzero(vector)
         code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
         combination = _sum([(vector[i], names[i]) for i in order])
         claims.append(Claim(code, *(names[i] for i in order), combination=combination))

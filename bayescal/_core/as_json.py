@@ -1,4 +1,4 @@
-"""Conversion of results to plain JSON data and files, the same for every result."""
+"""Conversion of results to plain JSON data and files."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def json_text(data: Any, indent: int = 2) -> str:
 
 
 def write_json(data: Any, path: Path, indent: int = 2) -> Path:
-    """Write plain data as JSON to a place that the user chose; see `write_text`."""
+    """Write plain data as JSON to a path chosen by the user; see `write_text`."""
     return write_text(json_text(data, indent), path)

@@ -20,16 +20,16 @@ from bayescal._core.errors import InputError
 MAGIC = b"\n# bayescal sha256 "
 TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
 TRAILER_BYTES = len(MAGIC) + 64 + 1
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # or a used-up quota, a limit
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space, quota or size limit
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside `path` that replaces it once it is complete; remove it on failure."""
+    """Yield a temporary file in the same folder that replaces `path` on success; remove it on failure."""
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
     # number distinguishes leftovers from files that another process is writing.
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    for leftover in left_behind(path):
+    for leftover in list_leftovers(path):
         if leftover.is_file():
             leftover.unlink(missing_ok=True)
     try:
@@ -39,14 +39,14 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def left_behind(path: Path) -> list[Path]:
-    """Return temporary files of killed processes beside a file or folder, not those that others are writing."""
+def list_leftovers(path: Path) -> list[Path]:
+    """List temporary files of killed processes for a path, except those of running processes."""
     names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
-    return [path_left for path_left in names if not _runs(path_left.name.split(".")[-2])]
+    return [path_left for path_left in names if not _may_run(path_left.name.split(".")[-2])]
 
 
-def _runs(process: str) -> bool:
-    """Return whether a process of this number may be running; True where the system is not POSIX."""
+def _may_run(process: str) -> bool:
+    """Return whether a process with this id may be running; True on systems other than POSIX."""
     if os.name != "posix" or not process.isdecimal():
         return True
     try:
@@ -60,12 +60,12 @@ def _runs(process: str) -> bool:
 
 @contextmanager
 def replacing_for_user(path: Path) -> Iterator[Path]:
-    """Yield a temporary file for a place that the user chose; raise InputError if it cannot be written."""
+    """Yield a temporary file for a path chosen by the user; raise InputError if it cannot be written."""
     try:
         with result_folder(path.parent), replacing(path) as partial:
             yield partial
     except OSError as error:
-        raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
+        raise InputError(f"{str(path)!r} cannot be written: {write_advice(error)}") from error
 
 
 @contextmanager
@@ -74,7 +74,7 @@ def result_folder(folder: Path | None) -> Iterator[Path | None]:
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:
-            _make(folder)
+            _make_folder(folder)
         yield folder
     except BaseException:
         for folder_made in missing:
@@ -83,7 +83,7 @@ def result_folder(folder: Path | None) -> Iterator[Path | None]:
         raise
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -92,7 +92,7 @@ def _make(folder: Path) -> None:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
 
 
-def why(error: OSError) -> str:
+def write_advice(error: OSError) -> str:
     """Format the reason why a file cannot be written, and what to do about it."""
     text = error.strerror or str(error)
     if error.errno in DISK_FULL:
@@ -102,17 +102,17 @@ def why(error: OSError) -> str:
 
 
 def write_text(text: str, path: str | Path) -> Path:
-    """Write text as UTF-8 to a place that the user chose; see `replacing_for_user`."""
+    """Write text as UTF-8 to a path chosen by the user; see `replacing_for_user`."""
     path = Path(path)
     with replacing_for_user(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
     return path
 
 
-def to_disk(path: Path) -> None:
+def flush(path: Path) -> None:
     """Flush a file, or the entries of a folder, to the disk."""
     if path.is_dir() and os.name != "posix":
-        return  # only there can a folder be opened
+        return  # only POSIX can open a folder
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(handle)
@@ -121,32 +121,32 @@ def to_disk(path: Path) -> None:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, read in pieces."""
+    """Return the SHA-256 of a file's bytes, read in chunks."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def storable(name: str) -> str:
-    """Encode a name for NetCDF, in which a / separates groups: it is written %2F."""
-    if "/" in name or name != named_back(name):
+def encode_name(name: str) -> str:
+    """Encode a name for NetCDF, which reserves "/" for groups: as %2F."""
+    if "/" in name or name != decode_name(name):
         return name.replace("%", "%25").replace("/", "%2F")
     return name
 
 
-def named_back(stored: str) -> str:
-    """Decode a name that `storable` encoded."""
+def decode_name(stored: str) -> str:
+    """Decode a name that `encode_name` encoded."""
     return stored.replace("%2F", "/").replace("%25", "%")
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:
-    """Write bytes and the trailer that `verified` checks."""
+    """Write bytes with the trailer that `read_sealed` verifies."""
     with path.open("wb") as file:
         file.write(content)
         file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
-def verified(path: Path, what: str, instead: str) -> memoryview:
-    """Read and verify a sealed file, without its trailer; raise InputError that it is not `what`, and `instead`."""
+def read_sealed(path: Path, what: str, instead: str) -> memoryview:
+    """Read a sealed file without its trailer; raise InputError unless it is valid: not `what`, advice `instead`."""
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-MAX_CORRECTION_SCATTER = 0.01  # below, the posterior is the same without corrections
-MIN_TAIL_WEIGHTS = 5  # that a tail is fitted to
-MIN_EFFECTIVE_SIZE = 50  # from which the scatter of corrections is known
+MAX_CORRECTION_SCATTER = 0.01  # standard deviation of corrections that count as constant
+MIN_TAIL_WEIGHTS = 5  # to fit a Pareto tail
+MIN_EFFECTIVE_SIZE = 50  # to estimate the standard deviation of corrections
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
     """Return Pareto-smoothed weights, summing to one, and k̂.
 
-    The largest ones are replaced by quantiles of a generalised Pareto distribution fitted to them, as ArviZ does (which
-    takes a second to load).
+    The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, as in ArviZ.
+
 
     Raises:
         ValueError: fewer than 25 draws, whose largest weights show no tail.
@@ -30,7 +30,7 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
     weights = np.exp(log_weight - np.max(log_weight))
     order = np.argsort(log_weight)
     largest, cutoff = order[-tail:], weights[order[-tail - 1]]
-    k_hat, scale = _generalised_pareto(weights[largest] - cutoff)
+    k_hat, scale = _fit_pareto(weights[largest] - cutoff)
     if np.isfinite(k_hat) and scale > 0:
         tail_log = np.log1p(-(np.arange(tail) + 0.5) / tail)
         stretch = np.expm1(-k_hat * tail_log) / k_hat if k_hat else -tail_log
@@ -38,16 +38,16 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
     return weights / weights.sum(), k_hat
 
 
-def _generalised_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
-    """Return shape k̂, shrunk to ½ by as much as ten values would, and scale, of values above zero in rising order.
+def _fit_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
+    """Fit a generalised Pareto distribution to sorted positive values; return k̂ (shrunk to ½, prior weight 10), scale.
 
     Source: J. Zhang and M. Stephens, Technometrics 51 (2009) 316: the mean of b = −k/σ over its profile likelihood.
     """
-    n, most = len(excess), 30 + int(len(excess) ** 0.5)
+    n, grid_size = len(excess), 30 + int(len(excess) ** 0.5)
     quartile = excess[int(n / 4 + 0.5) - 1]
-    if quartile == 0.0:  # equal ones have no tail; one that counts beside zeros has no end
+    if quartile == 0.0:  # equal values have no tail; one positive value among zeros an infinite one
         return np.inf if excess[-1] > 0.0 else 0.0, 0.0
-    b = (1 - np.sqrt(most / (np.arange(most) + 0.5))) / (3 * quartile) + 1 / excess[-1]
+    b = (1 - np.sqrt(grid_size / (np.arange(grid_size) + 0.5))) / (3 * quartile) + 1 / excess[-1]
     k = np.mean(np.log1p(-b[:, None] * excess), axis=1)
     profile = n * (np.log(-b / k) - k - 1)
     weight = np.exp(profile - np.max(profile))
@@ -66,19 +66,19 @@ def effective_size(weights: Float[np.ndarray, "s"]) -> float:
 def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.ndarray, "count"]:
     """Return indices of draws by systematic resampling, then shuffled."""
     random = np.random.default_rng(seed)
-    # One random number for the whole ladder: the copies of a draw differ from count·weight by less than one.
-    ladder = (np.arange(count) + random.random()) / count
-    pick = np.searchsorted(np.cumsum(weights) / np.sum(weights), ladder)
-    return random.permutation(np.minimum(pick, weights.size - 1))
+    # Systematic: one random offset, so that copies of a draw differ from count·weight by less than one.
+    quantiles = (np.arange(count) + random.random()) / count
+    indices = np.searchsorted(np.cumsum(weights) / np.sum(weights), quantiles)
+    return random.permutation(np.minimum(indices, weights.size - 1))
 
 
 class Corrections:
-    """Corrections of the log weights of joint draws, as far as computed.
+    """Accumulator of corrections of the log weights of joint draws, to detect that they are constant.
 
     Attributes:
-        mean: of the corrections, weighted as the draws are.
-        alike: whether they scatter so little that the others may have this mean: a relative scatter δ of the weights
-            moves a posterior mean by δ standard deviations at most (Cauchy and Schwarz), a standard deviation by δ/√2.
+        mean: weighted mean of the corrections.
+        alike: whether they are constant within tolerance: a relative deviation δ of the weights changes a posterior
+            mean by at most δ standard deviations (Cauchy–Schwarz), a standard deviation by δ/√2.
     """
 
     def __init__(self) -> None:
@@ -99,8 +99,8 @@ class Corrections:
             self.alike = bool(scatter < MAX_CORRECTION_SCATTER)
 
 
-def stacking(log_densities: np.ndarray) -> np.ndarray:
-    """Return weights on models (m,) that maximise the log score of their mixture, from (n, m) log densities.
+def stacking_weights(log_densities: np.ndarray) -> np.ndarray:
+    """Return the model weights (m,) that maximise the log score of the mixture, from log densities (n, m).
 
     Source: Yao et al., Bayesian Analysis 13 (2018) 917.
     """
@@ -109,14 +109,13 @@ def stacking(log_densities: np.ndarray) -> np.ndarray:
     count = log_densities.shape[1]
     density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
 
-    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
-        # Weights as a softmax of free numbers f are positive and add up to one. With g the slope of the score by the
-        # weights its slope by f is w·(g − w·g).
-        weight = np.exp(free - free.max())
+    def loss(logits: np.ndarray) -> tuple[float, np.ndarray]:
+        # Softmax parametrisation: with g the gradient by the weights w, the gradient by the logits is w·(g − w·g).
+        weight = np.exp(logits - logits.max())
         weight /= weight.sum()
-        mixed = density @ weight
-        slope = (density / mixed[:, None]).sum(axis=0)
-        return -float(np.log(mixed).sum()), -weight * (slope - slope @ weight)
+        mixture = density @ weight
+        gradient = (density / mixture[:, None]).sum(axis=0)
+        return -float(np.log(mixture).sum()), -weight * (gradient - gradient @ weight)
 
     optimum = minimize(loss, np.zeros(count), jac=True, method="BFGS")
     weight = np.exp(optimum.x - optimum.x.max())

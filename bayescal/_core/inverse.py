@@ -1,4 +1,4 @@
-"""Inversion of a measurement equation: the stimulus by its output; a number, or a vector reading by reading."""
+"""Inversion of a measurement equation by Newton's method: stimulus from output, scalar or vector."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ MAX_ROUNDING_ERRORS = 1e4  # of the output: tolerance of a solution
 def stepped(
     equation: Callable[[Any], tuple[Any, Callable[[Any], Any]]], y: Any, s: Any, steps: int
 ) -> Any:
-    """Solve an equation for s at output y by a number of Newton steps from s, each squaring the error; in JAX too.
+    """Solve an equation for s at output y by a fixed number of Newton steps from s; differentiable in JAX.
 
     Args:
-        equation: s → the output, and the function from a small change of the output to that of s (÷ slope).
+        equation: s → the output, and the inverse of its derivative as a function of a change of the output.
         y: the output.
         s: starting value.
-        steps: number of steps; one where the equation is a straight line.
+        steps: number of steps; one suffices for an affine equation.
     """
     for _ in range(steps):
         value, undone = equation(s)
@@ -28,10 +28,10 @@ def stepped(
     return s
 
 
-def solved(
+def solve_newton(
     equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, affine: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve an equation (s → output and slope) for s at output y; return s and the slope, NaN without a solution."""
+    """Solve an equation, s → (output, derivative), for s at output y; return s and derivative, NaN if not solvable."""
     s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
     with np.errstate(all="ignore"):
         for _ in range(1 if affine else MAX_NEWTON_STEPS):
@@ -43,5 +43,6 @@ def solved(
         if affine:
             return s, slope
         value, slope = equation(s)
-        near = np.abs(value - y) <= MAX_ROUNDING_ERRORS * precision * (np.abs(y) + np.abs(value))
-        return np.where(near, s, np.nan).astype(y.dtype), np.where(near, slope, np.nan)
+        tolerance = MAX_ROUNDING_ERRORS * precision * (np.abs(y) + np.abs(value))
+        valid = np.abs(value - y) <= tolerance
+        return np.where(valid, s, np.nan).astype(y.dtype), np.where(valid, slope, np.nan)

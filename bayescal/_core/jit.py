@@ -1,8 +1,8 @@
-"""Compiled functions: compiled quickly for few data, well optimised for many; cached by value.
+"""Just-in-time compilation with options by the amount of data, and partial functions that compare by value.
 
-Most structures of a model are fitted a few times to some hundred readings, and compiling takes a hundred times as
-long as computing. Without XLA's fusion emitters compiling takes half the time and computing no longer; without the
-optimisations of its last stage too, a fifth, and computing at most three times as long (docs/decisions.md).
+Most models are fitted a few times to some hundred readings, and compiling takes a hundred times as long as running.
+Without XLA's fusion emitters compile time is halved at the same run time; without backend optimisation too it is a
+fifth, at up to three times the run time (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 from bayescal._core.lazy_jax import jax
 
-# Numbers in a function's arguments, from which computing takes longer than compiling.
+# Array elements in a function's arguments, above which run time exceeds compile time.
 MANY_NUMBERS = 30_000
 ALWAYS = {"xla_cpu_use_fusion_emitters": False}
 QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
@@ -23,10 +23,10 @@ R = TypeVar("R", covariant=True)
 
 
 class compiled(Generic[P, R]):
-    """`equinox.filter_jit`, with compiler options chosen by the number of numbers in the arguments.
+    """`equinox.filter_jit` with compiler options chosen by the number of array elements in the arguments.
 
-    Inside another compiled function it is the plain function, under that one's options. `many` is the size of the
-    arguments from which on it is well optimised.
+    Inside another compiled function it is the undecorated function. `many`: number of elements from which it is
+    compiled with full optimisation.
     """
 
     def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
@@ -38,18 +38,18 @@ class compiled(Generic[P, R]):
     def _compiler(self, few: bool) -> Any:
         import equinox as eqx
 
-        return eqx.filter_jit(self.function, compiler_options=known(QUICK if few else ALWAYS))
+        return eqx.filter_jit(self.function, compiler_options=supported(QUICK if few else ALWAYS))
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         numbers = [a for a in jax.tree.leaves((args, kwargs)) if isinstance(a, jax.Array)]
-        # Traced within another compiled function: JAX takes options of the compiler at the outermost `jit` alone.
+        # Traced within another compiled function: JAX accepts compiler options at the outermost `jit` only.
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)
         return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
 
 
-def known(options: dict[str, Any]) -> dict[str, Any]:
-    """Select the options that the installed compiler supports: versions differ, and an unknown one is an error."""
+def supported(options: dict[str, Any]) -> dict[str, Any]:
+    """Select the compiler options that the installed version supports; unsupported ones would raise."""
     return {name: value for name, value in options.items() if _is_supported(name, value)}
 
 
@@ -63,7 +63,7 @@ def _is_supported(name: str, value: Any) -> bool:
 
 
 class value_partial(partial):
-    """`functools.partial` that compares by value, so that an equal or unpickled one uses the same compiled programs."""
+    """`functools.partial` that compares by value, so that equal or unpickled partials share compiled programs."""
 
     def _key(self) -> tuple[Any, ...]:
         return self.func, self.args, tuple(sorted(self.keywords.items()))
@@ -81,7 +81,7 @@ class value_partial(partial):
 
 
 def by_value(function: Any) -> Any:
-    """Convert a partial to one that compares by value, where its arguments are hashable; return others as they are."""
+    """Convert a `functools.partial` with hashable arguments to `value_partial`; return anything else unchanged."""
     if type(function) is not partial:
         return function
     args = map(by_value, function.args)  # a basis of a basis

@@ -87,10 +87,10 @@ def _unexpected(value: Any, what: str, where: str) -> ValueError:
 
 def parsed_json(text: str | bytes) -> Any:
     """Parse JSON; raise ValueError if it is none, too deep, or holds too large a whole number."""
-    return _parsed(json.loads, text, "JSON")
+    return _parse(json.loads, text, "JSON")
 
 
-def _parsed(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any:
+def _parse(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any:
     try:
         data = parse(text)
     except RecursionError:
@@ -123,7 +123,7 @@ def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
         text = path.read_text("utf-8-sig")
         if max(map(len, text.splitlines()), default=0) > MAX_LINE_CHARACTERS:
             raise ValueError(f"it has a line of more than {MAX_LINE_CHARACTERS:,} characters")
-        return as_type(_parsed(tomllib.loads, text, "TOML"), kind)
+        return as_type(_parse(tomllib.loads, text, "TOML"), kind)
     except OSError as error:
         reason = f"cannot be read: {error.strerror or error}. Check the name and the folder"
         raise InputError(f"{called} {reason}") from None

@@ -15,32 +15,32 @@ from functools import cache
 import numpy as np
 from scipy import linalg
 
-EXACT_SHARE = 3e-14  # of the largest singular value of normalised columns: rounding, no information
-DUST_SHARE = 1e-9  # of a direction's largest entry: rounding
-TRACE_SHARE = 1e-4  # of it: may be a trace of a nearly null direction
-# Information of a group of columns at its prior's size, in nats: below, no evidence decides on the group.
+EXACT_SHARE = 3e-14  # singular value over the largest, of normalised columns: rounding
+DUST_SHARE = 1e-9  # entry over a direction's largest: rounding
+TRACE_SHARE = 1e-4  # entry over the largest: possibly a remnant of a nearly null direction
+# Information in nats, below which no evidence can decide on a group of columns.
 UNDECIDED_NATS = 0.5
-UNDECIDED_SHARE = 0.01  # of a group's squares, as residuals on others: below, it is in their span
+UNDECIDED_SHARE = 0.01  # residual over total sum of squares of a group in the span of others
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
     """Return a basis (k, p) of the null space of columns (n, p) in any units, few entries a row, the others zero."""
-    # Columns of unit length: whether a direction is null must not depend on the units of its coefficients.
+    # Columns of unit length, so that the result is independent of units.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
-    small = _small(columns / norm)
-    basis = echelon(linalg.null_space(small, rcond=EXACT_SHARE).T)
-    basis = np.array([_swept(small, row) for row in basis]).reshape(basis.shape)
-    basis = _in_order(basis / norm)
+    reduced = _r_factor(columns / norm)
+    basis = echelon(linalg.null_space(reduced, rcond=EXACT_SHARE).T)
+    basis = np.array([_remove_traces(reduced, row) for row in basis]).reshape(basis.shape)
+    basis = _sort_rows(basis / norm)
     return basis / np.abs(basis).max(axis=1, keepdims=True, initial=1e-300)
 
 
-def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the null direction of a row's large entries alone, without traces of others; else the row."""
+def _remove_traces(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return the null direction of a row's large entries alone, if there is one; otherwise the row."""
     large = np.abs(row) > TRACE_SHARE * np.abs(row).max()
     if large.all():
         return row
-    null = linalg.null_space(_small(columns[:, large]), rcond=EXACT_SHARE)
+    null = linalg.null_space(_r_factor(columns[:, large]), rcond=EXACT_SHARE)
     if not null.size:
         return row
     swept = np.zeros_like(row)
@@ -56,15 +56,15 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> 
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
-    _, values, rows = np.linalg.svd(_small(columns), full_matrices=True)
+    _, values, rows = np.linalg.svd(_r_factor(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
-    space = _without(rows[values**2 < limit], exact)
+    space = _complement(rows[values**2 < limit], exact)
     units = np.eye(count)[np.sum(space**2, axis=0) > alone]
-    others = echelon(_without(space, units))
+    others = echelon(_complement(space, units))
     return np.concatenate([units, others])
 
 
-def _small(columns: np.ndarray) -> np.ndarray:
+def _r_factor(columns: np.ndarray) -> np.ndarray:
     """Reduce to a square matrix with the same singular values and right vectors."""
     # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
@@ -72,8 +72,8 @@ def _small(columns: np.ndarray) -> np.ndarray:
     )
 
 
-def _without(space: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return orthonormal rows that span the part of `space` (orthonormal rows) orthogonal to `others`."""
+def _complement(space: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return orthonormal rows that span the orthogonal complement of `others` in `space` (orthonormal rows)."""
     dimensions = len(space) - len(others)
     if dimensions <= 0 or not len(others):
         return space[: max(dimensions, 0)]
@@ -99,42 +99,42 @@ def echelon(rows: np.ndarray) -> np.ndarray:
         free[at] = False
     largest = np.abs(reduced).max(axis=1, keepdims=True, initial=0.0)
     reduced[np.abs(reduced) < DUST_SHARE * largest] = 0.0
-    return _in_order(reduced)
+    return _sort_rows(reduced)
 
 
-def _in_order(rows: np.ndarray) -> np.ndarray:
-    """Sort rows by the position of their first entry that is not zero."""
+def _sort_rows(rows: np.ndarray) -> np.ndarray:
+    """Sort rows by the index of their first nonzero entry."""
     return rows[np.argsort([int(np.flatnonzero(row)[0]) for row in rows], kind="stable")]
 
 
-def simple(vector: np.ndarray) -> np.ndarray:
-    """Scale a direction to small whole numbers if possible, else to a largest entry of one; the first is positive."""
+def scale_to_integers(vector: np.ndarray) -> np.ndarray:
+    """Scale a direction to small integers if possible, else to a maximum of one; the first entry is positive."""
     # Null directions of physical models are often ratios of small whole numbers, such as 1 : −1 of two constants,
     # which can be stated exactly.
     entries = np.abs(vector[vector != 0])
-    whole = vector / entries.min()
-    near = np.abs(whole - np.rint(whole)) < 1e-5
-    small = near.all() and np.abs(whole).max() < 100
-    scaled = np.rint(whole) if small else vector / entries.max()
+    ratios = vector / entries.min()
+    is_integer = np.abs(ratios - np.rint(ratios)) < 1e-5
+    is_small = is_integer.all() and np.abs(ratios).max() < 100
+    scaled = np.rint(ratios) if is_small else vector / entries.max()
     return scaled * np.sign(scaled[np.flatnonzero(scaled)[0]])
 
 
-def nats(columns: np.ndarray) -> float:
-    """Return ½·Σ log(1 + K), K the information of columns (n, k) per prior standard deviation along their axes."""
+def information_nats(columns: np.ndarray) -> float:
+    """Return the information of columns (n, k), ½·log|I + CᵀC| in nats, per prior standard deviation."""
     return 0.5 * float(np.sum(np.log1p(np.linalg.svd(columns, compute_uv=False) ** 2)))
 
 
 def beyond(columns: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Project out of columns (n, k) the directions of `span` (n, m) that the readings determine."""
+    """Project the identified directions of `span` (n, m) out of columns (n, k)."""
     axes, values, _ = np.linalg.svd(span, full_matrices=False)
     axes = axes[:, 0.5 * np.log1p(values**2) >= UNDECIDED_NATS]
     return columns - axes @ (axes.T @ columns)
 
 
-def undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
-    """Return whether the residuals of columns are too small to decide on them, and a small part of them."""
-    small = np.sum(residuals**2) < UNDECIDED_SHARE * np.sum(columns**2)
-    return bool(small) and nats(residuals) < UNDECIDED_NATS
+def is_undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
+    """Return whether the residuals of columns on others are negligible, relatively and in information."""
+    is_small = np.sum(residuals**2) < UNDECIDED_SHARE * np.sum(columns**2)
+    return bool(is_small) and information_nats(residuals) < UNDECIDED_NATS
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,32 +151,32 @@ class Spans:
         for name in ("implied", "generators"):
             object.__setattr__(self, name, cache(getattr(self, name)))
 
-    def within(self, name: str, others: Iterable[str]) -> bool:
-        """Return whether a group is in the span of others."""
+    def is_spanned(self, name: str, others: Iterable[str]) -> bool:
+        """Return whether a group is in the span of other groups."""
         span = [self.left[n] for n in others if n in self.left]
         if name not in self.left or not span:
             return False
-        return undecided(self.left[name], beyond(self.left[name], np.column_stack(span)))
+        return is_undecided(self.left[name], beyond(self.left[name], np.column_stack(span)))
 
     def implied(self, names: frozenset[str]) -> frozenset[str]:
-        """Return the groups that are in the span of `names` and of the model, and not among them."""
+        """Return the groups outside `names` that are in the span of `names` and the model."""
         base = names.intersection(self.left)
-        extra = {n for n in self.left if n not in base and self.within(n, base)} if base else set()
-        return frozenset(extra | {*self.latent}) - names
+        others = [n for n in self.left if n not in base] if base else []
+        return frozenset({n for n in others if self.is_spanned(n, base)} | {*self.latent}) - names
 
     def spanning(self, names: frozenset[str]) -> set[str]:
-        """Return those of `names` without which others would not be in their span."""
-        whole = self.implied(names)
-        return {n for n in names if whole - self.implied(names - {n}) - {n}}
+        """Return those of `names` that are needed for other groups to be in their span."""
+        closure = self.implied(names)
+        return {n for n in names if closure - self.implied(names - {n}) - {n}}
 
     def generators(self, names: frozenset[str]) -> tuple[frozenset[str], ...]:
-        """Return the smallest sets with the same span as `names`, the fewest first."""
-        whole = names | self.implied(names)
-        free = [n for n in self.left if n in whole and self.within(n, whole - {n})]
+        """Return the minimal sets of groups with the same span as `names`, smallest first."""
+        closure = names | self.implied(names)
+        dependent = [n for n in self.left if n in closure and self.is_spanned(n, closure - {n})]
         sets = list[frozenset[str]]()
-        for count in range(len(free) + 1):
-            for some in itertools.combinations(free, count):
-                part = (whole - {*free, *self.latent}).union(some)
-                if not any(s <= part for s in sets) and whole <= part | self.implied(part):
-                    sets.append(part)
+        for count in range(len(dependent) + 1):
+            for subset in itertools.combinations(dependent, count):
+                base = (closure - {*dependent, *self.latent}).union(subset)
+                if not any(s <= base for s in sets) and closure <= base | self.implied(base):
+                    sets.append(base)
         return tuple(sets)

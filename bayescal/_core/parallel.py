@@ -1,6 +1,6 @@
-"""Linear algebra on a single thread.
+"""Restriction of BLAS to a single thread.
 
-Matrices here have ten to a hundred rows: several threads of BLAS would spend their time waiting for each other.
+Matrices have ten to a hundred rows, for which multithreaded BLAS is slower.
 """
 
 from __future__ import annotations

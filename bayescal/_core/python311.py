@@ -6,7 +6,7 @@ import sys
 MIN_WORKERS = 16  # with 8 JAX sometimes hung, with 16 never
 
 
-def enough_workers() -> None:
+def set_workers() -> None:
     """Give JAX at least `MIN_WORKERS` worker threads, unless the user has set `NPROC`.
 
     JAX before 0.12, which Python 3.11 gets, runs independent operations of a program side by side, each on a worker; a
@@ -20,4 +20,4 @@ def enough_workers() -> None:
 
 
 if sys.version_info < (3, 12):
-    enough_workers()
+    set_workers()

@@ -29,11 +29,11 @@ def ascii_text(text: str) -> str:
 
     Marks that make another symbol stay (ẋ as x_dot), accents of a language go (é as e).
     """
-    spelled = "".join(map(_spelled, unicodedata.normalize("NFC", text)))
+    spelled = "".join(map(_transliterate, unicodedata.normalize("NFC", text)))
     return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
 
 
-def _spelled(character: str) -> str:
+def _transliterate(character: str) -> str:
     if character.isascii() or character in _SPELLED:
         return _SPELLED.get(character, character)
     if greek := re.fullmatch(_GREEK, unicodedata.name(character, "")):
@@ -41,7 +41,7 @@ def _spelled(character: str) -> str:
     kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
     if parts:
         before = {"<super": "^", "<sub": "_"}.get(kind, "")
-        return before + "".join(_spelled(chr(int(part, 16))) for part in parts.split())
+        return before + "".join(_transliterate(chr(int(part, 16))) for part in parts.split())
     return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"
 
 
@@ -60,15 +60,15 @@ def c_comment(text: Any) -> str:
 
     Backslashes become slashes first, so that no later one completes a `*/`.
     """
-    return re.sub(_JOINT, " ", _words(text))
+    return re.sub(_JOINT, " ", _quote(text))
 
 
 def python_words(text: Any) -> str:
     """Quote text within a docstring or a comment of Python: ASCII, one line, no double quote and no backslash."""
-    return _words(text).replace('"', "'")
+    return _quote(text).replace('"', "'")
 
 
-def _words(text: Any) -> str:
+def _quote(text: Any) -> str:
     return " ".join(ascii_text(one_line(text)).replace("\\", "/").split())
 
 

@@ -1,7 +1,7 @@
-"""Settings: the few thresholds that a user may have a reason to change, and those in force.
+"""Settings: thresholds that users may change, and the current values.
 
-They hold for everything that runs inside `with use_settings(Settings(found_probability=0.99)):`; what differs from the
-usual ones is written into `result.json`. Every other threshold stands beside the check that uses it, with its reason.
+They apply inside `with use_settings(Settings(found_probability=0.99)):`; values that differ from the defaults are
+written to `result.json`. All other thresholds are constants of the modules that use them.
 """
 
 from __future__ import annotations

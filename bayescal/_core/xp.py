@@ -1,8 +1,8 @@
-"""`xp`: functions of arrays by the names that NumPy and JAX share, computed by the library of their arguments.
+"""`xp`: array functions common to NumPy and JAX, dispatched by the type of their arguments.
 
-A basis or a response that is written with `xp` is computed by NumPy on the host and traced by JAX within a program:
-one text, both namespaces. In a search an array operation on the host costs microseconds, where a program costs
-milliseconds to trace; NUTS, nonlinear least squares and exports trace the same text.
+A basis or response written with `xp` is evaluated by NumPy on concrete arrays and traced by JAX in a program. A search
+evaluates it by NumPy, in microseconds, since tracing a program takes milliseconds; NUTS, nonlinear least squares and
+exports trace it.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # the most frequent
+HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # checked first
 
 
 def is_traced(values: Any) -> bool:
-    """Return whether an array of JAX's is among some values, or in a list, tuple or dictionary of them."""
+    """Return whether values are, or contain (in lists, tuples, dictionaries), a JAX array."""
     jax = sys.modules.get("jax")  # where it was never imported, there is none of its arrays
     if jax is None or type(values) in HOST_TYPES:
         return False
@@ -30,8 +30,8 @@ def is_traced(values: Any) -> bool:
     return any(map(is_traced, values))
 
 
-def special_of(values: Any) -> Any:
-    """Return the module of special functions for some values: scipy's, or JAX's of the same names."""
+def special_functions(values: Any) -> Any:
+    """Return the module of special functions for the type of values: scipy.special or jax.scipy.special."""
     return import_module("jax.scipy.special" if is_traced(values) else "scipy.special")
 
 
@@ -49,18 +49,18 @@ class Namespace:
         if isinstance(function, type(np)):
             function = Namespace(path)
         elif callable(function):
-            function = _dispatched(path, function)
+            function = _dispatch(path, function)
         setattr(self, name, function)
         return function
 
     def asarray(self, values: Any, dtype: Any = None) -> Any:
-        """Return values as an array; one of a class of its own, such as of symbols, as it is."""
+        """Convert values to an array; subclasses of `numpy.ndarray`, such as symbolic ones, are returned unchanged."""
         if isinstance(values, np.ndarray) and type(values) is not np.ndarray:
             return values
-        return _dispatched("asarray", np.asarray)(values, dtype)
+        return _dispatch("asarray", np.asarray)(values, dtype)
 
     def placed(self, order: Any, values: Any) -> Any:
-        """Place values by an order: placed[..., order] = values (..., n)."""
+        """Scatter values (..., n) by a permutation: placed[..., order] = values."""
         if is_traced((order, values)):
             return self.zeros_like(values).at[..., order].set(values)
         if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # as they stand
@@ -80,7 +80,7 @@ class Namespace:
         return np.stack(outputs)
 
 
-def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
+def _dispatch(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
     of_jax = attrgetter(path)
 
     def function(*args: Any, **kwargs: Any) -> Any:
@@ -89,7 +89,7 @@ def _dispatched(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
         return on_host(*args, **kwargs)
 
     if hasattr(on_host, "accumulate"):
-        function.accumulate = _dispatched(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
+        function.accumulate = _dispatch(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
     return function
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core import deadline
-from bayescal._core.jit import ALWAYS, known
+from bayescal._core.jit import ALWAYS, supported
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
@@ -91,7 +91,7 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, plan.warmup, begin, model_args=arguments, model_kwargs={})
     block = jax.jit(
-        lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=known(ALWAYS)
+        lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=supported(ALWAYS)
     )
     block = block.lower(state).compile()  # excluded from the timing
     by_block = []

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.jit import ALWAYS, QUICK, known
+from bayescal._core.jit import ALWAYS, QUICK, supported
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
@@ -65,7 +65,7 @@ def program(function: Callable[..., Any], costly: bool = False) -> Callable[...,
 
     @cache
     def compile_once(optimised: bool) -> Callable[..., Any]:
-        options = known(ALWAYS if optimised else QUICK)
+        options = supported(ALWAYS if optimised else QUICK)
         return jax.jit(function, static_argnums=0, compiler_options=options)
 
     @wraps(function)

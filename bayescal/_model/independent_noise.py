@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._core.xp import special_of, xp
+from bayescal._core.xp import special_functions, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame, reference_name, strip_rate
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
@@ -214,7 +214,7 @@ class StudentT(Noise):
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         freedom, variance = parameters[FREEDOM], white_variance(parameters, frame)
-        half, gammaln = 0.5 * (freedom + 1), special_of((freedom, mean)).gammaln
+        half, gammaln = 0.5 * (freedom + 1), special_functions((freedom, mean)).gammaln
         log_norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * variance)
         return log_norm - half * xp.log1p((y - mean) ** 2 / (freedom * variance))
 
@@ -228,7 +228,7 @@ class StudentT(Noise):
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
         freedom = parameters[FREEDOM]
         squares = residuals**2 / white_variance(parameters, frame)
-        special = special_of((freedom, squares))
+        special = special_functions((freedom, squares))
         tail = 0.5 * special.betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
         # Φ⁻¹ of the smaller tail probability avoids the cancellation of 1 − p far in the tail.
         return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
@@ -281,7 +281,7 @@ class Quantised(Noise):
         sd = xp.sqrt(white_variance(parameters, frame))
         # Reflected to the lower tail, where the difference of two small probabilities does not cancel.
         centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
-        tail = special_of((centre, half)).log_ndtr
+        tail = special_functions((centre, half)).log_ndtr
         upper, lower = tail(centre + half), tail(centre - half)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
         log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import Array, jnp
-from bayescal._core.xp import special_of
+from bayescal._core.xp import special_functions
 from bayescal._data.records import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
@@ -164,7 +164,7 @@ class CorrelatedTerm(ExponentialTerm):
         for place in range(2, self.place + 1):
             v = values[self._name("place", place)]
             # log τ = (1 − u)·log τ' + u·log longest, with u = Φ(v) uniform for standard normal v.
-            fraction = special_of(v).ndtr(v)
+            fraction = special_functions(v).ndtr(v)
             time = time ** (1 - fraction) * bounds.longest**fraction
         return time
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bayescal._core.errors import ModelError
-from bayescal._core.xp import is_traced, special_of, xp
+from bayescal._core.xp import is_traced, special_functions, xp
 from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
@@ -106,13 +106,13 @@ class LogUniform(_StandardNormal):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
     def value(self, v: Any) -> Any:
-        share = special_of(v).ndtr(v)
+        share = special_functions(v).ndtr(v)
         return self.low * xp.exp(math.log(self.high / self.low) * share)
 
     def coordinate(self, value: Any) -> Any:
         """Return the coordinate of a value; finite at the bounds, where rounding may have put it."""
         share = xp.log(value / self.low) / math.log(self.high / self.low)
-        return special_of(value).ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
+        return special_functions(value).ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
 
 
 @static
@@ -129,12 +129,12 @@ class NumpyroPrior(_StandardNormal):
         return getattr(dist, self.name)(**dict(self.parameters))
 
     def value(self, v: Any) -> Any:
-        value = self.distribution.icdf(xp.clip(special_of(v).ndtr(v), _EDGE, 1 - _EDGE))
+        value = self.distribution.icdf(xp.clip(special_functions(v).ndtr(v), _EDGE, 1 - _EDGE))
         return value if is_traced(v) else np.asarray(value)
 
     def coordinate(self, value: Any) -> Any:
         share = xp.clip(self.distribution.cdf(value), _EDGE, 1 - _EDGE)
-        return special_of(share).ndtri(share)
+        return special_functions(share).ndtri(share)
 
 
 @static

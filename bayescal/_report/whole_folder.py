@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayescal._core.as_json import write_json
-from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why
+from bayescal._core.atomic_file import flush, list_leftovers, sha256_of, write_advice
 from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.json_shape import read_json
 
@@ -83,14 +83,14 @@ def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
     visible = Path(folder).resolve()
     hidden = visible / f".results.{os.getpid()}.partial"
     try:
-        for leftover in (hidden, *left_behind(visible / "results")):
+        for leftover in (hidden, *list_leftovers(visible / "results")):
             shutil.rmtree(leftover, ignore_errors=True)
         visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
         _move(hidden, visible, leaving)
     except OSError as error:
-        raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
+        raise InputError(f"the folder {folder} cannot be written: {write_advice(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place
         raise InputError(str(error).replace(str(hidden), str(folder)), error.problems) from error
     finally:
@@ -180,5 +180,5 @@ def _list_files(source: Path, target: Path, keep_results: bool) -> tuple[list[st
         return [], [] if keep_results else [*old, *[MANIFEST] * bool(old)]
     write_json({"schema": SCHEMA, "files": (old if keep_results else {}) | new}, source / MANIFEST)
     for path in (*paths, source / MANIFEST, source):
-        to_disk(path)
+        flush(path)
     return [*new, MANIFEST], [] if keep_results else [*(old.keys() - new.keys())]

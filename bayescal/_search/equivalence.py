@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.confounding import is_widened_by, shifts
-from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, nats, undecided
+from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, information_nats, is_undecided
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import column_scale
 from bayescal._inference.linear_model import RANK, LinearModel, linearise_at_priors
@@ -56,7 +56,7 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     line, columns = _columns(structures)
     latent, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
     for name, whitened in columns.items():
-        if not undecided(whitened.beside_groups, whitened.beside_all):
+        if not is_undecided(whitened.beside_groups, whitened.beside_all):
             separable[name] = whitened.beside_all
         elif widened := _coefficients(line, RMS_SIZE * whitened.white):
             latent[name] = widened
@@ -137,11 +137,13 @@ def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple
 def equivalents(spans: Spans) -> list[Equivalent]:
     """Return minimal sets of two or three equivalent candidates, and of one and the model's effects."""
     sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
-    spanned = [n for n in spans.left if spans.within(n, {*spans.left} - {n})]
+    spanned = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
         for others in itertools.combinations([n for n in spans.left if n != name], count):
             fewer, members = itertools.combinations(others, count - 1), (name, *others)
-            least = spans.within(name, others) and not any(spans.within(name, f) for f in fewer)
+            least = spans.is_spanned(name, others) and not any(
+                spans.is_spanned(name, f) for f in fewer
+            )
             if least and not any({*members} <= {*equivalent.effects} for equivalent in sets):
                 sets.append(Equivalent(members))
     return sets
@@ -187,7 +189,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
             if {*equivalent.effects} <= {*candidates}:
                 first, *others = (columns[n].beside_all for n in equivalent.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
-                information = nats(beyond(first, span))
+                information = information_nats(beyond(first, span))
                 if information > best[equivalent].get("nats", UNDECIDED_NATS):
                     best[equivalent] = {"cure": "test", "experiment": name, "nats": information}
     structures.experiments.update(best)

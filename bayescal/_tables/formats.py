@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bayescal._core.atomic_file import named_back
+from bayescal._core.atomic_file import decode_name
 from bayescal._core.errors import InputError
 from bayescal._tables import unpacked
 from bayescal._tables.cells import Cells, cell_text, cells_of
@@ -87,7 +87,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
                 f"Give its variables one dimension, best called {ROW!r}"
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-        columns = {named_back(n): v for n, v in vectors.items() if v.dims[0] == chosen}
+        columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == chosen}
         refuse_large(file, data.sizes.get(chosen, 0), len(columns), max_bytes)
         units = {n: str(v.attrs["units"]) for n, v in columns.items() if "units" in v.attrs}
         return Table.of_columns(file, {n: v.values for n, v in columns.items()}, units)

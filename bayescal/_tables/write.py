@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal._core.atomic_file import replacing_for_user, storable
+from bayescal._core.atomic_file import encode_name, replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.netcdf import Variable, netcdf_bytes
 from bayescal._core.quoting import csv_cell
@@ -41,7 +41,7 @@ def write(
         elif suffix == ".parquet":
             _write_parquet(columns, units, named, partial)
         else:
-            group = {storable(name): variable for name, variable in variables.items()}
+            group = {encode_name(name): variable for name, variable in variables.items()}
             partial.write_bytes(netcdf_bytes({"": group}))
     return path
 

@@ -26,7 +26,7 @@ from bayescal._calibration.storage import sources_of
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
-from bayescal._core.inverse import solved
+from bayescal._core.inverse import solve_newton
 from bayescal._core.json_shape import as_type
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
@@ -378,7 +378,7 @@ class CompensationProgram(CorrectionInUse):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
         nodes, evaluate = (self.equation.expected, self.equation.slope), self.graph.evaluate
-        s, slope = solved(
+        s, slope = solve_newton(
             lambda s: evaluate(nodes, {**inputs, STIMULUS: s}), np.asarray(output), self.affine
         )
         *_, uncertainty = self._at({**inputs, STIMULUS: s})

@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.inverse import solved
+from bayescal._core.inverse import solve_newton
 from bayescal._model.composition import TracedColumns, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
@@ -323,7 +323,7 @@ class OperatingEquation:
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
         """Return the stimulus of an output, and the output's slope there; NaN where there is no solution."""
         places = self.expected, self.gradient[STIMULUS]
-        return solved(lambda s: self.evaluate(places, theta, s, inputs), output, self.affine)
+        return solve_newton(lambda s: self.evaluate(places, theta, s, inputs), output, self.affine)
 
     def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
         """Build the frame of readings without history; (n,) each, in fixed units."""

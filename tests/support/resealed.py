@@ -11,12 +11,12 @@ from typing import Any
 import xarray as xr
 
 from bayescal._core.atomic_file import TRAILER_BYTES as TRAILER_BYTES
-from bayescal._core.atomic_file import verified, write_sealed
+from bayescal._core.atomic_file import read_sealed, write_sealed
 
 
 def resealed(path: Path, out: Path, change: Callable[[xr.DataTree], xr.DataTree | None]) -> Path:
     """The calibration in `path`, its tree changed, as `out`."""
-    content = io.BytesIO(verified(path, "a saved calibration", ""))
+    content = io.BytesIO(read_sealed(path, "a saved calibration", ""))
     tree = xr.open_datatree(content, engine="h5netcdf").load()
     tree = change(tree) or tree
     write_sealed(tree.to_netcdf(engine="h5netcdf"), out)
