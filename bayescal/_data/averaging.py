@@ -108,10 +108,10 @@ def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
     They begin half a step before a reading, so that uneven clocks do not move readings across.
     """
     starts = np.flatnonzero(~same)
-    began = np.repeat(time[starts], np.diff(starts, append=time.size))
+    starts_of_records = np.repeat(time[starts], np.diff(starts, append=time.size))
     steps = np.diff(time, prepend=time[:1])[same]
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    return np.floor((time - began + 0.5 * min(usual, seconds)) / seconds)
+    median_step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    return np.floor((time - starts_of_records + 0.5 * min(median_step, seconds)) / seconds)
 
 
 def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
@@ -128,8 +128,8 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
     """Return means (m, …) of stretches of `rows` (n, …), by distances from the first: held values stay as they are."""
     counts, first = np.diff(begins, append=len(rows)), rows[begins]
-    away = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
-    return first + away / counts.reshape(-1, *(1,) * (rows.ndim - 1))
+    deviations = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
+    return first + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
 def _noise(
@@ -138,8 +138,8 @@ def _noise(
     """Return the white noise of a reading beyond its known uncertainty: half the mean square of its changes, rooted."""
     uncertainties = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
     change = np.diff(columns[output][order], prepend=0.0)[inside]
-    square = 0.5 * float(np.mean(change**2)) - float(np.mean(uncertainties[order][inside] ** 2))
-    return float(np.sqrt(max(square, 0.0)))
+    variance = 0.5 * float(np.mean(change**2)) - float(np.mean(uncertainties[order][inside] ** 2))
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def _uncertainty(
@@ -150,8 +150,8 @@ def _uncertainty(
     A mean of n readings has the noise σ²/n; the fullest has σ²/N, hence σ²·(1/n − 1/N) beside it.
     """
     counts = np.diff(begins, append=order.size)
-    square = noise**2 * (1 / counts - 1 / counts.max())
+    variance = noise**2 * (1 / counts - 1 / counts.max())
     if UNCERTAINTY in columns:
         variances = columns[UNCERTAINTY][order] ** 2
-        square = square + np.add.reduceat(variances, begins) / counts**2
-    return np.sqrt(square) if square.any() else None
+        variance = variance + np.add.reduceat(variances, begins) / counts**2
+    return np.sqrt(variance) if variance.any() else None

@@ -193,13 +193,13 @@ PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
 OVERLOAD, NO_NUMBER = 9.9e37, 9.91e37
 
 
-def overloads(values: np.ndarray) -> np.ndarray:
+def find_overloads(values: np.ndarray) -> np.ndarray:
     """Return the rows with a code of SCPI instruments for a reading out of range, or for none: ±9.9E37, 9.91E37."""
     codes = np.isclose(abs(values), OVERLOAD, rtol=1e-6) | np.isclose(values, NO_NUMBER, rtol=1e-6)
     return np.flatnonzero(codes)
 
 
-def placeholders(values: np.ndarray) -> np.ndarray:
+def find_placeholders(values: np.ndarray) -> np.ndarray:
     """Return the rows with a number that stands for a missing reading, such as −999: far from all other values."""
     is_placeholder = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):

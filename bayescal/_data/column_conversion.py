@@ -20,8 +20,8 @@ from bayescal._data.column import (
     Column,
     ConvertedColumns,
     NominalScale,
-    overloads,
-    placeholders,
+    find_overloads,
+    find_placeholders,
 )
 from bayescal._data.header_matching import DAYS, MatchedFile, channels_beside, plain
 from bayescal._data.pose_rows import MAGNITUDE
@@ -35,7 +35,7 @@ from bayescal._data.read_options import (
 )
 from bayescal._data.records import Records
 from bayescal._tables import cells as of_cells
-from bayescal._tables.cells import MAX_BAD, Cells, date_text
+from bayescal._tables.cells import MAX_BAD, Cells, format_date
 from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
 
 _EMPTY = "holds no number (empty, NaN, - or the like)"
@@ -221,7 +221,7 @@ class ColumnReader:
         unit = "s" if dates else self._unit(cells)
         raw, noted = cells.values, set(cells.bad)
         self._note_text(cells, unit, dates)
-        for find, template in ((overloads, _OVERLOAD), (placeholders, _PLACEHOLDER)):
+        for find, template in ((find_overloads, _OVERLOAD), (find_placeholders, _PLACEHOLDER)):
             if (rows := find(raw)).size:
                 self._note_missing(rows, template.format(raw[rows[0]]))
                 noted |= {*rows.tolist()}
@@ -274,12 +274,12 @@ class ColumnReader:
 
     def _read_dates(self, texts: np.ndarray) -> Cells:
         """Parse dates; add a problem where they leave open which number is the day, and the user does not say."""
-        dates, orders = of_cells.dates_of(texts, self.options.date_order)
+        dates, orders = of_cells.parse_dates(texts, self.options.date_order)
         if orders:
             came = "its dates are not all dates in one order of month, day and year"
             if not any(np.isnan(v[~np.isnan(dates.values)]).any() for v in orders.values()):
                 came = "its dates leave open which number is the day, or whether they are times"
-            firsts = {n: date_text(float(np.nanmin(v))).split() for n, v in orders.items()}
+            firsts = {n: format_date(float(np.nanmin(v))).split() for n, v in orders.items()}
             begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
             cure = f"Say in which order they are: {begin}"
             expected = "a day above 12 in one of them, or the year first"
@@ -291,7 +291,7 @@ class ColumnReader:
         unit = unit_of(self.header, self.name, self.options)
         suggestion = option("--unit", f"{self.header.raw}=UNIT")
         if unit is None:
-            if self.is_time and (inferred := of_cells.unit_of_counts(cells.values)):
+            if self.is_time and (inferred := of_cells.detect_epoch_unit(cells.values)):
                 self._flag(f"taken as {units.pretty(inferred)} since 1970, as its size shows")
                 return inferred
             if not (self.is_time and cells.bad and np.isnan(cells.values).all()):
@@ -353,9 +353,9 @@ class ColumnReader:
 
         Seconds that lie so far ahead since 1970 that nobody measured count from 1904, as LabVIEW's do.
         """
-        values, since = of_cells.from_first(values)
+        values, since = of_cells.split_origin(values)
         if since is not None and since > _EARLIEST_1904 and not dates:
-            begin = date_text(since)[:10]
+            begin = format_date(since)[:10]
             since -= _SINCE_1904
             self._flag(f"taken as since 1904 (LabVIEW): since 1970 it would begin {begin}")
         self.converted.origin = since

@@ -30,9 +30,9 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns, join_files
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
-from bayescal._data.records import PAUSE_STEPS, Records, distinct, usual_step
+from bayescal._data.records import PAUSE_STEPS, Records, distinct, median_step
 from bayescal._data.unit_conversion import ANY, parse
-from bayescal._tables.cells import date_text, equally_long
+from bayescal._tables.cells import broadcast_columns, format_date
 from bayescal._tables.raw_table import ROW, Objections, Table, option
 from bayescal._tables.write import write
 
@@ -140,7 +140,7 @@ class Measurements(Printed):
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
         held, own_units = _held_columns({} if arrays is None else arrays, columns)
-        table = Table.of_columns(ARRAYS, equally_long(held), default_units | own_units)
+        table = Table.of_columns(ARRAYS, broadcast_columns(held), default_units | own_units)
         options = ReadOptions.of(
             instrument,
             units=units or {},
@@ -353,7 +353,7 @@ class Measurements(Printed):
             return replace(self.with_column("time", time), since=epoch)
         if not (names := changing()):
             return self
-        dated = "has no dates" if epoch is None else f"counts time from {date_text(epoch)}"
+        dated = "has no dates" if epoch is None else f"counts time from {format_date(epoch)}"
         has, example = ("dates", "9 days") if epoch is None else ("no dates", "2026-05-13 10:14:20")
         of = self.sources[0].file if len(self.sources) == 1 else "FILE"
         raise InputError(
@@ -381,7 +381,7 @@ class Measurements(Printed):
             merged = merged[np.argsort(np.concatenate([times, at[rows]]), kind="stable")]
             most = max(2.0, MAX_INTERLEAVED_SHARE * min(times.size, rows.size))
             in_blocks = np.count_nonzero(np.diff(merged)) <= most
-            if in_blocks and first - before[-1] <= PAUSE_STEPS * usual_step(times):
+            if in_blocks and first - before[-1] <= PAUSE_STEPS * median_step(times):
                 continued[name] = rows
         return continued
 
@@ -458,7 +458,7 @@ def assemble(
     names, output = file_names([source.file for source in sources]), output_name(instrument)
     since, units = converted.origin, converted.units
     if since is not None:
-        message = f"time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        message = f"time is in s since {format_date(since)} (dates without a zone count as UTC)"
         converted.flags.append(f"{names}: {message}")
     repeated = checks.repeated_rows(converted.values)
     flags = [*converted.flags, *checks.flags_of(converted, output, names, repeated)]

@@ -34,10 +34,10 @@ def ellipsoid(
 
     By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004).
     """
-    scale, middle = np.max(np.std(outputs, axis=0)), outputs.mean(axis=0)
+    scale, mean = np.max(np.std(outputs, axis=0)), outputs.mean(axis=0)
     if not scale > 0:
         return None
-    a = (outputs - middle) / scale
+    a = (outputs - mean) / scale
     i, j = np.triu_indices(3)
     table = np.concatenate([a[:, i] * a[:, j], a], axis=1)
     q, _, rank, _ = np.linalg.lstsq(table, np.ones(len(a)), rcond=1e-10)
@@ -47,4 +47,4 @@ def ellipsoid(
     if rank < len(q) or not np.min(np.linalg.eigvalsh(form)) > 0:
         return None
     centre = -0.5 * np.linalg.solve(form, q[6:])
-    return middle + scale * centre, form / (1 + centre @ form @ centre) / scale**2
+    return mean + scale * centre, form / (1 + centre @ form @ centre) / scale**2

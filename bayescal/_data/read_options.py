@@ -24,7 +24,7 @@ from bayescal._data.unit_conversion import (
     quantity,
     same_dimension,
 )
-from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, unix_seconds
+from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, parse_date
 from bayescal._tables.raw_table import (
     Header,
     Objection,
@@ -274,7 +274,7 @@ def parse_period(text: str) -> tuple[float, str]:
 def parse_begin(text: str) -> tuple[float, bool]:
     """Parse the time of a first reading: seconds, and whether they count from 1970 or on a calibration's clock."""
     with contextlib.suppress(ValueError):
-        (seconds,) = unix_seconds(text).values()
+        (seconds,) = parse_date(text).values()
         if seconds >= EARLIEST:
             return seconds, True
     with contextlib.suppress(InputError):

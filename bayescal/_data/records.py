@@ -1,4 +1,4 @@
-"""Records in time: their readings, their stretches without a pause, and a column's slope within one."""
+"""Records in time (runs): grouping of readings, time order, pauses, and the rate of change of a column."""
 
 from __future__ import annotations
 
@@ -13,25 +13,22 @@ import numpy as np
 Columns = Mapping[str, np.ndarray]
 
 RECORD = ("device", "axis", "run")  # columns of labels that identify a record in time
-# Usual steps between readings, beyond which the next one is no neighbour; a logger that loses four readings in a row
-# has not paused.
+# Time step over the median step, above which there is a pause; four lost readings in a row are none.
 PAUSE_STEPS = 5.0
 RATE_WINDOW = 60.0  # s
-# Share of the usual step, by which others may differ where steps are to be even: time stamps jitter.
+# Relative deviation of steps that count as even: time stamps jitter.
 EVEN_STEPS = 0.05
-# Windows of a rate (a minute each) without a reading, after which a rate is not known: a change over hours, such as
-# a soak before a tumble, does not determine the rate now.
+# Pause in windows of a rate (a minute each), after which a rate is undefined: a change over hours, such as a soak, does
+# not determine the present rate.
 SILENCE_WINDOWS = 10.0
-# Largest ratio to a step that was set, of the changes on either side of it; and the least share of the sum of squared
-# changes that such steps make up where a column was set.
+# A set step: largest ratio of the adjacent changes to it; least fraction of the sum of squared changes in set steps.
 MAX_NEIGHBOUR_RATIO, MIN_SET_SHARE = 0.1, 0.9
 
 
 def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """Return the distinct rows of columns, in the order in which they first appear, and the index of each row.
+    """Return the distinct rows of columns in order of first appearance, and the index of each row among them.
 
-    By a dictionary of the first rows of stretches, since labels stay the same for long, and pandas takes half a second
-    to load.
+    Only the first row of each stretch of equal rows is looked up, without pandas, which takes half a second to load.
     """
     begins = np.ones(len(columns[0]), bool)
     begins[1:] = np.any([values[1:] != values[:-1] for values in columns], axis=0)
@@ -42,14 +39,14 @@ def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.n
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """Number the combinations of labels in the order in which they first appear; NaN is one of them."""
+    """Number the combinations of labels in order of first appearance; NaN is a label."""
     labels = [columns[n] for n in names]
     labels = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in labels]
     return distinct(labels)[1] if labels else np.zeros(len(next(iter(columns.values()))), np.int64)
 
 
 def equal_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the begin and the length of each stretch of equal values."""
+    """Return the start index and length of each run of equal consecutive values (run-length encoding)."""
     begins = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return begins, np.diff(begins, append=len(values))
 
@@ -108,24 +105,24 @@ class Records:
 
     def stretches(self, fewest: int = 3) -> list[np.ndarray]:
         """Return the rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
-        pieces = []
+        parts = []
         for rows in self.in_time:
             steps = np.diff(self.time[rows])
-            usual = np.median(steps) if steps.size else 0.0
-            pieces += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
-        return [rows for rows in pieces if len(rows) >= fewest]
+            median = np.median(steps) if steps.size else 0.0
+            parts += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * median))
+        return [rows for rows in parts if len(rows) >= fewest]
 
     def starts(self, record: Records | None = None) -> np.ndarray:
-        """Return the start of each, s: of its first reading, or of the fitted run (in `record`) that it continues.
+        """Return the start time of each record, s: its first reading, or the start of the fitted run that it continues.
 
-        It continues one of its name (and device and axis) whose readings, or the pause after them, include its first
-        reading; a run of the same name on another day is another run.
+        It continues a run of `record` with the same name, device and axis if its first reading is within that run or
+        less than a pause after it.
         """
         first = np.full(len(self.names), np.inf)
         np.minimum.at(first, self.codes, self.time)
         if record is not None and record.time.size:
             for i, (_, times) in self.matching_records(record).items():
-                pause = PAUSE_STEPS * usual_step(times)
+                pause = PAUSE_STEPS * median_step(times)
                 if times[0] <= first[i] <= times[-1] + pause:
                     first[i] = times[0]
         return first
@@ -144,25 +141,24 @@ class Records:
 
     @property
     def silence(self) -> float:
-        """Return the longest time between readings, s, over which a quantity may be interpolated."""
+        """Return the longest time step, s, over which a column is interpolated."""
         return SILENCE_WINDOWS * rate_window(self.step)
 
     def set_in_steps(self, values: np.ndarray) -> bool:
-        """Return whether a column was set in steps and constant between, as a load, rather than measured as it changed.
+        """Return whether a column is piecewise constant (a setting, such as a load) rather than a measured series.
 
-        Nearly all of the sum of its squared changes is then in changes whose neighbours hardly change it.
+        Then nearly all of the sum of squared changes is in isolated changes.
         """
         change = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
         padded = np.pad(change, 1)
-        alone = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * change
-        whole = float(np.sum(change**2))
-        return whole > 0 and float(np.sum(change[alone] ** 2)) > MIN_SET_SHARE * whole
+        is_isolated = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * change
+        total = float(np.sum(change**2))
+        return total > 0 and float(np.sum(change[is_isolated] ** 2)) > MIN_SET_SHARE * total
 
     def slope(self, values: np.ndarray) -> np.ndarray:
         """Return the least-squares slope over the last minute (or the last step, if longer) of each record, unit/s.
 
-        The first reading of a record has no past and gets 0; so does the first after a silence, such as the soak before
-        a tumble, as a change over hours does not determine the rate now. Linear in the readings.
+        Zero at the first reading of a record, and at the first after a long pause. Linear in the values.
         """
         t, y, index = self.time[self.order], values[self.order], np.arange(self.time.size)
         window = rate_window(self.step) * (1 + 1e-9)
@@ -171,16 +167,16 @@ class Records:
             times = t[low:high]
             last = (np.searchsorted(times, times) - 1).clip(0)  # of an earlier time at least
             first[low:high] = low + np.clip(np.searchsorted(times, times - window), 0, last)
-        of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
+        sum_t, sum_y, sum_tt, sum_ty = _window_sums(t, y, first)
         count = index - first + 1
-        scatter = of_tt - of_t**2 / count
-        valid = (first < index) & (scatter > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
+        denominator = sum_tt - sum_t**2 / count
+        valid = (first < index) & (denominator > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
         slopes = np.zeros_like(y)
-        slopes[self.order[valid]] = (of_ty - of_t * of_y / count)[valid] / scatter[valid]
+        slopes[self.order[valid]] = (sum_ty - sum_t * sum_y / count)[valid] / denominator[valid]
         return slopes
 
 
-def usual_step(times: np.ndarray) -> float:
+def median_step(times: np.ndarray) -> float:
     """Return the median step between sorted times, s; 0 for a single one."""
     return float(np.median(np.diff(times))) * (1 + 1e-9) if times.size > 1 else 0.0
 
@@ -191,17 +187,17 @@ def rate_window(step: np.ndarray) -> float:
     return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
 
 
-def recursion(share: np.ndarray, push: np.ndarray) -> np.ndarray:
+def solve_recursion(decay: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """Solve xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ from zero for x (*s, n): a unit bidiagonal matrix, LAPACK's banded solver."""
     from scipy.linalg.lapack import dtbtrs, ztbtrs  # only what computes loads SciPy
 
-    share, push = np.broadcast_arrays(share, push)
-    solve = ztbtrs if np.iscomplexobj(share) else dtbtrs
+    decay, drive = np.broadcast_arrays(decay, drive)
+    solve = ztbtrs if np.iscomplexobj(decay) else dtbtrs
     # All recursions are one, which begins anew at the first element of each.
-    band = np.ones((share.size, 2), share.dtype)
-    np.negative(share.reshape(-1)[1:], out=band[:-1, 1])
-    band[share.shape[-1] - 1 :: share.shape[-1], 1] = 0.0
-    return solve(band.T, push.reshape(-1), uplo="L", diag="U")[0].reshape(push.shape)
+    band = np.ones((decay.size, 2), decay.dtype)
+    np.negative(decay.reshape(-1)[1:], out=band[:-1, 1])
+    band[decay.shape[-1] - 1 :: decay.shape[-1], 1] = 0.0
+    return solve(band.T, drive.reshape(-1), uplo="L", diag="U")[0].reshape(drive.shape)
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -222,7 +218,7 @@ def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
         dt, dy = t - t[origin], y - y[origin]
         terms = np.stack([dt, dy, dt * dt, dt * dy])[:, rows]
         same = np.diff(stretch[rows], prepend=-1) == 0
-        return recursion(same.astype(float), terms)[:, rows]
+        return solve_recursion(same.astype(float), terms)[:, rows]
 
     since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
     return since + np.where(first < at, until[:, first], 0.0)

@@ -20,7 +20,7 @@ from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
-from bayescal._data.records import recursion
+from bayescal._data.records import solve_recursion
 
 # groups of every data set; label columns of an instrument are further groups
 GROUPS = ("run", "cell", "axis", "device")
@@ -215,7 +215,7 @@ def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         return xp.scan(advance, xp.zeros_like(decay[0]), (decay, drive))
-    return recursion(decay, drive)
+    return solve_recursion(decay, drive)
 
 
 def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:

@@ -42,7 +42,7 @@ _MONTHS = {  # beginnings of their names in languages of Europe, without accents
 }  # fmt: skip
 
 
-def unix_seconds(text: str) -> dict[str, float]:
+def parse_date(text: str) -> dict[str, float]:
     """Parse a date or a time of day to s since 1970, by each of `ORDERS` in which it is valid; "" if unambiguous.
 
     Accepted are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov
@@ -53,32 +53,32 @@ def unix_seconds(text: str) -> dict[str, float]:
     text = text.strip()
     if text[4:5] == "-":
         with suppress(ValueError):
-            when = datetime.fromisoformat(text)
-            since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
-            return {"": (since.days * 86400 + since.seconds) + since.microseconds * 1e-6}
+            moment = datetime.fromisoformat(text)
+            elapsed = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
+            return {"": (elapsed.days * 86400 + elapsed.seconds) + elapsed.microseconds * 1e-6}
     if _POINTS.match(text):
-        clock, day = _time_of_day(text, longest=23), _days(text).get("")
-        either = {"hms": clock, "dmy": None if day is None else day * _DAY}
-        if valid := {name: value for name, value in either.items() if value is not None}:
-            return valid
+        clock, day = _parse_time(text, longest=23), _parse_days(text).get("")
+        readings = {"hms": clock, "dmy": None if day is None else day * _DAY}
+        if valid_readings := {name: value for name, value in readings.items() if value is not None}:
+            return valid_readings
     elif _CLOCK.fullmatch(text) and ":" in text:
-        clock = _time_of_day(text, longest=9999)
+        clock = _parse_time(text, longest=9999)
         return {} if clock is None else {"": clock}
-    day, clock = _day_and_clock(text)
-    return {name: n * _DAY + clock for name, n in _days(day).items()} if clock is not None else {}
+    day, clock = _split_date_time(text)
+    return {} if clock is None else {n: d * _DAY + clock for n, d in _parse_days(day).items()}
 
 
-def _day_and_clock(text: str) -> tuple[str, float | None]:
-    """Split a date from the time of day behind it, s; None for other text behind it."""
-    begin = next((match for form in _FORMS if (match := form.match(text))), None)
-    day = begin[0] if begin else ""
+def _split_date_time(text: str) -> tuple[str, float | None]:
+    """Split a date from the time of day after it, s; None if other text follows."""
+    found_date = next((match for form in _FORMS if (match := form.match(text))), None)
+    day = found_date[0] if found_date else ""
     tail = _BETWEEN.sub("", text[len(day) :], count=1)
-    return day, _time_of_day(tail, longest=23) if len(day) < len(text) else 0.0
+    return day, _parse_time(tail, longest=23) if len(day) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
-def _days(text: str) -> dict[str, int]:
-    """Return days since 1970 by the order in which a date may be written, "" if it is unambiguous."""
+def _parse_days(text: str) -> dict[str, int]:
+    """Parse a date to days since 1970, by each possible order of day, month, year; "" if unambiguous."""
     days = dict[str, int]()
     for form, orders in _FORMS.items():
         if not (match := form.fullmatch(text)):
@@ -87,33 +87,33 @@ def _days(text: str) -> dict[str, int]:
             with suppress(ValueError):
                 year, month, day = (match[part] for part in parts)
                 if len(year) in (2, 4):  # of two digits: of this century
-                    number = int(month) if month.isdigit() else _month(month)
+                    number = int(month) if month.isdigit() else _parse_month(month)
                     when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
                     days[order] = (when - _EPOCH.date()).days
     return days
 
 
-def _month(name: str) -> int:
-    """Return the number of a month by its name, or the beginning of it; 0 for none."""
+def _parse_month(name: str) -> int:
+    """Return the number of a month by its name or an abbreviation; 0 if it is none."""
     bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", name.lower())))
     return _MONTHS.get(max(filter(bare.startswith, _MONTHS), key=len, default=""), 0)
 
 
-def _time_of_day(text: str, longest: int) -> float | None:
+def _parse_time(text: str, longest: int) -> float | None:
     """Parse a time of day of at most `longest` hours to s, less its zone; None for other text."""
     if not (match := _CLOCK.fullmatch(text.strip())):
         return None
-    hours, _, minutes, seconds, parts, half, zone = match.groups()
+    hours, _, minutes, seconds, fraction, am_pm, zone = match.groups()
     hour = int(hours)
-    if half and not 1 <= hour <= 12:
+    if am_pm and not 1 <= hour <= 12:
         return None
-    hour = hour % 12 + 12 * (half in "Pp") if half else hour
+    hour = hour % 12 + 12 * (am_pm in "Pp") if am_pm else hour
     if hour > longest or int(minutes) > 59 or int(seconds or 0) > 59:
         return None
     zone = (zone or "+0000").replace("Z", "+0000").replace(":", "")
     ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
-    whole = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
-    return whole + int((parts or "0").ljust(9, "0")) * 1e-9
+    seconds_of_day = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
+    return seconds_of_day + int((fraction or "0").ljust(9, "0")) * 1e-9
 
 
 def has_time_zone(text: str) -> bool:
@@ -121,7 +121,7 @@ def has_time_zone(text: str) -> bool:
     return bool(re.search(r"(?:Z|[+-]\d\d:?\d\d)$", text.strip())) and ":" in text
 
 
-def date_text(seconds: float) -> str:
+def format_date(seconds: float) -> str:
     """Format seconds since 1970 as a date, to the microsecond."""
     if seconds != seconds:
         return "nan"
@@ -133,19 +133,19 @@ EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
 _MAX_SPAN_SECONDS = 1e7  # four months: a clock's microseconds, taken as milliseconds, last longer
 
 
-def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Return seconds since 1970 as seconds since the first of them, and the first; others as they are, and None.
+def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
+    """Subtract the first time from seconds since 1970; return the differences and it, or other values and None.
 
     Rounded to the microsecond, the resolution of float64 for seconds since 1970.
     """
-    if unit_of_counts(seconds, longest=np.inf) != "s":
+    if detect_epoch_unit(seconds, longest=np.inf) != "s":
         return seconds, None
     first = float(np.nanmin(seconds[np.isfinite(seconds)]))
     return np.round(seconds - first, 6), first
 
 
-def unit_of_counts(values: np.ndarray, longest: float = _MAX_SPAN_SECONDS) -> str | None:
-    """Return the unit in which numbers count from 1970 (s, ms, us or ns); None if they do not, or might not."""
+def detect_epoch_unit(values: np.ndarray, longest: float = _MAX_SPAN_SECONDS) -> str | None:
+    """Return the unit (s, ms, us, ns) if numbers count from 1970; None if they do not, or it is ambiguous."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return None
@@ -182,87 +182,87 @@ class Cells:
 
     @property
     def dates(self) -> np.ndarray | None:
-        """Return the cells as text, where the first that is no number is a date; None elsewhere."""
+        """Return the cells as text if the first cell that is no number is a date; else None."""
         cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
         first = next((text for text, odd in cells if odd and not is_missing(text)), "")
-        return self.texts if unix_seconds(first) else None
+        return self.texts if parse_date(first) else None
 
     def take(self, rows: np.ndarray) -> Cells:
-        """Return the cells of some rows."""
+        """Select the cells of some rows."""
         bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
         return Cells(self.values[rows], bad, None if self.texts is None else self.texts[rows])
 
     def on_days(self, days: Cells) -> Cells:
-        """Join times of day with the dates of another column, where these cells are the one and those the other."""
+        """Combine these times of day with the dates of another column; return self if they are not such columns."""
         if self.dates is None or days.dates is None:
             return self
         texts = list[str]()
         for day, clock in zip(days.dates, self.dates, strict=True):
-            alone, begin = _day_and_clock(day.strip())
-            both = f"{alone if begin == 0.0 else day} {clock}"  # Excel writes days with a midnight
-            if not unix_seconds(both) and unix_seconds(day) and unix_seconds(clock):
+            alone, begin = _split_date_time(day.strip())
+            stamp = f"{alone if begin == 0.0 else day} {clock}"  # Excel adds midnight to days
+            if not parse_date(stamp) and parse_date(day) and parse_date(clock):
                 return self
-            texts.append("" if is_missing(day) or is_missing(clock) else both)
+            texts.append("" if is_missing(day) or is_missing(clock) else stamp)
         return replace(self, texts=np.array(texts, _TEXT))
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
-        """Concatenate stretches of a column."""
-        bad, done, texts = dict[int, str](), 0, None
+        """Concatenate consecutive parts of a column."""
+        bad, offset, texts = dict[int, str](), 0, None
         for part in parts:
-            bad |= {done + i: text for i, text in part.bad.items()} if len(bad) < MAX_BAD else {}
-            done += len(part.values)
+            bad |= {offset + i: text for i, text in part.bad.items()} if len(bad) < MAX_BAD else {}
+            offset += len(part.values)
         if any(part.texts is not None for part in parts):
-            pieces = (map(cell_text, p.values) if p.texts is None else p.texts for p in parts)
-            texts = np.array([text for cells in pieces for text in cells], _TEXT)
+            texts_each = (map(format_cell, p.values) if p.texts is None else p.texts for p in parts)
+            texts = np.array([text for cells in texts_each for text in cells], _TEXT)
         return cls(np.concatenate([part.values for part in parts]), bad, texts)
 
 
-def dates_of(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
-    """Parse a column of dates to s since 1970; any other text, a number too, is bad.
+def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
+    """Parse a column of dates to s since 1970; any other text, numbers included, is bad.
 
-    They are in `order` of month, day and year, or else in the only one in which each is a date. Where several orders
-    are possible, they are also returned by each order, those in which each is a date first, NaN where one is none.
+    The order of month, day and year is `order`, or the only one in which all cells are dates. If several orders are
+    possible, the values by each order are returned too, complete ones first, NaN where a cell is no date in it.
     """
     rows, bad, has_zone, unambiguous = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
-    for i, text in enumerate(map(cell_text, texts)):
-        if dates := unix_seconds(text):
+    for i, text in enumerate(map(format_cell, texts)):
+        if dates := parse_date(text):
             rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
             has_zone = has_time_zone(text) if has_zone is None else has_zone
             unambiguous &= "" in dates
-        wrong = has_time_zone(text) != has_zone if dates else not is_missing(text)
-        if wrong and len(bad) < MAX_BAD:
+        is_wrong = has_time_zone(text) != has_zone if dates else not is_missing(text)
+        if is_wrong and len(bad) < MAX_BAD:
             bad[i] = text
     if unambiguous:
         return Cells(rows[0], bad), {}
     values, present = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
-    fitting = [n for n, row in values.items() if not np.isnan(row[present]).any()]
-    if chosen := order or (fitting[0] if len(fitting) == 1 else ""):
-        odd = np.flatnonzero(present & np.isnan(values[chosen]))[:MAX_BAD]
-        bad |= {int(i): f"{cell_text(texts[i])} in another order" for i in odd}
+    valid_orders = [n for n, row in values.items() if not np.isnan(row[present]).any()]
+    if chosen := order or (valid_orders[0] if len(valid_orders) == 1 else ""):
+        invalid = np.flatnonzero(present & np.isnan(values[chosen]))[:MAX_BAD]
+        bad |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
         return Cells(values[chosen], bad), {}
-    some = [n for n, row in values.items() if not np.isnan(row).all()]
-    orders, merged = {n: values[n] for n in fitting or some}, rows[0]
+    possible = [n for n, row in values.items() if not np.isnan(row).all()]
+    orders, merged = {n: values[n] for n in valid_orders or possible}, rows[0]
     for row in reversed(orders.values()):
         merged = np.where(np.isnan(row), merged, row)
     return Cells(merged, bad), orders
 
 
-def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse texts, one for each reading, as numbers; where one is none, the texts are kept, as they may be dates.
+def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
+    """Parse texts, one per reading, as numbers; keep the texts if one is no number, since they may be dates.
 
     Empty, "nan" and other marks of a missing reading are NaN; `decimal` is a point or a comma.
     """
-    plain = [_with_point(text) for text in texts] if decimal == "," else texts
-    together = "".join(plain)
+    with_points = [_replace_comma(text) for text in texts] if decimal == "," else texts
+    all_text = "".join(with_points)
     # Python's float also accepts underscores and other scripts' digits
-    if together.isascii() and "_" not in together:
+    if all_text.isascii() and "_" not in all_text:
         with suppress(ValueError):
-            return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
-    values = np.fromiter(map(number_of, plain), np.float64, len(plain))
-    odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    bad = {i: texts[i].strip() for i in odd[:MAX_BAD]}
-    return Cells(values, bad, np.array(texts, _TEXT) if odd else None)
+            return Cells(np.fromiter(map(float, with_points), np.float64, len(with_points)))
+    values = np.fromiter(map(to_number, with_points), np.float64, len(with_points))
+    invalid = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
+    bad = {i: texts[i].strip() for i in invalid[:MAX_BAD]}
+    return Cells(values, bad, np.array(texts, _TEXT) if invalid else None)
 
 
 def is_missing(text: str) -> bool:
@@ -270,22 +270,22 @@ def is_missing(text: str) -> bool:
     return text.strip().lower() in MISSING
 
 
-def _with_point(text: str) -> str:
+def _replace_comma(text: str) -> str:
     """Convert a decimal comma to a point; a number with a point, which separates thousands, becomes invalid."""
     if DECIMAL_COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
-    return "?" if "." in text and not np.isnan(number_of(text)) else text
+    return "?" if "." in text and not np.isnan(to_number(text)) else text
 
 
-def number_of(text: str) -> float:
-    """Parse a number, NaN if the text is none."""
+def to_number(text: str) -> float:
+    """Parse a number; NaN for any other text."""
     try:
         return float(text) if text.isascii() and "_" not in text else np.nan
     except ValueError:
         return np.nan
 
 
-def cells_of(values: object, number: bool) -> Cells:
+def to_cells(values: object, number: bool) -> Cells:
     """Convert an array or a list, one entry per reading, to the cells of one column, of numbers or of labels."""
     array = np.asarray(values)
     if array.dtype.kind == "M":
@@ -297,11 +297,11 @@ def cells_of(values: object, number: bool) -> Cells:
         bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # which only pandas makes
-    texts = [cell_text(value, missing) for value in array.tolist()]
-    return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
+    texts = [format_cell(value, missing) for value in array.tolist()]
+    return to_numbers(texts) if number else Cells(np.array(texts, dtype=object))
 
 
-def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
+def broadcast_columns(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     """Broadcast columns to vectors of one length; a single value holds for every reading.
 
     Raises:
@@ -316,7 +316,7 @@ def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 
 
-def cell_text(value: object, missing: object = None) -> str:
+def format_cell(value: object, missing: object = None) -> str:
     """Format a cell as text: whole numbers without a point, dates by ISO 8601, "" for `missing`."""
     if isinstance(value, str):
         return value.strip()

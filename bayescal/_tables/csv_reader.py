@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MAX_BAD, Cells, is_missing, number_of, numbers_of, unix_seconds
+from bayescal._tables.cells import MAX_BAD, Cells, is_missing, parse_date, to_number, to_numbers
 from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
 
 _MAX_LINE_BYTES = 1 << 24  # 16 MiB
@@ -124,7 +124,7 @@ class CsvText:
             for position, number in columns.items():
                 texts = fields[position :: len(self.header)]
                 if number:
-                    piece = numbers_of(texts, self.decimal)
+                    piece = to_numbers(texts, self.decimal)
                 else:
                     piece = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
                 parts[position].append(piece)
@@ -219,7 +219,7 @@ def _read_header(text: CsvText) -> None:
     separator = text.separator = header.separator if header else _separators_of(line)[0]
     refuse_many(text.file, 1 + line.count(separator))
     fields = line.split(separator), line.split()
-    if any(not any(map(math.isnan, map(number_of, texts))) for texts in fields):
+    if any(not any(map(math.isnan, map(to_number, texts))) for texts in fields):
         cure = (
             "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'"
         )
@@ -379,7 +379,7 @@ def _is_reading(text: str) -> bool:
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
-    return bool(unix_seconds(text))
+    return bool(parse_date(text))
 
 
 def _are_units(row: Sequence[str], width: int) -> bool:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import decode_name
 from bayescal._core.errors import InputError
 from bayescal._tables import unpacked
-from bayescal._tables.cells import Cells, cell_text, cells_of
+from bayescal._tables.cells import Cells, format_cell, to_cells
 from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import (
     ROW,
@@ -62,8 +62,8 @@ def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
     """Convert a column to cells: numbers as they are, anything else as text."""
     kind, types = column.type, pa.types
     if number and (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
-        return cells_of(column.cast(pa.float64()).to_numpy(), number)
-    return cells_of(column.to_pandas().to_numpy(object), number)
+        return to_cells(column.cast(pa.float64()).to_numpy(), number)
+    return to_cells(column.to_pandas().to_numpy(object), number)
 
 
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
@@ -128,7 +128,7 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, row_cells in parser.parse():
-            filled = [(c["column"], text) for c in row_cells if (text := cell_text(c["value"]))]
+            filled = [(c["column"], text) for c in row_cells if (text := format_cell(c["value"]))]
             row = dict(filled)
             if filled and (number in table or len(row) < len(filled)):
                 raise InputError(

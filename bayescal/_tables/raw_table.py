@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._tables.cells import Cells, cells_of
+from bayescal._tables.cells import Cells, to_cells
 
 _NAMED_ROWS = 3  # that a message names; the others are counted
 
@@ -251,7 +251,7 @@ class Table:
         rows = len(arrays[0]) if arrays else 0
 
         def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
-            return {position: cells_of(arrays[position], n) for position, n in requested.items()}
+            return {position: to_cells(arrays[position], n) for position, n in requested.items()}
 
         return cls(file, headers, rows, load, **fields)
 

@@ -33,7 +33,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, hold_flag_name
-from bayescal._tables.cells import date_text
+from bayescal._tables.cells import format_date
 from bayescal._use.expression_graph import Graph
 from bayescal._use.operating_equation import (
     STIMULUS,
@@ -267,7 +267,7 @@ def clock_words(calibration: Calibration) -> str:
     """Return the origin of the calibration's time, in words."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
-    return f"from {date_text(since)} UTC, as which dates without a zone count"
+    return f"from {format_date(since)} UTC, as which dates without a zone count"
 
 
 def clock_note(equation: OperatingEquation) -> list[Claim]:
@@ -276,7 +276,7 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
         return []
     calibration = equation.calibration
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
-    end = f"{number(last, 6)} s" if since is None else date_text(since + last)
+    end = f"{number(last, 6)} s" if since is None else format_date(since + last)
     changing = calibration.dated or ("the noise",)
     return [Claim("use.dated", *changing, clock=clock_words(calibration), end=end)]
 

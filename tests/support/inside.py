@@ -33,7 +33,7 @@ from bayescal._core.importance_weights import smoothed as smoothed
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
 from bayescal._data.allan_deviation import overlapping as overlapping
-from bayescal._data.column import overloads
+from bayescal._data.column import find_overloads
 from bayescal._data.set_aside import said_of
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
 from bayescal._inference.noise_on_record import Whitening as Whitening
@@ -107,7 +107,7 @@ def said_of_holdout(readings: bc.Measurements, holdout: bc.Measurements) -> str:
 
 def is_overload(value: float) -> bool:
     """Whether a number stands for an overload of a voltmeter, as 9.9e37 does."""
-    return bool(overloads(np.array([value])).size)
+    return bool(find_overloads(np.array([value])).size)
 
 
 def name_in_files(name: str) -> str:
