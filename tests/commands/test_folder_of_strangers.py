@@ -46,7 +46,7 @@ GIVEN = {
     "export": "{result} --format c --out {out}/gyro.h",
     "budget": "{result}",
     "decide": "{result} --limit|" + LIMIT,
-    "validate": "--standard|JCGM 106|--out {out}/validation.html",
+    "validate": "--standard|JCGM 106|--out {out}/validation.pdf",
     "report": "{result} --out {out}/report.html",
     "batch": "{data}/lot.csv --instrument mems_gyro --workers 2 --out {out}/lot",
 }

@@ -15,8 +15,8 @@ JCGM_106 = "JCGM 106", "7.4"
 
 
 def test_documents_hold_each_clause_and_its_outcome(tmp_path) -> None:
-    html = tmp_path / "validation.html"
-    more = ("--standard", "JCGM 100", "--standard", "ISO/TS 28037", "--out", html)
+    pdf, html = tmp_path / "validation.pdf", tmp_path / "validation.html"
+    more = ("--standard", "JCGM 100", "--standard", "ISO/TS 28037", "--out", pdf, "--out", html)
     done = run(*CONFORMITY, *more, "--json")
     assert done.status == 0, done.err
     rows = done.data["rows"]
@@ -24,6 +24,7 @@ def test_documents_hold_each_clause_and_its_outcome(tmp_path) -> None:
         row["clause"] for row in rows
     }
     assert all(row["passed"] for row in rows) and "FAILED" not in html.read_text("utf-8")
+    assert pdf.read_bytes().startswith(b"%PDF")
     page = html.read_text("utf-8")
     digest = done.data["installation"]["SHA-256 of the certified data"]
     assert all(text in page for text in ("8.3.2", "Breakdown voltage", "Not answered", digest))
@@ -56,6 +57,6 @@ def test_unknown_standard_or_format_is_status_2(option) -> None:
 
 @pytest.mark.slow
 def test_every_clause_is_met(tmp_path) -> None:
-    done = run("validate", "--out", tmp_path / "validation.html", "--json")
+    done = run("validate", "--out", tmp_path / "validation.pdf", "--json")
     assert done.status == 0, [row for row in done.data["rows"] if not row["passed"]]
     assert len(done.data["nist"]) == 38

@@ -14,20 +14,23 @@ class ValidateCommand(ws.AsJson, ws.Command):
     Exit status: 0 where every value is within its tolerance; 1 where one is not.
     """
 
-    example = "bayescal validate --out validation.html"
-    out: Path | None = ws.opt("HTML file to write; a browser prints it.", None, "--out", "-o")
+    example = "bayescal validate --out validation.pdf --out validation.html"
+    out: list[Path] | None = ws.opt("PDF or HTML file to write; repeat.", None, "--out", "-o")
     standard: list[str] | None = ws.opt('Such as "JCGM 100", else all; repeat for more.')
 
     def answer(self) -> ws.Answer:
+        from bayescal._annexes.validation.document import WRITERS
         from bayescal._annexes.validation.validation_record import validate
 
-        if self.out is not None and self.out.suffix.lower() != ".html":
-            raise bc.InputError(f"--out {self.out}: name it ….html")
+        paths = self.out or []
+        for path in paths:
+            if path.suffix.lower() not in WRITERS:
+                raise bc.InputError(f"--out {path}: name it ….pdf or ….html")
         record = validate(self.standard or ())
-        if self.out is not None:
-            ws.write_text(record.html(), self.out)
+        for path in paths:
+            WRITERS[path.suffix.lower()](record, path)
         why = f"{len(record.failed)} of {len(record.rows)} values are not as certified"
-        return ws.Answer(record, ok=not record.failed, why=why, written=str(self.out or ""))
+        return ws.Answer(record, ok=not record.failed, why=why, written=", ".join(map(str, paths)))
 
 
 ANNEX = {"commands": (ValidateCommand,)}
