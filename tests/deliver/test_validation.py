@@ -15,19 +15,18 @@ JCGM_106 = "JCGM 106", "7.4"
 
 
 def test_documents_hold_each_clause_and_its_outcome(tmp_path) -> None:
-    pdf, html = tmp_path / "validation.pdf", tmp_path / "validation.html"
+    pdf, html = (tmp_path / f"validation.{kind}" for kind in ("pdf", "html"))
     more = ("--standard", "JCGM 100", "--standard", "ISO/TS 28037", "--out", pdf, "--out", html)
     done = run(*CONFORMITY, *more, "--json")
     assert done.status == 0, done.err
     rows = done.data["rows"]
-    assert {"7.3", "7.4", "8.3.2", "9.5", "H.3", "6.3, example 1"} <= {
-        row["clause"] for row in rows
-    }
+    clauses = {row["clause"] for row in rows}
+    assert clauses >= {"7.3", "7.4", "8.3.2", "9.5", "H.3", "6.3, example 1"}
     assert all(row["passed"] for row in rows) and "FAILED" not in html.read_text("utf-8")
-    assert pdf.read_bytes().startswith(b"%PDF")
     page = html.read_text("utf-8")
     digest = done.data["installation"]["SHA-256 of the certified data"]
     assert all(text in page for text in ("8.3.2", "Breakdown voltage", "Not answered", digest))
+    assert pdf.read_bytes().startswith(b"%PDF")
 
 
 def test_value_that_is_not_met_fails_with_status_1(tmp_path, monkeypatch) -> None:
