@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few
+from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few_readings
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.flag import Flag
@@ -29,22 +29,22 @@ class Calibration(Printed, Fitted):
     """The result of a fit.
 
     Attributes:
-        model: what was fitted.
-        readings: to what.
-        joint: equally weighted joint draws, from which everything else is computed when it is asked for.
-        verdict: whether to trust it.
-        method: name of the method.
-        seed: of every random number.
-        reference: constants of the bases: T0, run starts …
-        levels: members of each group.
-        layout: where each unknown stands.
-        mode: φ̂ and x̂, at which everything is linearised.
+        model: the fitted model.
+        readings: the measurements that it was fitted to.
+        joint: equally weighted joint posterior draws; all other results are computed from them on first access.
+        verdict: convergence diagnosis and failed acceptance checks.
+        method: name of the inference method.
+        seed: seed of the random-number generator.
+        reference: constants of the basis functions: T0, run starts …
+        levels: member names of each group.
+        layout: index of each unknown in the coefficient vector x and the hyperparameter vector φ.
+        mode: posterior mode φ̂, x̂: the expansion point of the linearised model.
         log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
-        start: φ by name, a starting point for its mode besides the prior draws; empty for most.
-        form_factor: multiplies the standard uncertainty of the expected output, for formulas absent from a search; 1
-            if the formula is known.
-        unfound_spreads: standard deviations between new runs that no draw has, by effect not found; in the unit
-            of its coefficient.
+        start: starting values of φ by name for the mode search, besides prior draws; usually empty.
+        form_factor: factor on the standard uncertainty of the expected output for formulas that a search may have
+            missed; 1 if the formula is known.
+        unfound_spreads: between-run standard deviations of plausible effects that the search did not add, by effect,
+            in the unit of its coefficient.
     """
 
     def _parts(self) -> list[str | ResultTable]:
@@ -54,22 +54,22 @@ class Calibration(Printed, Fitted):
     def remarks(self) -> str:
         """Return unidentified directions, the verdict, conflicts and failed checks, one per line."""
         stated = {(claim.code, claim.subjects) for claim in self.conflicts}
-        against = self.verdict.against
-        further = (
-            f for f in against if not isinstance(f, Flag) or (f.code, f.subjects) not in stated
+        failures = self.verdict.against
+        others = (
+            f for f in failures if not isinstance(f, Flag) or (f.code, f.subjects) not in stated
         )
         lines = [
             *(f"not measured: {direction}" for direction in null_directions(self)),
             str(self.verdict),
             *(f"conflict: {conflict}" for conflict in self.conflicts),
-            *(f"not reliable: {conflict}" for conflict in further),
+            *(f"not reliable: {conflict}" for conflict in others),
         ]
         return "\n".join(folded(line, "") for line in lines)
 
     def _brief(self) -> str:
-        verdict = "converged" if self.verdict.ok else "NOT converged"
-        verdict = "NOT reliable" if self.verdict.against else verdict
-        return f"{verdict}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"
+        status = "converged" if self.verdict.ok else "NOT converged"
+        status = "NOT reliable" if self.verdict.against else status
+        return f"{status}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per unknown, in its unit; `low` and `high` bound the 95 % credible interval."""
@@ -95,18 +95,18 @@ class Calibration(Printed, Fitted):
     def correlation(self) -> pd.DataFrame:
         """Return the posterior correlations of all unknowns by name."""
         covariance = self.covariance
-        sd = np.sqrt(np.diag(covariance))
-        return covariance / np.outer(sd, sd)
+        sd_ = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(sd_, sd_)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Return contradictions of readings and priors, implausible group members, and too few readings."""
         subject = Subject(self)
-        return (*conflicts(subject), *group_conflicts(subject), *too_few(subject))
+        return (*conflicts(subject), *group_conflicts(subject), *too_few_readings(subject))
 
     @cached_property
     def tree(self) -> xr.DataTree:
-        """Build the ArviZ DataTree, on first access: replicated readings take time and memory.
+        """Build the ArviZ DataTree on first access, since replicated readings take time and memory.
 
         Groups: posterior, prior, posterior_predictive, log_prior, sample_stats, observed_data, constant_data, and the
         joint draws as plain vectors.

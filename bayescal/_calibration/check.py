@@ -35,19 +35,19 @@ SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a covariate where the residuals are systematically positive or negative."""
+    """A range of a covariate in which the mean residual differs from zero."""
 
-    low: float  # of the covariate, in `covariate_unit`
-    high: float
-    group: str | None  # the run, of one run alone; the member, where the covariate is a group
-    size: float  # mean residual there (weighted by the noise law), output unit
-    z: float  # size over its standard uncertainty
+    low: float  # lower end of the range, in `covariate_unit`
+    high: float  # upper end
+    group: str | None  # run, if the range is of one run; member, if the covariate is a group
+    size: float  # mean residual in the range, weighted by the noise model, output unit
+    z: float  # mean residual over its standard uncertainty
     covariate_unit: str
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Log Bayes factor of one covariate, or group of readings (`by_group`): run, cell, axis, device."""
+    """Log Bayes factor of residual dependence on a covariate or (`by_group`) on run, cell, axis or device."""
 
     against: str
     log_bayes_factor: float
@@ -55,7 +55,7 @@ class Entry:
     by_group: bool = False
 
     def data(self, unit: str) -> dict[str, Any]:
-        """Return the record in result.json; sizes in the output's unit, places in the covariate's."""
+        """Return the JSON object of result.json; means in the output's unit, ranges in the covariate's."""
         worst = dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
         return {**vars(self), "worst": {**place, **worst}}
@@ -73,9 +73,9 @@ class Pair:
 class FixedComparison:
     """Reference noise for the residuals of a model with fixed coefficients, output unit."""
 
-    noise: float  # standard deviation used as the measure
-    rms: float  # of the residuals
-    free_fit: float  # noise of the same model with free coefficients
+    noise: float  # standard deviation of the reference noise
+    rms: float  # root mean square of the residuals
+    free_fit: float  # noise standard deviation of the same model with free coefficients
 
     @property
     def wrong(self) -> bool:
@@ -89,16 +89,16 @@ class Check(Printed):
 
     Attributes:
         entries: one per covariate, the strongest evidence first.
-        pairs: of covariates, likewise.
-        unit: of the output.
-        rms: of the residuals, output unit.
-        noise: standard deviation of the noise that they are compared with.
-        autocorrelation: (lag-1 coefficient within runs beyond what the fit itself leaves, its z).
-        scatter_with: covariates with which the scatter changes, and the p-value of each.
-        outliers: (row, leave-one-out standard deviations).
+        pairs: one per pair of covariates, the strongest evidence first.
+        unit: output unit.
+        rms: root mean square of the residuals, output unit.
+        noise: standard deviation of the reference noise, output unit.
+        autocorrelation: (lag-1 coefficient within runs in excess of that induced by the fit, its z).
+        scatter_with: p-values of covariates that correlate with the size of the residuals.
+        outliers: (row, leave-one-out residual in standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
-        one_sided: p-value of the sign test on the readings farthest from the model.
-        fixed: only for models with fixed coefficients.
+        one_sided: p-value of the sign test on the tenth of the readings farthest from the model.
+        fixed: reference noise of a model with fixed coefficients; None for others.
         residuals: (n,), output unit.
     """
 
@@ -131,25 +131,25 @@ class Check(Printed):
         return text
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return one row per covariate or group; sizes in the output's unit, places in the covariate's."""
+        """Return one row per covariate or group; means in the output's unit, ranges in the covariate's."""
         return check_table(self.data()).data()
 
 
 def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Tabulate residuals against each covariate, from the rows of result.json."""
 
-    def signed(places: str) -> Callable[[float | None], str]:
-        return lambda value: "–" if value is None else f"{value:{places}}"
+    def format_number(number_format: str) -> Callable[[float | None], str]:
+        return lambda value: "–" if value is None else f"{value:{number_format}}"
 
-    def worst_mean(row: Any) -> str:
-        return f"{signed('+.3g')(row['worst']['size'])} {unit_label(row['worst']['unit'])}"
+    def format_worst_mean(row: Any) -> str:
+        return f"{format_number('+.3g')(row['worst']['size'])} {unit_label(row['worst']['unit'])}"
 
     columns = (
         TableColumn("residuals against", "against"),
-        TableColumn("log Bayes factor", "log_bayes_factor", signed("z.1f")),
-        TableColumn("worst mean", worst_mean, name=""),
+        TableColumn("log Bayes factor", "log_bayes_factor", format_number("z.1f")),
+        TableColumn("worst mean", format_worst_mean, name=""),
         TableColumn("worst mean", lambda r: r["worst"]["size"], None),
-        TableColumn("z", lambda r: r["worst"]["z"], signed("+.1f")),
+        TableColumn("z", lambda r: r["worst"]["z"], format_number("+.1f")),
         TableColumn("where", place_in_words, name=""),
         TableColumn("from", lambda r: r["worst"]["from"], None),
         TableColumn("to", lambda r: r["worst"]["to"], None),
@@ -159,9 +159,9 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     return ResultTable(columns, rows, fold=25)
 
 
-def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
-    """List a model's residual checks, the worst covariate first; without autocorrelation and PIT if cut to `most`."""
-    unit, rows = unit_label(check.unit), check.data()[:most]
+def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
+    """Format residual checks, the worst covariate first; cut to `max_rows`, without autocorrelation and PIT."""
+    unit, rows = unit_label(check.unit), check.data()[:max_rows]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
@@ -177,7 +177,7 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         for p in check.pairs[:2]
         if p.log_bayes_factor > strongest
     ]
-    if most is None:
+    if max_rows is None:
         coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
     lines += [
@@ -186,7 +186,7 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
     if check.outliers:
         listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
-    if most is None:
+    if max_rows is None:
         lines.append(f"leave-one-out probabilities: test of uniformity p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
@@ -197,13 +197,13 @@ def place_in_words(row: Mapping[str, Any]) -> str:
     """Describe the worst region of a covariate: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
     against, region = row["against"], row["worst"]
     low, high, group = region["from"], region["to"], region["group"]
-    if row.get("by_group", against == "run"):  # which results of before 0.4 do not say
+    if row.get("by_group", against == "run"):  # results of versions before 0.4 lack this key
         return f"{against} {group}"
     if against == "order":
         return f"row {low:.0f}" if low == high else f"rows {low:.0f} to {high:.0f}"
     unit = unit_label(region["covariate_unit"])
-    place = f"at {number(low, 4)}" if low == high else f"{number(low, 4)} to {number(high, 4)}"
-    return f"{place} {unit}".rstrip() + (f" in run {group}" if group else "")
+    interval = f"at {number(low, 4)}" if low == high else f"{number(low, 4)} to {number(high, 4)}"
+    return f"{interval} {unit}".rstrip() + (f" in run {group}" if group else "")
 
 
 def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
@@ -216,110 +216,110 @@ def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
 
 
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates count as the same
-# Expected lag-1 autocorrelation above which the fit itself determines it, as with two readings about a free level.
+# Expected lag-1 autocorrelation above which the fit alone determines it, as with two readings about a free level.
 TIED_CORRELATION = 0.99
-FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, whose signs are tested
-DUOS = 15  # pairs of covariates, at most
-MEMBERS = 64  # of a group that is looked at member by member, at most
-ROUNDING_SHARE = 1e-9  # of a sum, below which it is the rounding of its terms
-RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
-BINS = 12  # of a covariate
-SCALES = (3, 4)  # lengths of the process over their plausible range; in time, where that is wider
-AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
-WAVES = 2  # along each of two covariates together
+SIGN_TEST_SHARE = 0.1  # of the readings, farthest from the model, whose signs are tested
+MAX_PAIRS = 15  # tested pairs of covariates
+MAX_MEMBERS = 64  # of a group tested member by member
+ROUNDING_SHARE = 1e-9  # of a sum of squares, below which it is rounding error
+MIN_RUN_REGION_READINGS = 8  # of a run, for a worst region within that run
+MAX_BINS = 12  # of a covariate
+LENGTH_COUNT = (3, 4)  # correlation lengths averaged over: of other covariates, of time
+AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # prior sd averaged over, in noise sd
+DEGREE = 2  # of the polynomial along each covariate of an interaction
 
 
 @on_one_thread
 def check(calibration: Calibration) -> Check:
     """Check a fitted model's residuals against every covariate.
 
-    With fixed coefficients the reference is the noise of the same model with free ones, not noise inflated by misfit.
+    With fixed coefficients the reference noise is that of the same model with free ones, as misfit inflates their own.
     """
-    judged, free = _with_free_noise(calibration)
-    linear, fixed = judged.linear, None
-    residual, white = linear.conditional_residuals, linear.scores
-    noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residual**2)))
-    covariates = covariates_of(judged)
+    judged_fit, free_noise = _with_reference_noise(calibration)
+    linear, fixed = judged_fit.linear, None
+    residuals, scores = linear.conditional_residuals, linear.scores
+    noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residuals**2)))
+    covariates = covariates_of(judged_fit)
     two = _covariate_pairs(covariates)
-    factors = log_bayes_factors(judged, covariates, noise)
-    of_two = log_bayes_factors(judged, [_interaction(a, b) for a, b in two], noise)
-    scored = zip(covariates, factors, strict=True)
-    entries = [Entry(c.name, f, _worst_region(judged, c), bool(c.levels)) for c, f in scored]
-    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(two, of_two, strict=True)]
-    # Each reading predicted from the others, in standard deviations of that prediction: V⁻¹r over the root of V⁻¹'s
-    # diagonal, both from the leverages. Under correlated noise: from those before it in its run.
-    loo = white
-    if judged.model.noise.independent:
-        loo = white / np.sqrt(np.maximum(1 - np.sum(linear.directions**2, axis=1), 1e-12))
-    # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
+    factors = log_bayes_factors(judged_fit, covariates, noise)
+    pair_factors = log_bayes_factors(judged_fit, [_interaction(a, b) for a, b in two], noise)
+    rows = zip(covariates, factors, strict=True)
+    entries = [Entry(c.name, f, _worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
+    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(two, pair_factors, strict=True)]
+    # Leave-one-out residuals over their predictive standard deviations, V⁻¹r over the root of V⁻¹'s diagonal, from the
+    # leverages. Under correlated noise: one-step-ahead residuals within a run.
+    loo_z = scores
+    if judged_fit.model.noise.independent:
+        loo_z = scores / np.sqrt(np.maximum(1 - np.sum(linear.directions**2, axis=1), 1e-12))
+    # A wrong mean biases size and sign of the residuals: both are tested only without evidence against the mean.
     scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
-        scatter = _scatter_p_values(covariates, white, calibration.readings["output"] - residual)
-        if count := int(FARTHEST_SHARE * len(loo)):  # sign test
-            above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-            one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
-    if free is not None:
-        fixed = FixedComparison(noise, rms, free)
-    far = settings().outlier_sd
+        scatter = _scatter_p_values(covariates, scores, calibration.readings["output"] - residuals)
+        if count := int(SIGN_TEST_SHARE * len(loo_z)):  # sign test
+            positive = int(np.sum(loo_z[np.argsort(-np.abs(loo_z))[:count]] > 0))
+            one_sided = min(1.0, 2 * float(bdtr(min(positive, count - positive), count, 0.5)))
+    if free_noise is not None:
+        fixed = FixedComparison(noise, rms, free_noise)
+    outlier_threshold = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
         pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
         unit=calibration.unit,
         rms=rms,
         noise=noise,
-        autocorrelation=autocorrelation(judged, white),
+        autocorrelation=autocorrelation(judged_fit, scores),
         scatter_with=scatter,
-        outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > far),
-        pit_p=_normality_p_value(loo),
+        outliers=tuple((i, z) for i, z in enumerate(loo_z.tolist()) if abs(z) > outlier_threshold),
+        pit_p=_normality_p_value(loo_z),
         one_sided=one_sided,
         fixed=fixed,
-        residuals=residual,
+        residuals=residuals,
     )
 
 
 def why_not(calibration: Calibration) -> str:
-    """Return why a calibration must not be used, empty if it may; an unchecked one is checked first."""
+    """Return why a calibration is not fit for use, or ""; run the residual checks unless its verdict has them."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
-    cache = vars(calibration)  # cached with the other computed attributes
-    if "why_not" not in cache:
-        cache["why_not"] = judgement.noiseless(calibration) or " ".join(_failures(calibration))
-    return cache["why_not"]
+    cached = vars(calibration)  # cached with the other computed attributes
+    if "why_not" not in cached:
+        cached["why_not"] = judgement.noiseless(calibration) or " ".join(_failures(calibration))
+    return cached["why_not"]
 
 
 def _failures(calibration: Calibration) -> Sequence[judgement.Claim]:
-    if wrong := judgement.wrong_question(calibration, noise_floor(calibration)):
-        return wrong
-    doubts = tuple(judgement.multimodality(calibration))
-    parts = {"left_out": leave_one_group_out(calibration), "doubts": doubts}
-    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **parts))
+    if claims := judgement.contradictions(calibration, noise_floor(calibration)):
+        return claims
+    mode_claims = tuple(judgement.multimodality(calibration))
+    computed = {"left_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
+    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **computed))
 
 
-def _with_free_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
-    """Return the calibration with its reference noise; and the free fit's noise, if coefficients are fixed."""
-    # Coefficients fixed at stated values; not those known by definition.
+def _with_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
+    """Return the fit with reference noise, and the noise sd with coefficients freed (None if none is fixed)."""
+    # Coefficients fixed by the user at stated values; not those known by definition.
     fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
     if not fixed_names:
         return calibration, None
     method, reference = LeastSquares(draws=400), calibration.reference
     model, readings = calibration.model.free(*fixed_names), calibration.readings
-    free = fit(model, readings, method, reference=reference, strict=False)
+    free_fit = fit(model, readings, method, reference=reference, strict=False)
     v = np.array(calibration.mode.v)
     for i in calibration.layout.phi_indices("noise"):
-        v[i] = free.mode.v[free.layout.index_in_phi[calibration.layout.hypers[i].name]]
+        v[i] = free_fit.mode.v[free_fit.layout.index_in_phi[calibration.layout.hypers[i].name]]
     judged_fit = replace(calibration, mode=calibration.mode._replace(v=v))
-    return judged_fit, float(np.sqrt(np.mean(free.linear.variance)))
+    return judged_fit, float(np.sqrt(np.mean(free_fit.linear.variance)))
 
 
 @dataclass(frozen=True)
 class Covariate:
-    """A covariate and its basis columns."""
+    """A covariate and basis columns of a smooth dependence on it."""
 
     name: str
-    values: np.ndarray  # (n,); of a group the numbers of its members
-    columns: np.ndarray  # (n, k)
-    weights: tuple[np.ndarray, ...]  # (k,) that make columns of unit amplitude, at each length
+    values: np.ndarray  # (n,); member codes of a group
+    columns: np.ndarray  # (n, k) basis
+    weights: tuple[np.ndarray, ...]  # (k,) prior sd of the columns at unit amplitude, per length
     unit: str = ""
     levels: tuple[str, ...] = ()  # names of a group's members
 
@@ -328,11 +328,11 @@ class Covariate:
         cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
     ) -> Covariate:
         """Build a smooth dependence on a covariate that takes several values."""
-        terms, plausible = RESOLUTION[in_time]
+        term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
-        lengths = np.geomspace(*plausible, SCALES[in_time])
-        weights = tuple(process_weights(length, terms) for length in lengths)
-        return cls(name, values, process_columns(position, terms), weights, unit)
+        lengths = np.geomspace(*length_range, LENGTH_COUNT[in_time])
+        weights = tuple(process_weights(length, term_count) for length in lengths)
+        return cls(name, values, process_columns(position, term_count), weights, unit)
 
 
 def covariates_of(calibration: Calibration) -> list[Covariate]:
@@ -352,10 +352,10 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
         covariates.append(smooth("elapsed", elapsed, "s", in_time=True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
-        if 1 < len(levels) <= MEMBERS:  # a level for each member
+        if 1 < len(levels) <= MAX_MEMBERS:  # an indicator column per member
             columns = (codes[:, None] == np.unique(codes[codes >= 0])).astype(float)
-            even = (np.ones(columns.shape[1]),)
-            covariates.append(Covariate(group, codes.astype(float), columns, even, levels=levels))
+            ones = (np.ones(columns.shape[1]),)
+            covariates.append(Covariate(group, codes.astype(float), columns, ones, levels=levels))
     if not readings.has("time"):
         covariates.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
     return covariates
@@ -363,10 +363,10 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
 
 def _covariate_pairs(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """List pairs of covariates whose rank correlation is below 0.95."""
-    varied = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
-    pairs = combinations([(c, _ranks(c.values)) for c in varied], 2)
-    rows = ((a, b, judgement.correlation(first, second)[0]) for (a, first), (b, second) in pairs)
-    return [(a, b) for a, b, r in rows if abs(r) < SAME_COVARIATE_CORRELATION][:DUOS]
+    numeric = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
+    pairs = combinations([(c, _ranks(c.values)) for c in numeric], 2)
+    correlations = ((a, b, judgement.correlation(x, y)[0]) for (a, x), (b, y) in pairs)
+    return [(a, b) for a, b, r in correlations if abs(r) < SAME_COVARIATE_CORRELATION][:MAX_PAIRS]
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
@@ -377,21 +377,21 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 def _normality_p_value(values: np.ndarray) -> float:
     """Return the Kolmogorov p-value of standard normality (M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
-    root, p = np.sqrt(len(values)), ndtr(np.sort(values))
-    steps = np.arange(len(values) + 1) / len(values)
-    distance = max(np.max(steps[1:] - p), np.max(p - steps[:-1]))
-    return float(kolmogorov((root + 0.12 + 0.11 / root) * distance))
+    root_n, probabilities = np.sqrt(len(values)), ndtr(np.sort(values))
+    empirical = np.arange(len(values) + 1) / len(values)
+    distance = max(np.max(empirical[1:] - probabilities), np.max(probabilities - empirical[:-1]))
+    return float(kolmogorov((root_n + 0.12 + 0.11 / root_n) * distance))
 
 
 def _interaction(first: Covariate, second: Covariate) -> Covariate:
-    """Build an interaction of two covariates: products of low-order Legendre polynomials along them."""
+    """Build the interaction of two covariates: products of their Legendre polynomials of degrees 1 and 2."""
 
-    def waves(values: np.ndarray) -> np.ndarray:
-        low, high = values.min(), values.max()
-        return np.polynomial.legendre.legvander(2 * (values - low) / (high - low) - 1, WAVES)[:, 1:]
+    def legendre_columns(values: np.ndarray) -> np.ndarray:
+        position = 2 * (values - values.min()) / np.ptp(values) - 1
+        return np.polynomial.legendre.legvander(position, DEGREE)[:, 1:]
 
-    first_waves, second_waves = waves(first.values), waves(second.values)
-    basis = (first_waves[:, :, None] * second_waves[:, None, :]).reshape(len(first_waves), -1)
+    first_columns, second_columns = legendre_columns(first.values), legendre_columns(second.values)
+    basis = (first_columns[:, :, None] * second_columns[:, None, :]).reshape(len(first_columns), -1)
     scale = np.sqrt(np.mean(np.sum(basis**2, axis=1)))
     weights = (np.full(basis.shape[1], 1 / max(scale, 1e-300)),)
     return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
@@ -400,85 +400,85 @@ def _interaction(first: Covariate, second: Covariate) -> Covariate:
 def log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
-    """Return each covariate's log Bayes factor of a dependence against none, over lengths and amplitudes.
+    """Return each covariate's log Bayes factor of a dependence against none, averaged over lengths and amplitudes.
 
-    Amplitudes are prior standard deviations common to all of its columns, in units of the noise (output unit).
+    Amplitudes are prior standard deviations common to all columns of a covariate, in units of `noise` (output unit).
     """
     factors = list[float]()
     for covariate in covariates:
-        u, information = calibration.linear.score(covariate.columns * noise)
-        sizes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
-        scaled = sizes[:, :, None] * information * sizes[:, None, :]
-        volume, squares = explained_sum_of_squares(sizes * u, scaled)
-        factors.append(float(logsumexp(0.5 * squares - volume) - np.log(np.size(volume))))
+        score, information = calibration.linear.score(covariate.columns * noise)
+        amplitudes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
+        scaled = amplitudes[:, :, None] * information * amplitudes[:, None, :]
+        log_det, explained = explained_sum_of_squares(amplitudes * score, scaled)
+        factors.append(float(logsumexp(0.5 * explained - log_det) - np.log(np.size(log_det))))
     return factors
 
 
 def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple[float, float]:
     """Return the lag-1 autocorrelation within runs in excess of that induced by the fit, and its z.
 
-    A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
-    r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
-    difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
+    A fit induces autocorrelation: the residuals of n independent readings about a fitted level have −1/(n − 1). With r
+    the residuals' lag-1 autocorrelation and ρ its expectation for independent noise under this model, the coefficient
+    is the difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
     """
     order, step = calibration.problem.record.in_time
-    first = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
+    starts = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
     ordered = standardised[order]
-    before, after = ordered[first], ordered[first + 1]
-    size = float(np.linalg.norm(before) * np.linalg.norm(after))
-    if not size > 0:
+    earlier, later = ordered[starts], ordered[starts + 1]
+    norm_product = float(np.linalg.norm(earlier) * np.linalg.norm(later))
+    if not norm_product > 0:
         return 0.0, 0.0
-    expected, sd = _white_autocorrelation(calibration.linear.directions[order], first)
-    product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
-    lag_one = product / size
+    expected, sd = _white_autocorrelation(calibration.linear.directions[order], starts)
+    product, mean_square = float(earlier @ later), 0.5 * float(earlier @ earlier + later @ later)
+    lag_one = product / norm_product
     if sd == 0 or abs(expected) > TIED_CORRELATION:
         return 0.0, 0.0
     coefficient = float(np.clip((lag_one - expected) / (1 - lag_one * expected), -1, 1))
-    return coefficient, (product / squares - expected) / sd
+    return coefficient, (product / mean_square - expected) / sd
 
 
-def _white_autocorrelation(directions: np.ndarray, first: np.ndarray) -> tuple[float, float]:
+def _white_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[float, float]:
     """Return mean and standard deviation of the lag-1 autocorrelation of e ~ N(0, C), C = I − G·Gᵀ.
 
-    G are the directions (n, q), in the order of time. The sum over neighbours of eᵢ·eᵢ₊₁ is eᵀBe, that of their
-    squares, halved, eᵀDe. Their means have the ratio ρ = tr(BC)/tr(DC), and the variance of eᵀKe, K = B − ρ·D, is
-    2·tr(KCKC). `first` is where the first of each two neighbours stands.
+    G, `directions` (n, q), has orthonormal columns that the fit projects out, rows in time order. Over pairs of
+    neighbours Σ eᵢ·eᵢ₊₁ = eᵀBe and Σ ½(eᵢ² + eᵢ₊₁²) = eᵀDe; the ratio of their means is ρ = tr(BC)/tr(DC), and the
+    variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC). `starts` is the row of each pair's first reading.
     """
-    halves = 0.5 * np.bincount(np.append(first, first + 1), minlength=len(directions))  # D
-    squares = float(halves @ (1 - np.sum(directions**2, axis=1)))
-    if squares < ROUNDING_SHARE * first.size:
+    weights = 0.5 * np.bincount(np.append(starts, starts + 1), minlength=len(directions))  # D
+    typical = float(weights @ (1 - np.sum(directions**2, axis=1)))
+    if typical < ROUNDING_SHARE * starts.size:
         return 0.0, 0.0
-    expected = -float(np.sum(directions[first] * directions[first + 1])) / squares
-    kg = -expected * halves[:, None] * directions
-    kg[first] += 0.5 * directions[first + 1]
-    kg[first + 1] += 0.5 * directions[first]
-    square_trace = 0.5 * first.size + expected**2 * float(halves @ halves)  # tr(KK)
+    expected = -float(np.sum(directions[starts] * directions[starts + 1])) / typical
+    kg = -expected * weights[:, None] * directions
+    kg[starts] += 0.5 * directions[starts + 1]
+    kg[starts + 1] += 0.5 * directions[starts]
+    square_trace = 0.5 * starts.size + expected**2 * float(weights @ weights)  # tr(KK)
     trace = square_trace - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
-    if trace < ROUNDING_SHARE * first.size:
+    if trace < ROUNDING_SHARE * starts.size:
         return expected, 0.0
-    return expected, float(np.sqrt(2 * trace)) / squares
+    return expected, float(np.sqrt(2 * trace)) / typical
 
 
 def _scatter_p_values(
     covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
 ) -> dict[str, float]:
-    """Return covariates with which the residuals' size changes (rank correlation), with p-values."""
-    orders = {c.name: c.values for c in covariates if not c.levels}
-    # Noise in proportion to a signal of both signs grows on both sides: no column's ranking shows it.
-    orders["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    varied = {n: values for n, values in orders.items() if np.ptp(values) > 0 and len(values) > 2}
-    sizes = _ranks(np.abs(standardised))
-    p_values = {n: judgement.correlation(sizes, _ranks(values))[1] for n, values in varied.items()}
+    """Return the significant p-values of rank correlation between absolute residuals and covariates, by name."""
+    columns = {c.name: c.values for c in covariates if not c.levels}
+    # Noise proportional to |output| is not monotonic in any column if the output has both signs.
+    columns["the output's distance from its median"] = np.abs(expected - np.median(expected))
+    varied = {n: values for n, values in columns.items() if np.ptp(values) > 0 and len(values) > 2}
+    ranks = _ranks(np.abs(standardised))
+    p_values = {n: judgement.correlation(ranks, _ranks(values))[1] for n, values in varied.items()}
     return {name: p for name, p in p_values.items() if p < SIGNIFICANT_P}
 
 
 def noise_floor(calibration: Fitted) -> float:
-    """Return the noise that no model of smooth effects could remove, output unit.
+    """Estimate the noise standard deviation that no smooth effect could explain, output unit.
 
-    From each residual against the mean of its two neighbours (in time within a run; in temperature where there
-    is no time), as in a von Neumann ratio: what varies slowly cancels.
+    It is computed from each residual less the mean of its two neighbours (in time within a run; in temperature without
+    a time column), as in a von Neumann ratio: slow variation cancels.
     """
-    residual = calibration.linear.conditional_residuals
+    residuals = calibration.linear.conditional_residuals
     readings = calibration.readings
     if readings.has("time"):
         order, step = calibration.problem.record.in_time
@@ -487,58 +487,58 @@ def noise_floor(calibration: Fitted) -> float:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         linked[0] = False
-    r = residual[order]
-    inner = linked[1:-1] & linked[2:]
-    bend = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[inner]
-    if bend.size < 3:
-        return float(np.sqrt(np.mean(residual**2)))
-    return float(np.sqrt(np.mean(bend**2) / 1.5))
+    ordered = residuals[order]
+    interior = linked[1:-1] & linked[2:]
+    differences = (ordered[1:-1] - 0.5 * (ordered[:-2] + ordered[2:]))[interior]
+    if differences.size < 3:
+        return float(np.sqrt(np.mean(residuals**2)))
+    return float(np.sqrt(np.mean(differences**2) / 1.5))
 
 
 def _worst_region(calibration: Calibration, covariate: Covariate) -> Region:
-    """Find the range of bins whose mean residual is largest over its uncertainty, in all runs or one.
+    """Find the range of bins whose mean residual has the largest |z|, over all runs or in one run.
 
-    Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
+    Means and standard uncertainties are generalised least squares estimates under the noise model.
     """
     levels, codes = calibration.readings.groups("run")
     region = _worst_range(calibration, covariate, np.ones(len(codes), bool), None)
     if covariate.levels:
         return replace(region, group=covariate.levels[int(region.low)])
     for k, level in enumerate(levels if len(levels) > 1 else ()):
-        if np.sum(codes == k) >= RUN_REGION_READINGS:
-            of_run = _worst_range(calibration, covariate, codes == k, level)
-            # A single run's region must be clearly worse than the common one.
-            if abs(of_run.z) - 1 > abs(region.z) - (region.group is not None):
-                region = of_run
+        if np.sum(codes == k) >= MIN_RUN_REGION_READINGS:
+            run_region = _worst_range(calibration, covariate, codes == k, level)
+            # A range of one run is preferred only if its |z| exceeds that of the common range by one.
+            if abs(run_region.z) - 1 > abs(region.z) - (region.group is not None):
+                region = run_region
     return region
 
 
 def _worst_range(
     calibration: Calibration, covariate: Covariate, mask: np.ndarray, run: str | None
 ) -> Region:
-    """Find the worst range among the masked readings."""
+    """Find the range of bins of the masked readings whose mean residual has the largest |z|."""
     values = covariate.values[mask]
     distinct, bins = np.unique(values), np.full(len(mask), -1)
-    if covariate.levels or len(distinct) <= BINS:
+    if covariate.levels or len(distinct) <= MAX_BINS:
         bins[mask], count = np.searchsorted(distinct, values), len(distinct)
     else:
-        edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
-        bins[mask], count = np.searchsorted(edges, values, side="right"), BINS
+        edges = np.quantile(values, np.linspace(0, 1, MAX_BINS + 1)[1:-1])
+        bins[mask], count = np.searchsorted(edges, values, side="right"), MAX_BINS
     score, weight = calibration.linear.normal_eqs((bins[:, None] == np.arange(count)).astype(float))
     starts, ends = np.triu_indices(count + 1, 1)
-    short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
-    starts, ends = starts[short], ends[short]
+    is_short_enough = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
+    starts, ends = starts[is_short_enough], ends[is_short_enough]
     score_sums = np.append(0.0, np.cumsum(score))
     weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    total = score_sums[ends] - score_sums[starts]
+    sums = score_sums[ends] - score_sums[starts]
     information = (weights[ends, ends] - weights[starts, ends]) - (
         weights[ends, starts] - weights[starts, starts]
     )
     informed = information > 0
-    scores = np.where(informed, total, 0.0) / np.sqrt(np.where(informed, information, 1.0))
-    at = int(np.argmax(np.abs(scores)))
-    z = float(scores[at])
-    inside = (bins >= starts[at]) & (bins < ends[at])
-    values = covariate.values[inside] if inside.any() else covariate.values
-    size = float(total[at] / information[at]) if z != 0 else 0.0
-    return Region(float(values.min()), float(values.max()), run, size, z, covariate.unit)
+    scores = np.where(informed, sums, 0.0) / np.sqrt(np.where(informed, information, 1.0))
+    worst = int(np.argmax(np.abs(scores)))
+    z = float(scores[worst])
+    in_region = (bins >= starts[worst]) & (bins < ends[worst])
+    values = covariate.values[in_region] if in_region.any() else covariate.values
+    mean_residual = float(sums[worst] / information[worst]) if z != 0 else 0.0
+    return Region(float(values.min()), float(values.max()), run, mean_residual, z, covariate.unit)

@@ -1,6 +1,6 @@
-"""Claims: statements about readings or a result, as data.
+"""Claims: messages about readings or a result, with a code, the names concerned and numbers.
 
-Thresholds and words of all claims stand in `claims.toml`, by code.
+`claims.toml` defines severity, thresholds and message template of each code.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bayescal._data.unit_conversion import unit_label
 
 
 class Criterion(NamedTuple):
-    """Severity, message, remedies and thresholds of a claim."""
+    """Severity, message template, remedies and thresholds of a claim code, from `claims.toml`."""
 
     severity: str
     says: str
@@ -25,7 +25,7 @@ class Criterion(NamedTuple):
     limits: dict[str, float]  # thresholds, by name
 
 
-def _read(tables: dict[str, dict[str, Any]]) -> Iterator[tuple[str, Criterion]]:
+def _parse_criteria(tables: dict[str, dict[str, Any]]) -> Iterator[tuple[str, Criterion]]:
     for code, table in tables.items():
         cures = tables[table.get("cures_of", code)].get("cures", {})
         cures = {"": table["cure"]} if "cure" in table else cures
@@ -34,16 +34,16 @@ def _read(tables: dict[str, dict[str, Any]]) -> Iterator[tuple[str, Criterion]]:
         yield code, Criterion(table["severity"], says, cures, table.get("limits", {}))
 
 
-_FILE = Path(__file__).with_name("claims.toml")
-CRITERIA = dict(_read(tomllib.loads(_FILE.read_text("utf-8"))))
+_CRITERIA_FILE = Path(__file__).with_name("claims.toml")
+CRITERIA = dict(_parse_criteria(tomllib.loads(_CRITERIA_FILE.read_text("utf-8"))))
 
 
 def limit(code: str, name: str) -> float:
-    """Return a threshold of a claim."""
+    """Return a named threshold of a claim code."""
     return CRITERIA[code].limits[name]
 
 
-class _Filled(string.Formatter):
+class _TemplateFormatter(string.Formatter):
     """A `str.format` that fills the templates in `claims.toml`: units, lists and numbers."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -57,7 +57,7 @@ class _Filled(string.Formatter):
 
 
 class Claim(Flag):
-    """A message and its remedy, as text with its code, names and numbers: code reads these, never the words.
+    """A string, message and remedy, with its code, names and numbers: programs read these, never the text.
 
     Attributes:
         code: a key of `CRITERIA`.
@@ -70,8 +70,8 @@ class Claim(Flag):
     def __new__(cls, code: str, *of: str, **numbers: Any) -> Self:
         criterion = CRITERIA[code]
         template = f"{criterion.says} {criterion.cures.get(numbers.get('cure', ''), '')}".rstrip()
-        words = _Filled().vformat(template, (), {"of": of, **numbers})
-        claim = super().__new__(cls, words, code, *of)
+        text = _TemplateFormatter().vformat(template, (), {"of": of, **numbers})
+        claim = super().__new__(cls, text, code, *of)
         claim.numbers = numbers
         return claim
 
@@ -90,5 +90,5 @@ class Claim(Flag):
 
 
 def as_claim(words: str) -> Claim:
-    """Return a claim unchanged, and a failure loaded from a saved calibration as a claim of words alone."""
+    """Return a claim unchanged; wrap a plain message of a saved calibration as a claim with code "kept"."""
     return words if isinstance(words, Claim) else Claim("kept", words=words)

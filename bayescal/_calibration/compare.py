@@ -38,16 +38,16 @@ class ComparisonRow:
     name: str  # given by the user
     effects: str  # canonical names, with commas between
     rmse: float  # of the readings with group deviations at zero, output unit
-    group_score: float | None  # sum of the joint log predictive densities, leave-one-group-out,
-    group_difference: float | None  # that to the best,
-    group_error: float | None  # and its standard error over groups; None over fewer than ten
+    group_score: float | None  # sum over left-out groups of the joint log predictive density
+    group_difference: float | None  # group_score less that of the best model
+    group_error: float | None  # standard error of the difference; None with fewer than ten groups
     group_rmse: float | None  # of readings predicted from the other groups, output unit
-    loo: float  # expected log pointwise predictive density by PSIS-LOO,
-    loo_difference: float  # that to the best,
-    loo_error: float  # and its standard error
-    pareto_k: float  # the worst
+    loo: float  # expected log pointwise predictive density by PSIS-LOO
+    loo_difference: float  # loo less that of the best model
+    loo_error: float  # standard error of the difference
+    pareto_k: float  # largest Pareto k of the readings
     log_evidence: float | None  # None where a prior is flat
-    weight: float  # by stacking
+    weight: float  # stacking weight
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,11 +55,11 @@ class Comparison(Printed):
     """A comparison of fitted models, the best first.
 
     Attributes:
-        rows: one each.
-        group: what was left out, and of how many.
+        rows: scores, one row per model.
+        group: kind of the left-out groups: device, run, cell, block or reading.
         groups: number of groups.
-        chosen_by: what ranks them: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
-        warnings: what the reader must know.
+        chosen_by: ranking criterion: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
+        warnings: undecided rankings, disagreement of criteria, unreliable PSIS-LOO.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -110,66 +110,66 @@ def _gap(difference: tuple[float | None, float | None]) -> str:
 
 
 def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
-    """Set fitted models side by side.
+    """Compare fitted models by cross-validation, log evidence and stacking weight.
 
     The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
     where there are fewer, too few for a standard error; by pointwise leave-one-out where the noise is not Gaussian.
 
     Args:
-        calibrations: name → fit, of the same readings; or the fits, named after what each adds to what all share.
+        calibrations: name → fit, of the same readings; or the fits, named after the effects that not all share.
 
     Raises:
         InputError: fewer than two, or fits of different readings.
     """
     if not isinstance(calibrations, Mapping):
-        calibrations = _named(calibrations)
+        calibrations = _name_by_effects(calibrations)
     if len(calibrations) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
-    (first_name, first), *others = calibrations.items()
-    output = first.readings["output"]
-    for name, c in others:
+    (first_name, first_fit), *other_fits = calibrations.items()
+    output = first_fit.readings["output"]
+    for name, c in other_fits:
         if len(c.readings) != len(output) or not np.allclose(c.readings["output"], output):
             raise InputError(
-                f"{first_name!r} and {name!r} were fitted to different readings ({first.readings.file}, "
+                f"{first_name!r} and {name!r} were fitted to different readings ({first_fit.readings.file}, "
                 f"{c.readings.file}): fit both to the same"
             )
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
-    best_loo = max((points for points, _ in loo.values()), key=np.sum)
-    weights = stacking_weights(np.stack([points for points, _ in loo.values()], axis=1))
+    best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
+    weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    left_out = [f for f in folds.values() if f is not None]
-    fold, grouped = next(iter(left_out), None), len(left_out) == len(folds)
-    best = max((f.log_score for f in left_out), key=np.sum) if grouped else None
+    scored = [f for f in folds.values() if f is not None]
+    fold, grouped = next(iter(scored), None), len(scored) == len(folds)
+    best = max((f.log_score for f in scored), key=np.sum) if grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
-        (points, pareto_k), held_out = loo[name], folds[name]
-        gap = None if held_out is None or best is None else held_out.log_score - best
+        (densities, pareto_k), held_out = loo[name], folds[name]
+        gaps = None if held_out is None or best is None else held_out.log_score - best
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
             rmse=predict(c).rmse,
             group_score=held_out and float(held_out.log_score.sum()),
-            group_difference=None if gap is None else float(gap.sum()),
-            group_error=None if gap is None or len(gap) < FEWEST_GROUPS else _error(gap),
+            group_difference=None if gaps is None else float(gaps.sum()),
+            group_error=None if gaps is None or len(gaps) < FEWEST_GROUPS else _sum_error(gaps),
             group_rmse=held_out and held_out.rmse,
-            loo=float(points.sum()),
-            loo_difference=float((points - best_loo).sum()),
-            loo_error=_error(points - best_loo),
+            loo=float(densities.sum()),
+            loo_difference=float((densities - best_loo).sum()),
+            loo_error=_sum_error(densities - best_loo),
             pareto_k=pareto_k,
             log_evidence=c.log_evidence and c.log_evidence[0],
             weight=float(weight),
         )
         rows.append(row)
-    ranking, measured = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
+    ranking, ranking_field = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
     few_groups = grouped and fold is not None and fold.count < FEWEST_GROUPS
     if few_groups and all(r.log_evidence is not None for r in rows):
-        ranking, measured = BY_EVIDENCE, "log_evidence"
-    rows.sort(key=lambda r: -getattr(r, measured))
+        ranking, ranking_field = BY_EVIDENCE, "log_evidence"
+    rows.sort(key=lambda r: -getattr(r, ranking_field))
     return Comparison(
         rows=tuple(rows),
         group=fold.group if fold else "reading",
         groups=fold.count if fold else len(output),
-        unit=first.unit,
+        unit=first_fit.unit,
         chosen_by=ranking,
         warnings=tuple(_warnings(rows, ranking, fold)),
     )
@@ -188,7 +188,7 @@ def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     return np.asarray(elpd.elpd_i).ravel(), float(np.max(np.asarray(elpd.pareto_k)))
 
 
-def _error(differences: np.ndarray) -> float:
+def _sum_error(differences: np.ndarray) -> float:
     """Return the standard error of a sum of differences over the left-out readings or groups."""
     if differences.size < 2:
         return float("nan")
@@ -205,9 +205,9 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
         if gap < settings().strong_evidence:
             yield undecided(gap=f"{gap:.1f}", measure=by)
-        other = max(rows, key=lambda r: r.group_score or -np.inf)
-        if other is not best:
-            yield Claim("compare.other_first", other.name)
+        best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
+        if best_by_groups is not best:
+            yield Claim("compare.other_first", best_by_groups.name)
     elif by == BY_GROUPS and second.group_error:
         gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < limit("compare.undecided", "errors") * error:
@@ -216,11 +216,11 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 
 
-def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
-    """Name fits by the effects that not all share; "model 1" … where there are none, or the same ones."""
+def _name_by_effects(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
+    """Name fits by the effects that not all share; "model 1" … where that name is empty or taken."""
     shared = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
-    named: dict[str, Calibration] = {}
+    by_name: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):
         name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
-        named[name if name and name not in named else f"model {i}"] = c
-    return named
+        by_name[name if name and name not in by_name else f"model {i}"] = c
+    return by_name

@@ -1,15 +1,14 @@
 """Confounding: recorded columns collinear with a model's terms, and half a step of a rounded column.
 
-A column that is no known cause acts or does not, and nothing is known of it: even odds, and if it acts a line in it,
-plausibly half as large as all that the model's own terms change the output by. Beside the model, linear about its mode,
-this line's coefficient is Gaussian in closed form, its evidence too, and what it takes the other coefficients give up.
-Of a column that the readings tell apart little is left, and that improbable; of one that ran with the thermometer they
-know the sum alone, and how it is split is the prior's. What coefficients give up, squared and averaged over the column
-acting and not, is a term of their variance. Their values stay those of the model: the sum is what is measured, and what
-compensates a sensor that is used as it was tested.
+A recorded column without a known effect gets prior probability 1/2 of a linear effect, with a normal coefficient whose
+standard deviation is half the rms of the model's own terms in the output. In the model linearised at its mode, the
+coefficient's posterior and its log Bayes factor are closed-form, and so is the shift of the other coefficients. A
+column orthogonal to the model's terms shifts none; one collinear with the thermometer leaves only the sum identified,
+and the prior splits it. The squared shift, averaged over presence and absence of the effect, is added to each
+coefficient's variance. Posterior means stay those of the model, which compensate a sensor in its test conditions.
 
-Whether a column was rounded or cut off no file tells: all its readings may be half a step off, alike. That is such a
-column too, which acts in any case and whose size is known: the step over √12, times the output's slope by it.
+A column that was rounded or truncated may be off by up to half a step in all readings alike. It is treated as a column
+whose effect is certain, with standard deviation step/√12 times the derivative of the output by the column.
 Source: J. Hoeting, D. Madigan, A. Raftery and C. Volinsky, Stat. Sci. 14 (1999) 382 (averaging over models).
 """
 
@@ -31,109 +30,109 @@ from bayescal._model.frame import list_covariates, strip_rate
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 
-IN_TIME = ("time", "elapsed")
-SIZE = 0.5  # of a column's effect, in parts of what the model's own terms change the output by
+TIME_COLUMNS = ("time", "elapsed")
+AMPLITUDE_SHARE = 0.5  # prior sd of a column's effect over the rms of the model's own terms
 
 
 class Confounder(NamedTuple):
-    """A column that may have acted in place of coefficients, or is off by part of its rounding step."""
+    """A column collinear with coefficients, or off by part of its rounding step."""
 
     column: str
-    coefficients: list[str]  # names of the single coefficients that it makes less certain
-    told: float  # share of its sum of squares that the model's columns leave
+    coefficients: list[str]  # names of the single coefficients whose uncertainty it increases
+    told: float  # its residual over total sum of squares, after projection on the model's columns
     # Standard uncertainty added to each coefficient, by name and member, reported unit; signed: fully correlated.
     shares: dict[str, list[float]]
-    step: float = 0.0  # to which it is rounded or cut off, its unit; 0 if it ran with the model
+    step: float = 0.0  # rounding step, unit of the column; 0 for a collinear column
 
     @property
     def claim(self) -> Claim:
         """Return the claim that names the column and the coefficients."""
         numbers = {"column": self.column, "told": self.told, "grid": self.step}
         numbers |= {"vary": strip_rate(self.column)}
-        combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
+        combination = f"{' and '.join(self.coefficients)} and {self.label}"
         code = "column.rounded" if self.step else "direction.confounded"
         return Claim(code, *self.coefficients, **numbers, combination=combination)
 
     @property
-    def of_column(self) -> str:
+    def label(self) -> str:
         """Return the column's name, or "half a step of" it."""
         return f"half a step of {self.column}" if self.step else self.column
 
 
-def confounders(
+def find_confounders(
     linear: LinearModel,
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Find columns of no known cause, and rounded ones (step, slope of the output), that add a fifth or more to the
-    standard uncertainty of a coefficient."""
+    """Find unmodelled `columns`, and rounded ones (`steps`: step, derivative of the output), that increase the standard
+    uncertainty of a coefficient by a fifth or more."""
     layout, sd = linear.problem.layout, linear.sd
-    main = np.flatnonzero(is_single_coefficient(layout))
-    if not len(main):
+    single = np.flatnonzero(is_single_coefficient(layout))
+    if not len(single):
         return ()
-    x = (linear.mode.x - linear.problem.mean_of_x)[main] / np.where(sd > 0, sd, 1.0)[main]
-    size = SIZE * float(np.std(linear.nuisance[:, main] @ x))
-    # An unknown cause would add to the first slot in the output's unit; of three axes to each axis's.
+    z = (linear.mode.x - linear.problem.mean_of_x)[single] / np.where(sd > 0, sd, 1.0)[single]
+    amplitude = AMPLITUDE_SHARE * float(np.std(linear.nuisance[:, single] @ z))
+    # An unmodelled effect enters the first slot (term of the equation) in the output's unit, or that of each axis.
     instrument = layout.model.instrument
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
     vector = instrument.vector
     slots = slots[:1] if vector is None else [n for n in slots if n not in vector.rig]
-    acting = [
-        (name, size * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
+    causes = [
+        (name, amplitude * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
         for name, values in columns.items()
         for slot in slots
     ]
-    acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
-    parts = {b.name: b.x_slice for b in layout.x_blocks}
-    confounding = list[Confounder]()
-    for name, values, step in acting:
-        # The column at its size, whitened; its projection on the model's columns, P, and the rest, K.
+    causes += [(n, step / math.sqrt(12.0) * slope, step) for n, (step, slope) in steps.items()]
+    slices = {b.name: b.x_slice for b in layout.x_blocks}
+    results = list[Confounder]()
+    for name, values, step in causes:
+        # The whitened, scaled column a, its projection P·a on the model's columns, and K = |a − P·a|².
         column = linear.whiten(values[:, None])[:, 0]
-        explained = linear.project_on_nuisance(column[:, None])[:, 0]
-        squares = float(column @ column)
-        remainder = max(squares - float(explained @ explained), 0.0)
-        # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
-        score, inner = float(column @ linear.white_conditional), 1 + remainder
-        acts = 1.0 if step else float(expit(0.5 * (score**2 / inner - math.log(inner))))
-        second_moment = acts * (1 / inner + (score / inner) ** 2)
-        added = math.sqrt(second_moment) * shifts(linear, column[:, None])[:, 0]
-        if np.any(wider := is_widened_by(linear, added)):
-            shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
-            concerned = [n for n, at in parts.items() if wider[at].any()]
-            confounding.append(Confounder(name, concerned, remainder / squares, shares, step))
-    return tuple(confounding)
+        projection = linear.project_on_nuisance(column[:, None])[:, 0]
+        norm2 = float(column @ column)
+        remainder = max(norm2 - float(projection @ projection), 0.0)
+        # Log Bayes factor of a standard normal coefficient, u = aᵀr: ½·u²/(1 + K) − ½·log(1 + K).
+        score, ratio = float(column @ linear.white_conditional), 1 + remainder
+        probability = 1.0 if step else float(expit(0.5 * (score**2 / ratio - math.log(ratio))))
+        second_moment = probability * (1 / ratio + (score / ratio) ** 2)
+        added = math.sqrt(second_moment) * mode_shifts(linear, column[:, None])[:, 0]
+        if np.any(widened := is_widened_by(linear, added)):
+            shares = {n: added[part].tolist() for n, part in slices.items() if added[part].any()}
+            widened_names = [n for n, part in slices.items() if widened[part].any()]
+            results.append(Confounder(name, widened_names, remainder / norm2, shares, step))
+    return tuple(results)
 
 
 def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
-    """Mask the coefficients that are no group deviation, no part of a curve and not of a rig."""
+    """Mask coefficients other than group deviations, coefficients of curves and those of a rig's slots."""
     vector = layout.model.instrument.vector
     rig = () if vector is None else vector.rig
-    alone = [
+    is_single = [
         b.coefficient.group_sd is None and b.effect.weights is None and b.slot not in rig
         for b in layout.x_blocks
     ]
-    return np.repeat(np.array(alone, dtype=bool), [b.size for b in layout.x_blocks])
+    return np.repeat(np.array(is_single, dtype=bool), [b.size for b in layout.x_blocks])
 
 
-def shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """Return the shifts of a model's coefficients by further columns of one standard deviation each."""
+def mode_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
+    """Return the shifts of the posterior mean per added column with a coefficient of one, in units of x."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
 
 
-def is_widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
+def is_widened_by(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
     """Mask the single coefficients whose standard uncertainty grows by a fifth or more."""
     p = linear.problem.layout.size
     sd = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
-    wider = np.hypot(added, sd) > (1 + limit("direction.confounded", "widening")) * sd
+    wider = np.hypot(added_sd, sd) > (1 + limit("direction.confounded", "widening")) * sd
     return is_single_coefficient(linear.problem.layout) & wider
 
 
-def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
-    """Return the columns that no effect depends on, without those that the instrument declares or that measure the same
-    quantity (another thermometer, a set point), and without time, whose effects have names and stated sizes."""
+def unmodelled(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
+    """Return the varying columns that no effect depends on, except columns that the instrument declares, columns of the
+    same quantity (a second thermometer, a set point) and time, for which the catalogue has named effects."""
     declared = {c.name for c in model.instrument.columns}
-    named = declared | model.columns | {*IN_TIME}
+    modelled = declared | model.columns | {*TIME_COLUMNS}
     units = [readings.unit(n) for n in declared & {*readings.columns}]
     units = [u for u in units if u not in (None, "1", "s")]
     columns = dict[str, np.ndarray]()
@@ -141,16 +140,16 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
         column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None
         same = any(unit and same_dimension(unit, str(u)) for u in units)
-        if np.ptp(values) > 0 and name not in named and column not in named and not same:
+        if np.ptp(values) > 0 and name not in modelled and column not in modelled and not same:
             columns[name] = values
     return columns
 
 
 def widen_draws(
-    x: Float[np.ndarray, "chains draws p"], shared: Sequence[Confounder], layout: Layout, seed: int
+    x: Float[np.ndarray, "chains draws p"], sources: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
-    """Widen draws of the coefficients by the confounders' contributions; the mean is unchanged."""
-    for i, confounder in enumerate(shared):
+    """Add the confounders' variance to draws of the coefficients; the mean is unchanged."""
+    for i, confounder in enumerate(sources):
         # Normal quantiles in random order: exact moments, without sampling noise.
         count = x.shape[0] * x.shape[1]
         normal = ndtri((np.arange(count) + 0.5) / count)

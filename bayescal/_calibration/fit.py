@@ -27,7 +27,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 
-DIGITS = 1e3 * float(np.finfo(float).eps)  # least range of the output over its largest value
+MIN_RANGE = 1e3 * float(np.finfo(float).eps)  # of the output, over its largest absolute value
 
 
 def fit(
@@ -44,22 +44,22 @@ def fit(
     """Fit a model to readings.
 
     Args:
-        model: an instrument, effects, a noise law.
+        model: an instrument, effects and a noise model.
         readings: measurements of that instrument.
         method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
         seed: of every random number, or NumPy's generator, which draws it; the same seed gives the same draws.
         strict: raise if the fit did not converge (tolerance: `CONVERGED_NATS`); False returns it with its verdict.
-        reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
-        time_limit: seconds, after which the partial result is taken: the draws so far, or the Laplace approximation at
-            the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.
+        reference: constants of the basis functions, such as {"T0": 0.0}, instead of those computed from the readings.
+        time_limit: seconds, after which the partial result is returned: the draws so far, or the Laplace approximation
+            at the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.
         start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
             `calibration.samples(name)`: a starting point for the mode besides draws of their priors.
 
     Raises:
-        InputError: `reference` names what is no constant of these readings.
+        InputError: `reference` has a name that is not a reference constant of these readings.
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
             changes; the model is none, or has an effect that is zero in every reading.
-        NotConverged: the verdict is not good; carries the calibration.
+        NotConverged: the fit did not converge; its attribute is the calibration.
     """
     if not isinstance(model, Model):
         raise ModelError(
@@ -116,12 +116,12 @@ def fit(
 
 def _refuse_zero_effects(calibration: Calibration) -> None:
     """Raise ModelError if a user's effect is zero in every reading: its posterior would be its prior."""
-    named, readings = calibration.model.instrument.known, calibration.readings
-    users = (e for e in calibration.model.effects if e.name not in named and not e.is_placeholder)
+    listed, readings = calibration.model.instrument.known, calibration.readings
+    users = (e for e in calibration.model.effects if e.name not in listed and not e.is_placeholder)
     for effect in users:
-        line = calibration.linear
-        at = [i for i in range(line.problem.size) if line.owners[i] == effect.name]
-        if at and not np.any(line.nuisance[:, at]):
+        linear = calibration.linear
+        indices = [i for i in range(linear.problem.size) if linear.owners[i] == effect.name]
+        if indices and not np.any(linear.nuisance[:, indices]):
             raise ModelError(
                 f"Effect {effect.name!r} is zero in all {len(readings)} readings of {readings.file}: its coefficients "
                 "would stay at their priors, and the fit would seem to hold it. Look at its basis, and at the labels "
@@ -130,7 +130,7 @@ def _refuse_zero_effects(calibration: Calibration) -> None:
 
 
 def _refuse_constant_output(readings: Measurements) -> None:
-    """Raise ModelError if the output is constant, or changes in its last digits only."""
+    """Raise ModelError if the output is constant, or varies only in its last floating-point digits."""
     output = readings["output"]
     if len(output) < 3:
         return
@@ -140,7 +140,7 @@ def _refuse_constant_output(readings: Measurements) -> None:
             "it: the sensor or the logger is stuck, or the column is not the output"
         )
     largest = float(np.max(np.abs(output)))
-    if np.ptp(output) < DIGITS * largest:
+    if np.ptp(output) < MIN_RANGE * largest:
         raise ModelError(
             f"{readings.file}: the output is {largest:.3g} and changes by {np.ptp(output):.3g} only: too few of its "
             "digits are left to calculate with. Subtract a constant from it, or give the nominal zero"
@@ -148,15 +148,15 @@ def _refuse_constant_output(readings: Measurements) -> None:
 
 
 def _refuse_lost_digits(problem: Problem, readings: Measurements) -> None:
-    """Raise ModelError if a constant is so far from its prior mean that squares lose the noise's digits."""
+    """Raise ModelError if a constant is so far from its prior mean that squared residuals lose all precision."""
     for b in problem.layout.x_blocks:
         sd = problem.sizes.fixed_sd[b.x_slice] * problem.weight_of_x[b.x_slice]
         if not (b.origin and np.all(sd > 0)):
             continue
-        away = float(np.max(np.abs(b.mean) / sd))
-        if away > np.finfo(float).eps ** -0.5:
+        ratio = float(np.max(np.abs(b.mean) / sd))
+        if ratio > np.finfo(float).eps ** -0.5:
             raise ModelError(
-                f"{readings.file}: the output stands {away:.2g} times the plausible size of {b.name} from its prior's "
+                f"{readings.file}: the output stands {ratio:.2g} times the plausible size of {b.name} from its prior's "
                 "mean: too few digits are left to calculate with. Subtract a constant from it, give the nominal zero, "
                 "or look at the unit"
             )

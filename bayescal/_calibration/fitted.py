@@ -1,4 +1,4 @@
-"""Record of a fit: the model, its named draws, the verdict."""
+"""Base class of a fit result: model, posterior draws, linearisation, posterior predictive distribution."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtrc
 
-from bayescal._calibration.confounding import Confounder, confounders, unexplained, widen_draws
+from bayescal._calibration.confounding import Confounder, find_confounders, unmodelled, widen_draws
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.dataset_checks import MIN_CHANGES, resolution
@@ -34,12 +34,12 @@ from bayescal._model.unknowns import Unknowns
 if TYPE_CHECKING:
     import xarray as xr
 
-COARSEST_DEGREES = 1.0  # °C, of a thermometer's steps; larger ones are set points
-CELLS = 2_000_000  # draws × readings evaluated together, or kept for ArviZ
+MAX_THERMOMETER_STEP_DEGC = 1.0  # rounding step of a thermometer; larger steps are set points
+MAX_CELLS = 2_000_000  # draws × readings evaluated together, or stored for ArviZ
 
 
 class Vectors(NamedTuple):
-    """Joint draws: coefficients, coordinates of φ."""
+    """Joint draws as flat arrays: coefficients x and unconstrained coordinates v of the hyperparameters φ."""
 
     x: Float[np.ndarray, "b p"]
     v: Float[np.ndarray, "b d"]
@@ -47,9 +47,9 @@ class Vectors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The result of a fit, before it is printed, saved or made a tree; `Calibration` offers these.
+    """The fields and computations of a fit result; `Calibration` adds printing, saving and the ArviZ tree.
 
-    Its fields are described there.
+    `Calibration` documents the fields.
     """
 
     model: Model
@@ -64,7 +64,7 @@ class Fitted:
     mode: Mode
     log_evidence: tuple[float, float | None] | None
     start: dict[str, float] = field(default_factory=dict)
-    confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
+    confounded: tuple[Confounder, ...] | None = None  # None: computed from the readings
     form_factor: float = 1.0
     unfound_spreads: dict[str, float] = field(default_factory=dict)
 
@@ -84,10 +84,10 @@ class Fitted:
     def posterior(self) -> xr.Dataset:
         """Return draws (chain, draw, …) of each unknown under its name, in its reported unit (`units`).
 
-        Group dimensions carry the members' names. Uncertainties include confounding by recorded columns; `joint` is of
-        the model alone.
+        Coordinates of group dimensions are the members' names. Variances include confounding by recorded columns;
+        those of `joint` do not.
         """
-        return named(self.unknowns, self.values)
+        return to_xarray(self.unknowns, self.values)
 
     @cached_property
     def unknowns(self) -> Unknowns:
@@ -101,27 +101,27 @@ class Fitted:
 
     @cached_property
     def confounders(self) -> tuple[Confounder, ...]:
-        """Return recorded columns that may have acted in place of coefficients."""
+        """Return recorded columns that increase the standard uncertainty of collinear coefficients."""
         if self.confounded is not None:
             return self.confounded
         if not self.verdict.ok:
             return ()
-        columns, steps = unexplained(self.model, self.readings), self._steps()
-        return confounders(self.linear, columns, steps) if columns or steps else ()
+        columns, steps = unmodelled(self.model, self.readings), self._rounding_steps()
+        return find_confounders(self.linear, columns, steps) if columns or steps else ()
 
-    def _steps(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return rounding steps of thermometers and output, and the output's slopes by them (n,)."""
+    def _rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
+        """Return rounding steps of thermometers and output, and the derivative of the output by each (n,)."""
         readings, steps = self.readings, dict[str, tuple[float, np.ndarray]]()
         if step := resolution(readings["output"]):
             steps["output"] = step, np.ones(len(readings))
         thermometers = (n for n in readings.columns if readings.unit(n) == "degC")
         for name in (n for n in thermometers if n in self.model.columns):
             values = readings[name]
-            if 0 < (step := resolution(values, MIN_CHANGES)) <= COARSEST_DEGREES:
+            if 0 < (step := resolution(values, MIN_CHANGES)) <= MAX_THERMOMETER_STEP_DEGC:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
-                line = self.problem_on(frame).linearise(self.mode.x, hyper)
-                steps[name] = step, (line.mean - self.linear.mean) / step
+                shifted = self.problem_on(frame).linearise(self.mode.x, hyper)
+                steps[name] = step, (shifted.mean - self.linear.mean) / step
         return steps
 
     @property
@@ -154,7 +154,7 @@ class Fitted:
     def chi_squared(self) -> tuple[float, int, float]:
         """Return χ² of the residuals against their known variance, its degrees of freedom, its p-value.
 
-        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
+        The variance is that of the noise model and of uncertain inputs; χ² tests the fit if `noise.white` is fixed.
         """
         squares = float(np.sum(self.linear.residual**2 / self.linear.variance))
         freedom = self.linear.size - len(self.linear.owners)
@@ -168,7 +168,7 @@ class Fitted:
     def hold_at(self) -> dict[str, float]:
         """Return the reference values of the equations, by name: T0, V0 and the like.
 
-        Only of columns that an effect depends on; where none does, constants are means over the readings.
+        Only columns that an effect depends on have one; otherwise constants are means over the readings.
         """
         return {name: value for name, (value, _) in self.held_at.items()}
 
@@ -184,41 +184,41 @@ class Fitted:
             if name in self.reference:
                 constants[name] = float(self.reference[name]), unit  # pyright: ignore[reportArgumentType]
             elif column != "time" and isinstance(low, float) and isinstance(high, float):
-                # The middle of its range, if an effect is centred there and so vanishes.
+                # The midpoint of the column's range, if a centred effect is zero there.
                 middle = 0.5 * (low + high)
-                if middle != 0 and self._nonzero(column, high) - self._nonzero(column, middle):
+                if middle != 0 and self._active_at(column, high) - self._active_at(column, middle):
                     constants[name] = middle, unit
         return constants
 
-    def _nonzero(self, column: str, at: float) -> set[str]:
-        """Return names of the effects that are not zero where a column has a value."""
-        values: Any = np.full(self._probe.size, at)
-        probe = replace(self._probe, columns={**self._probe.columns, column: values})
-        by = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
-        return {e.name for e in by if np.any(self._basis(e, probe))}
+    def _active_at(self, column: str, value: float) -> set[str]:
+        """Return names of the effects that are nonzero at a value of a column."""
+        values: Any = np.full(self._probe_frame.size, value)
+        probe = replace(self._probe_frame, columns={**self._probe_frame.columns, column: values})
+        dependent = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
+        return {e.name for e in dependent if np.any(self._basis(e, probe))}
 
     @cached_property
-    def _probe(self) -> Frame:
-        """Return eight readings on which effects are evaluated."""
+    def _probe_frame(self) -> Frame:
+        """Return a frame of eight evenly spaced readings, to test effects numerically."""
         rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
         return self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
 
     def _basis(self, effect: Effect, frame: Frame) -> Any:
         """Return an effect's columns at the mode of its shapes."""
-        at_mode: Any = self.problem.hyper(self.mode.v)
-        shapes = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
+        parameters: Any = self.problem.hyper(self.mode.v)
+        shapes = {s.name: parameters[effect.shape_name(s)] for s in effect.column_shapes}
         return effect.evaluate(frame, shapes)
 
     @cached_property
     def dated(self) -> tuple[str, ...]:
-        """Return names of the effects that depend on absolute time, not only on time since a run's start."""
+        """Return names of the effects that depend on absolute time, not only on time since the start of a run."""
         if not self.readings.has("time"):
             return ()
-        probe = self._probe
+        probe = self._probe_frame
         delay = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
         delayed = probe.moved({"time": delay})
-        in_time = (e for e in self.model.effects if "time" in e.columns)
-        pairs = ((e.name, self._basis(e, probe), self._basis(e, delayed)) for e in in_time)
+        time_effects = (e for e in self.model.effects if "time" in e.columns)
+        pairs = ((e.name, self._basis(e, probe), self._basis(e, delayed)) for e in time_effects)
         return tuple(name for name, a, b in pairs if not np.array_equal(a, b))
 
     def on_clock(self, readings: Measurements) -> Measurements:
@@ -255,28 +255,28 @@ class Fitted:
 
     @property
     def usual_columns(self) -> set[str]:
-        """Return the columns needed by effects of inclusion above 0.5, without groups: devices in use are new."""
-        shares = self.inclusion
-        likely = (e for e in self.model.effects if shares[e.name] > 0.5)
-        return set().union(GROUPS, *(e.columns for e in likely))
+        """Return the columns of effects with inclusion probability above 0.5, except group labels."""
+        probabilities = self.inclusion
+        probable = (e for e in self.model.effects if probabilities[e.name] > 0.5)
+        return set().union(GROUPS, *(e.columns for e in probable))
 
     def with_columns(self, columns: Iterable[str]) -> Self:
-        """Return the average over structures that need no other columns, if enough draws remain."""
+        """Return the posterior conditional on structures that need no other columns, if enough draws remain."""
         available = set(columns)
         lacking = [e.name for e in self.model.effects if not available.issuperset(e.columns)]
         return self.without(lacking) if lacking else self
 
     def without(self, names: Collection[str]) -> Self:
-        """Return the average over structures without these effects; itself if too few draws remain."""
+        """Return the posterior conditional on structures without these effects; itself if too few draws remain."""
         rows = np.flatnonzero(~np.any([self.having[name] for name in names], axis=0))
         if len(rows) < CHAIN_DRAWS:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
         layout = replace(self.layout, model=replace(self.model, effects=effects))
         in_x, in_v = self.layout.shared_indices(layout)
-        chosen, mode = rows[: CHAINS * (len(rows) // CHAINS)], self.mode
+        chosen_draws, mode = rows[: CHAINS * (len(rows) // CHAINS)], self.mode
         draws, covariance = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
-        x, v = draws.x[chosen][:, in_x], draws.v[chosen][:, in_v]
+        x, v = draws.x[chosen_draws][:, in_x], draws.v[chosen_draws][:, in_v]
         mode = mode._replace(
             x=x.mean(axis=0), v=mode.v[in_v], covariance=covariance, flat=mode.flat[in_x]
         )
@@ -285,19 +285,19 @@ class Fitted:
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to `limit`."""
-        arrays = [flat(a) for a in (self.joint.x, self.joint.v)]
+        arrays = [flatten(a) for a in (self.joint.x, self.joint.v)]
         step = 1 if limit is None else max(1, -(-len(arrays[0]) // limit))
         return Vectors(*(a[::step] for a in arrays))
 
     def thinned(self, limit: int) -> tuple[Vectors, int]:
         """Thin each chain so that draws times readings stay within a limit; return draws and chain count."""
-        chains, count = self.joint.x.shape[:2]
-        step = -(-count // max(1, min(count, limit // max(1, chains * len(self.readings)))))
-        arrays = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.v))
+        chains, length = self.joint.x.shape[:2]
+        step = -(-length // max(1, min(length, limit // max(1, chains * len(self.readings)))))
+        arrays = (flatten(a[:, ::step]) for a in (self.joint.x, self.joint.v))
         return Vectors(*arrays), chains
 
     def samples(self, name: str) -> np.ndarray:
-        """Return all draws of an unknown or its group's members, reported unit; (draws,) or (draws, members).
+        """Return the draws of an unknown, or of all members of a group, reported unit; (draws,) or (draws, members).
 
         Raises:
             InputError: no unknown has this name.
@@ -305,22 +305,22 @@ class Fitted:
         by_key = self.unknowns.by_key
         if name not in by_key and name not in self.unknowns.index:
             raise InputError(f"no unknown is called {name!r}; there are: {', '.join(by_key)}")
-        return self.unknowns.select(flat(self.values), name)
+        return self.unknowns.select(flatten(self.values), name)
 
-    def log_likelihood(self, limit: int = CELLS) -> xr.Dataset:
+    def log_likelihood(self, limit: int = MAX_CELLS) -> xr.Dataset:
         """Return the pointwise log likelihood, draws thinned to at most `limit` numbers.
 
-        Under correlated noise it is that of each reading given those before it in its run.
+        Under correlated noise it is conditional on the earlier readings of the run.
         """
-        import xarray as xr  # with pandas half a second, which a command does without
+        import xarray as xr  # loading takes half a second, with pandas
 
         vectors, chains = self.thinned(limit)
-        shaped = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
-        return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
+        by_chain = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
+        return xr.Dataset({"output": (("chain", "draw", "reading"), by_chain)})
 
 
-def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]) -> xr.Dataset:
-    """Return draws as one variable for each key, in its reported unit."""
+def to_xarray(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]) -> xr.Dataset:
+    """Return draws as a dataset with one variable per unknown or group of unknowns, in its reported unit."""
     import pandas as pd
     import xarray as xr
 
@@ -332,74 +332,74 @@ def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]
             dims = (*dims, first.group)
             # xarray would load Dask to look at a list
             coordinates[first.group] = pd.Index([u.member for u in unknowns.rows[rows]])
-        of = {"effect": first.effect} if first.block else {"kind": first.kind}
-        variables[key] = dims, unknowns.select(values, key), {"units": first.unit, **of}
+        attrs = {"effect": first.effect} if first.block else {"kind": first.kind}
+        variables[key] = dims, unknowns.select(values, key), {"units": first.unit, **attrs}
     return xr.Dataset(variables, coords=coordinates)
 
 
 def has_effect(
     x: Float[np.ndarray, "b p"], blocks: Sequence[CoefficientBlock], name: str
 ) -> Bool[np.ndarray, "b"]:
-    """Mask the draws that include an effect: without it all of its coefficients are exactly zero."""
-    named = (b for b in blocks if b.place == "x" and b.effect.name == name)
-    nonzero = [np.any(x[:, b.x_slice] != 0, axis=1) for b in named]
-    # A fixed effect, or one sampled with φ, is not averaged over.
+    """Mask the draws whose structure includes an effect: its coefficients are exactly zero in all others."""
+    effect_blocks = (b for b in blocks if b.place == "x" and b.effect.name == name)
+    nonzero = [np.any(x[:, b.x_slice] != 0, axis=1) for b in effect_blocks]
+    # An effect that is fixed or sampled with φ is part of every structure.
     return np.any(nonzero, axis=0) if nonzero else np.ones(len(x), dtype=bool)
 
 
-def flat(values: np.ndarray) -> np.ndarray:
-    """Concatenate the chains."""
+def flatten(values: np.ndarray) -> np.ndarray:
+    """Concatenate the chains: (chains, draws, …) to (chains·draws, …)."""
     return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
 
 
 class PredictiveMoments(NamedTuple):
-    """Moments of readings over draws, (n,) each."""
+    """Posterior predictive moments of readings, (n,) each, output unit or its square."""
 
-    mean: Float[np.ndarray, "n"]  # of the expected output,
-    variance: Float[np.ndarray, "n"]  # and its variance
-    noise: Float[np.ndarray, "n"]  # mean variance of the noise,
-    unknown: Float[np.ndarray, "n"]  # and of unknown inputs and group members
+    mean: Float[np.ndarray, "n"]  # posterior mean of the expected output
+    variance: Float[np.ndarray, "n"]  # posterior variance of the expected output
+    noise: Float[np.ndarray, "n"]  # posterior mean of the noise variance
+    unknown: Float[np.ndarray, "n"]  # posterior mean of the variance of inputs and unseen members
 
 
 @on_one_thread
-def moments(
-    problem: Problem, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
+def predictive_moments(
+    problem: Problem, draws: Vectors, noise_mean: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> PredictiveMoments:
-    """Return predictive moments of readings, with noise on inputs and unknown group members (code −1).
+    """Return predictive moments of readings, with noise on inputs and unseen group members (code −1).
 
-    Draws are evaluated in chunks, sums taken of differences from the first. `carried` returns the conditional mean of
-    the correlated noise given earlier readings, by each draw's expected outputs (b, n); its variance is not in `noise`.
+    Draws are evaluated in chunks, and sums taken of differences from the first draw. `noise_mean` maps expected outputs
+    (b, n) to the mean of correlated noise given earlier readings, whose variance the result then excludes.
     """
     count, size = len(draws.x), problem.record.size
-    total, squares, noise, unknown_inputs = np.zeros((4, size))
-    first: Any = None
-    for part, reduced, sample, hyper in _chunks(problem, draws):
-        terms = [t for t in reduced.terms if t.place == "input" or _is_unseen(reduced, t).any()]
-        mean, spreads = _mean_and_spreads(reduced, sample, hyper, terms)
-        own_noise = variances(problem.noise, hyper, problem.record)
-        if carried is not None:
-            mean = mean + carried(mean)
-            own_noise = own_noise - np.atleast_1d(problem.noise.slow_variance(hyper))[:, None]
-        first = mean[0].copy() if first is None else first
-        offset = mean - first
-        total += np.sum(offset, axis=0)
-        squares += np.einsum("bn,bn->n", offset, offset)
-        noise += len(part) * np.mean(own_noise, axis=0)
-        if spreads:
-            squared = np.broadcast_to(sum(s**2 for s in spreads), mean.shape)
-            unknown_inputs += len(part) * np.mean(squared, axis=0)
-    offset = total / count
-    variance = np.maximum(squares / count - offset**2, 0.0)
-    return PredictiveMoments(first + offset, variance, noise / count, unknown_inputs / count)
+    offset_sum, offset_squares, noise_sum, input_variance = np.zeros((4, size))
+    offset0: Any = None
+    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
+        terms = [t for t in structure.terms if t.place == "input" or _is_unseen(structure, t).any()]
+        mean, sds = _mean_and_input_sds(structure, sample, hyper, terms)
+        noise_var = variances(problem.noise, hyper, problem.record)
+        if noise_mean is not None:
+            mean = mean + noise_mean(mean)
+            noise_var = noise_var - np.atleast_1d(problem.noise.slow_variance(hyper))[:, None]
+        offset0 = mean[0].copy() if offset0 is None else offset0
+        offset = mean - offset0
+        offset_sum += np.sum(offset, axis=0)
+        offset_squares += np.einsum("bn,bn->n", offset, offset)
+        noise_sum += len(chunk) * np.mean(noise_var, axis=0)
+        if sds:
+            squared = np.broadcast_to(sum(s**2 for s in sds), mean.shape)
+            input_variance += len(chunk) * np.mean(squared, axis=0)
+    offset = offset_sum / count
+    variance = np.maximum(offset_squares / count - offset**2, 0.0)
+    return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
 
 
 @on_one_thread
 def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
-    """Return each reading's log likelihood under each draw; if noise is correlated, given earlier readings."""
+    """Return each reading's log likelihood under each draw; with correlated noise, given the earlier readings."""
     densities = np.empty((len(draws.x), problem.record.size))
-    for part, reduced, sample, hyper in _chunks(problem, draws):
-        record, (mean, extra) = reduced.record, reduced.expected_and_extra(sample.x, hyper)
-        densities[part] = log_densities(reduced.noise, record, record.y - mean, hyper, extra)
+    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
+        record, (mean, extra) = structure.record, structure.expected_and_extra(sample.x, hyper)
+        densities[chunk] = log_densities(structure.noise, record, record.y - mean, hyper, extra)
     return densities
 
 
@@ -410,59 +410,59 @@ def replicate(
     random: np.random.Generator,
     members: Mapping[str, np.ndarray] | None = None,
 ) -> Float[np.ndarray, "b n"]:
-    """Simulate readings by the model's equation and noise, once from each draw.
+    """Simulate readings by the measurement equation and the noise model, once from each draw.
 
-    Deviations of unknown group members are drawn from their prior; `members`: each reading's member code (n,) by group.
+    Deviations of unseen group members are drawn from their prior; `members`: each reading's member code (n,) by group.
     """
     outputs, members = np.empty((len(draws.x), problem.record.size)), members or {}
-    for part, reduced, sample, hyper in _chunks(problem, draws):
-        uncertain = [t for t in reduced.terms if t.place == "input" or t.per in members]
-        mean, spreads = _mean_and_spreads(reduced, sample, hyper, uncertain)
-        for t, spread in zip(uncertain, spreads, strict=True):
+    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
+        uncertain = [t for t in structure.terms if t.place == "input" or t.per in members]
+        mean, sds = _mean_and_input_sds(structure, sample, hyper, uncertain)
+        for t, sd in zip(uncertain, sds, strict=True):
             codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
-            mean = mean + spread * normal[:, codes]  # −1: the last
+            mean = mean + sd * normal[:, codes]  # code −1 indexes the last column
         seed = int(random.integers(2**31))
-        outputs[part] = draw_samples(problem.noise, problem.record, mean, hyper, seed)
+        outputs[chunk] = draw_samples(problem.noise, problem.record, mean, hyper, seed)
     return outputs
 
 
-def _chunks(
+def _iterate_chunks(
     problem: Problem, draws: Vectors
 ) -> Iterator[tuple[np.ndarray, Problem, Vectors, Batch]]:
-    """Yield draws in chunks: their indices, their structure's problem, the draws in its terms, φ by name."""
-    count = max(1, CELLS // max(1, problem.record.size))
-    for places, structure, structure_draws in _by_structure(problem, draws):
-        for start in range(0, len(places), count):
+    """Yield chunks of draws of one structure: their indices, its problem, the draws in its layout, φ by name."""
+    count = max(1, MAX_CELLS // max(1, problem.record.size))
+    for indices, structure, structure_draws in _group_by_structure(problem, draws):
+        for start in range(0, len(indices), count):
             part = slice(start, start + count)
             sample = Vectors(*(np.asarray(a)[part] for a in structure_draws))
             values = structure.hyper(sample.v.T)
             parameters = {k: np.broadcast_to(value, len(sample.x)) for k, value in values.items()}
-            yield places[part], structure, sample, parameters
+            yield indices[part], structure, sample, parameters
 
 
-def _by_structure(
+def _group_by_structure(
     problem: Problem, draws: Vectors
 ) -> Iterator[tuple[np.ndarray, Problem, Vectors]]:
-    """Group an average's draws by which effects with known coefficients they include: yield indices, problem, draws."""
+    """Group draws by the presence of effects with known coefficients: yield indices, problem, draws in its layout."""
     layout = problem.layout
-    fixed = [b for b in layout.x_blocks if b.index in b.effect.held]
-    if not fixed:
+    fixed_blocks = [b for b in layout.x_blocks if b.index in b.effect.held]
+    if not fixed_blocks:
         yield np.arange(len(draws.x)), problem, draws
         return
-    present = np.asarray(draws.x)[:, [b.start for b in fixed]] != 0
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    present = np.asarray(draws.x)[:, [b.start for b in fixed_blocks]] != 0
+    patterns, pattern_index = np.unique(present, axis=0, return_inverse=True)
     for k, pattern in enumerate(patterns):
-        absent = {b.effect.name for b, has in zip(fixed, pattern, strict=True) if not has}
-        effects = tuple(_with_fixed(e) for e in layout.model.effects if e.name not in absent)
-        inner = replace(layout, model=replace(layout.model, effects=effects))
-        in_x, in_v = layout.shared_indices(inner)
-        places = np.flatnonzero(which.reshape(-1) == k)
-        structure_draws = Vectors(draws.x[places][:, in_x], draws.v[places][:, in_v])
-        yield places, Problem(inner, problem.record), structure_draws
+        absent = {b.effect.name for b, has in zip(fixed_blocks, pattern, strict=True) if not has}
+        effects = tuple(_fix_known(e) for e in layout.model.effects if e.name not in absent)
+        sublayout = replace(layout, model=replace(layout.model, effects=effects))
+        in_x, in_v = layout.shared_indices(sublayout)
+        indices = np.flatnonzero(pattern_index.reshape(-1) == k)
+        structure_draws = Vectors(draws.x[indices][:, in_x], draws.v[indices][:, in_v])
+        yield indices, Problem(sublayout, problem.record), structure_draws
 
 
-def _with_fixed(effect: Effect) -> Effect:
+def _fix_known(effect: Effect) -> Effect:
     coefficients = (
         replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
         for c in effect.coefficients
@@ -470,23 +470,23 @@ def _with_fixed(effect: Effect) -> Effect:
     return replace(effect, coefficients=tuple(coefficients))
 
 
-def _mean_and_spreads(
+def _mean_and_input_sds(
     problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
-    """Return expected outputs, and the standard deviation that each term adds: noise on an input, or an unknown member
-    (zero at readings whose member is known)."""
+    """Return expected outputs, and the standard deviation due to each term: noise on an input, or the deviation of an
+    unseen member (zero at readings of members seen in the fit)."""
     if not terms:
         return problem.expected(draws.x, hyper), []
-    mean, slopes = problem.expected_with_slopes(draws.x, hyper, terms)
-    spreads = list[Any]()
-    for t, slope in zip(terms, slopes, strict=True):
-        sd = t.prior_sd
+    mean, grads = problem.expected_with_slopes(draws.x, hyper, terms)
+    sds = list[Any]()
+    for t, slope in zip(terms, grads, strict=True):
+        prior_sd = t.prior_sd
         if t.place != "input":
             present = has_effect(draws.x, problem.terms, t.effect.name)
             member_sd = problem.member_sd(t, hyper, len(draws.x)) * present
-            sd = np.where(_is_unseen(problem, t), member_sd[:, None], 0.0)
-        spreads.append(slope * sd)
-    return mean, spreads
+            prior_sd = np.where(_is_unseen(problem, t), member_sd[:, None], 0.0)
+        sds.append(slope * prior_sd)
+    return mean, sds
 
 
 def _is_unseen(problem: Problem, term: Term) -> np.ndarray:

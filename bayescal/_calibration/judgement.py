@@ -1,7 +1,7 @@
-"""Acceptance checks of a fit: implausible values, and evidence against it in its own readings.
+"""Acceptance checks of a fit: implausible values, and misfit in its own readings.
 
-Each is a function of a `Subject`; thresholds and words are in `claims.toml`. Which effect is missing only a search
-tells; that one is missing shows in the residuals.
+Each check is a function of a `Subject`; thresholds and messages are in `claims.toml`. Residual checks detect that an
+effect is missing; a search identifies which.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.parameters import bind
 from bayescal._model.terms import ColumnSpec
 
-PRIOR = "prior.contradicted"
-FREE_SIZES = 1e3  # factor on a plausible size that makes its prior uninformative
-STARTS_TRIED = 3  # starts of the search for another mode
+PRIOR_CODE = "prior.contradicted"
+FREE_SD_FACTOR = 1e3  # on a prior sd, to make the prior uninformative
+MAX_STARTS = 3  # starting points of the search for a second mode
 
 
 @dataclass(frozen=True)
@@ -44,51 +44,52 @@ class Subject:
 
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
-    noise_floor: float = math.inf  # noise that no model could remove, output unit
-    check: Any = None  # its `Check`; None, as `left_out`, where no check needs it
-    left_out: LeaveOneGroupOut | None = None  # each group predicted from the others
-    doubts: tuple[Claim, ...] = ()  # of its mode
-    first: Model | None = None  # the search's first model, whose thermometers are checked
-    # The cure where residuals depend on a covariate, and the names in it.
-    missing: Mapping[str, str] = field(default_factory=lambda: {"cure": "search"})
+    noise_floor: float = math.inf  # noise sd that no smooth effect could explain, output unit
+    check: Any = None  # residual checks (`Check`); None if no check uses them, like `left_out`
+    left_out: LeaveOneGroupOut | None = None  # predictions of each group from the others
+    mode_claims: tuple[Claim, ...] = ()  # claims of `multimodality`
+    first_model: Model | None = None  # first model of the search, whose thermometers are checked
+    # Fields of claim "residuals.depend": its remedy and the names in it.
+    remedy: Mapping[str, str] = field(default_factory=lambda: {"cure": "search"})
 
     def accepts(self, *names: str) -> bool:
         return not {*self.accepted}.isdisjoint(names)
 
 
 def conflicts(subject: Subject) -> list[Claim]:
-    """Return the contradictions of readings and model that hold whatever the residuals."""
+    """Return contradictions of readings and priors, which do not depend on the residual checks."""
     claims = [*contradicted_priors(subject), *widened_coefficients(subject)]
-    return [*claims, *too_large(subject), *implausible_curves(subject)]
+    return [*claims, *group_sds_beyond_range(subject), *implausible_curves(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
-    """Return the claims against members of groups."""
-    return [*too_different(subject), *members_following_terms(subject)]
+    """Return claims of implausible deviations of group members."""
+    return [*implausible_members(subject), *members_following_terms(subject)]
 
 
-def wrong_question(
+def contradictions(
     fit: Fitted, noise_floor: float, accepted: Collection[str] = ()
 ) -> tuple[Claim, ...]:
-    """Return why a search is pointless: readings that contradict the model, or rounded coarser than noise."""
-    freed = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
-    subject = Subject(fit, {*accepted, *freed}, noise_floor)
+    """Return why no search can succeed: readings contradict the model's priors, or rounding exceeds the noise."""
+    freed_names = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
+    subject = Subject(fit, {*accepted, *freed_names}, noise_floor)
     claims = conflicts(subject) or priors_contradicted_by_data(subject)
-    return (*claims, *rounded(subject))
+    return (*claims, *rounding_claims(subject))
 
 
 def residual_claims(subject: Subject) -> list[Claim]:
-    """Return the failed residual checks; of a fit that did not converge, or is fixed wrongly, that alone."""
+    """Return failed residual checks; only the first claim if the fit did not converge or fixed values are wrong."""
     if claims := [*not_converged(subject)]:
         return claims
-    claims += [*not_finite(subject), *subject.doubts, *slow(subject), *scatter(subject)]
-    return [*claims, *dependence(subject), *steps_between_runs(subject), *correlated(subject)]
+    claims += [*not_finite(subject), *subject.mode_claims, *slow_noise(subject)]
+    claims += [*normality(subject), *dependence(subject)]
+    return [*claims, *steps_between_runs(subject), *autocorrelation(subject)]
 
 
 def failures(subject: Subject) -> list[Claim]:
-    """Return the failed checks of a fit that no search judged."""
+    """Return all failed checks of a fit outside a search."""
     claims = [*group_conflicts(subject), *residual_claims(subject)]
-    return [*claims, *odd_thermometers(subject), *unexpected_groups(subject)]
+    return [*claims, *thermometer_anomalies(subject), *outlying_groups(subject)]
 
 
 def not_converged(subject: Subject) -> Iterator[Claim]:
@@ -102,213 +103,213 @@ def not_converged(subject: Subject) -> Iterator[Claim]:
 
 def contradicted_priors(subject: Subject) -> Iterator[Claim]:
     """Yield coefficients far from their prior means."""
-    return _against_priors(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
+    return _far_from_prior(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
 
 
 def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
-    """Return coefficients whose estimates from the readings alone are far from their priors.
+    """Return coefficients whose estimates under uninformative priors are far from their prior means.
 
-    A prior that the readings contradict strongly enough wins: the noise takes up what the coefficient may not, and the
-    fit shows nothing. So biases and scale factors of the instrument's own effects get a thousand times their widths.
+    A strong prior that contradicts the readings inflates the noise instead of moving the coefficient. The biases and
+    scale factors of the instrument's own effects are therefore fitted with prior sd a thousand times as large.
     """
     fit, instrument = subject.fit, subject.fit.model.instrument
     single = (e for e in instrument.effects if len(e.coefficients) == 1)
     freed = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
-    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SIZES))
+    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SD_FACTOR))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
     mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, near=near)
     _, posterior = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
     if posterior is None:
         return []
-    mean, error = posterior.mean, limit(PRIOR, "sd") * np.sqrt(np.diag(posterior.covariance))
-    positions = {
-        u.name: (u.block.origin + float(mean[u.x]), float(error[u.x]))
+    mean, width = posterior.mean, limit(PRIOR_CODE, "sd") * np.sqrt(np.diag(posterior.covariance))
+    estimates = {
+        u.name: (u.block.origin + float(mean[u.x]), float(width[u.x]))
         for u in fit.unknowns
         if u.x is not None and u.block is not None and u.effect in freed
     }
-    return [*_against_priors(subject, positions)]
+    return [*_far_from_prior(subject, estimates)]
 
 
-def _against_priors(subject: Subject, at: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
-    """Yield coefficients far from their prior means, of (value, error) each."""
+def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
+    """Yield claims of coefficients, name → (value, half-width of its interval), far from their prior means."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
-    most_coefficients, far_sd = limit(PRIOR, "coefficients"), limit(PRIOR, "sd")
+    max_coefficients, far_sd = limit(PRIOR_CODE, "coefficients"), limit(PRIOR_CODE, "sd")
     for u in subject.fit.unknowns:
         if u.block is None or u.prior_sd is None or u.held:
             continue
         effect, c = u.block.effect, u.block.coefficient
-        if len(effect.coefficients) > most_coefficients or subject.accepts(effect.name, u.name):
+        if len(effect.coefficients) > max_coefficients or subject.accepts(effect.name, u.name):
             continue
-        value, error = at.get(u.name, (c.mean, 0.0))
+        value, width = values.get(u.name, (c.mean, 0.0))
         z = abs(value - c.mean) / c.size
-        sizes = 1 if effect.name in baseline else limit(PRIOR, "candidate_sizes")
-        if z - error / c.size > far_sd * sizes:
+        allowance = 1 if effect.name in baseline else limit(PRIOR_CODE, "candidate_sizes")
+        if z - width / c.size > far_sd * allowance:
             cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
-            data = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
-            data |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}
-            yield Claim(PRIOR, u.name, effect.name, **data)
+            numbers = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
+            numbers |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}
+            yield Claim(PRIOR_CODE, u.name, effect.name, **numbers)
 
 
 def widened_coefficients(subject: Subject) -> Iterator[Claim]:
-    """Yield coefficients less certain than before the fit, unless a confounder widens them."""
+    """Yield claims of coefficients whose posterior is wider than the prior, unless a confounder is the cause."""
     keys = {name for confounder in subject.fit.confounders for name in confounder.coefficients}
-    wider = {u.name for u in subject.fit.unknowns if u.key in keys}
+    confounded = {u.name for u in subject.fit.unknowns if u.key in keys}
     # Coefficients only: a positive unknown may be larger than expected, and then wider.
     for row in summary(subject.fit)[0]:
         name, contraction = row["name"], row["contraction"]
-        accepted = name in wider or subject.accepts(name, row["effect"])
-        least = limit("prior.widened", "contraction")
-        if not accepted and contraction is not None and contraction < least:
+        accepted = name in confounded or subject.accepts(name, row["effect"])
+        lower_limit = limit("prior.widened", "contraction")
+        if not accepted and contraction is not None and contraction < lower_limit:
             yield Claim("prior.widened", name, contraction=contraction)
 
 
-def too_large(subject: Subject) -> Iterator[Claim]:
-    """Yield standard deviations in the output's unit that exceed the output's whole range."""
+def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
+    """Yield claims of standard deviations, in the output's unit, that exceed the range of the output."""
     fit = subject.fit
-    sizes = set(fit.model.noise.amplitudes)
+    sds = set(fit.model.noise.amplitudes)
     for effect in fit.model.effects:
         for i, c in enumerate(effect.coefficients):
             if fit.model.instrument.slot(c.slot or effect.slot).unit == fit.unit:
-                sizes.add(effect.group_sd_name(i))
-    # An amplitude scales coefficients and is hardly identified by one: its effect on the output is judged.
-    sizes -= {e.measure_name for e in fit.model.effects}
+                sds.add(effect.group_sd_name(i))
+    # An amplitude that scales coefficients is weakly identified: `implausible_curves` tests its effect instead.
+    sds -= {e.measure_name for e in fit.model.effects}
     span = float(np.ptp(fit.readings["output"]))
     for row in summary(fit)[1]:
-        of_output = row["name"] in sizes and row["unit"] == fit.unit and row["mean"] > span > 0
-        if of_output and not subject.accepts(row["name"], row["effect"]):
+        exceeds = row["name"] in sds and row["unit"] == fit.unit and row["mean"] > span > 0
+        if exceeds and not subject.accepts(row["name"], row["effect"]):
             numbers = {"mean": row["mean"], "reach": span, "unit": fit.unit}
             yield Claim("size.beyond_output", row["name"], **numbers)
 
 
 def implausible_curves(subject: Subject) -> Iterator[Claim]:
-    """Yield unnamed dependences larger than all of the instrument's known effects together.
+    """Yield claims of unknown dependences larger than all of the instrument's known effects together.
 
-    A wrong sign or unit of an input is no missing effect, though a free curve along that input fits it.
+    They indicate an input with a wrong sign or unit, which a free curve along that input fits.
     """
     fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
     unnamed = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
     if not unnamed:
         return
-    # How much the instrument's own effects plausibly change the output over these readings, rms, output unit.
+    # Prior standard deviation of the output over these readings, by the instrument's own effects, output unit.
     catalogue = (*instrument.effects, *instrument.candidates)
     effects = tuple(e for e in catalogue if why_untestable(e, readings) is None)
     layout = bind(Model(instrument, effects, fit.model.noise), readings)[0]
     problem = Problem(layout, fit.problem.record)
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     prior = problem.prior(hyper, np.ones(problem.size))
-    slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
-    expected = float(np.sqrt(np.sum(np.var(slopes, axis=0))))
+    prior_effects = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
+    expected = float(np.sqrt(np.sum(np.var(prior_effects, axis=0))))
     for effect in unnamed:
-        size = float(np.std(fit.linear.contribution(effect.name)))
-        if expected and size > limit("curve.beyond_known", "sizes") * expected:
-            yield Claim("curve.beyond_known", effect.name, here=size, known=expected, unit=fit.unit)
+        rms = float(np.std(fit.linear.contribution(effect.name)))
+        if expected and rms > limit("curve.beyond_known", "sizes") * expected:
+            yield Claim("curve.beyond_known", effect.name, here=rms, known=expected, unit=fit.unit)
 
 
-def rounded(subject: Subject) -> Iterator[Claim]:
-    grid = rounding_step(subject.fit.readings["output"])
-    if subject.noise_floor < limit("output.rounded", "steps") * grid:
-        yield Claim("output.rounded", grid=grid, unit=subject.fit.unit)
+def rounding_claims(subject: Subject) -> Iterator[Claim]:
+    step = rounding_step(subject.fit.readings["output"])
+    if subject.noise_floor < limit("output.rounded", "steps") * step:
+        yield Claim("output.rounded", grid=step, unit=subject.fit.unit)
 
 
-def too_different(subject: Subject) -> Iterator[Claim]:
-    """Yield each group's member that differs most, if far more than is plausible.
+def implausible_members(subject: Subject) -> Iterator[Claim]:
+    """Yield a claim of each group's member with the largest deviation, if it is far beyond the plausible.
 
-    A learned standard deviation between members absorbs a wrong sign or unit of one of them, which shows nowhere else.
-    Not a test for missing effects: members absorb those too.
+    An estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
+    finds. It is not a test for missing effects, which members absorb too.
     """
     fit = subject.fit
     rows = (r for r in summary(fit)[0] if not subject.accepts(r["name"], r["effect"]))
-    positions = {row["name"]: row["mean"] for row in rows}
+    means = {row["name"]: row["mean"] for row in rows}
     for b in fit.layout.blocks:
         c = b.coefficient
-        members = [n for n in b.member_names(fit.levels) if n in positions]
+        members = [n for n in b.member_names(fit.levels) if n in means]
         if c.group_sd is None or b.effect.weights is not None or not members:
             continue
-        name = max(members, key=lambda n: abs(positions[n] - c.mean))
-        distance = abs(positions[name] - c.mean) / c.size
+        name = max(members, key=lambda n: abs(means[n] - c.mean))
+        distance = abs(means[name] - c.mean) / c.size
         if distance > limit("group.too_different", "sizes"):
-            numbers = {"where": positions[name], "mean": c.mean, "size": c.size, "unit": c.unit}
-            whose = {"member": name, "group": c.per, "away": distance}
-            yield Claim("group.too_different", b.effect.name, **whose, **numbers)
+            numbers = {"where": means[name], "mean": c.mean, "size": c.size, "unit": c.unit}
+            member_numbers = {"member": name, "group": c.per, "away": distance}
+            yield Claim("group.too_different", b.effect.name, **member_numbers, **numbers)
 
 
 def members_following_terms(subject: Subject) -> Iterator[Claim]:
-    """Yield groups whose members' deviations correlate with a term of the same slot.
+    """Yield claims of groups whose members' deviations correlate with a term of the same slot.
 
-    A term has one coefficient, within and between members. Where a thermometer is late or noisy the slope within
-    members is attenuated, and the members' deviations absorb the slope between them: the coefficient is small, its
-    uncertainty too, and no residual is left. Random deviations correlate with nothing.
+    A term has one coefficient, within and between members. With a late or noisy thermometer, the regression slope
+    within members is attenuated, and the deviations absorb the slope between members: coefficient and uncertainty are
+    too small, and the residuals show nothing. Random deviations are uncorrelated with the term.
     Source: Y. Mundlak, Econometrica 46 (1978) 69.
     """
     fit, record = subject.fit, subject.fit.problem.record
     means = {row["name"]: row["mean"] for row in summary(fit)[0]}
-    linear = (e for e in fit.model.effects if len(e.coefficients) == 1 and not e.shapes)
-    single = [e for e in linear if e.varies and not e.coefficients[0].per]
+    linear_effects = (e for e in fit.model.effects if len(e.coefficients) == 1 and not e.shapes)
+    terms = [e for e in linear_effects if e.varies and not e.coefficients[0].per]
     for b in (b for b in fit.layout.blocks if b.coefficient.per in record.codes):
         names = b.member_names(fit.levels)
-        plain = b.coefficient.group_sd is not None and b.effect.weights is None
-        if not plain or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
+        scalar = b.coefficient.group_sd is not None and b.effect.weights is None
+        if not scalar or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
             continue
         codes = record.codes[str(b.coefficient.per)]
         values = np.array([means[name] for name in names])
-        for term in (e for e in single if e.slot == b.effect.slot and not subject.accepts(e.name)):
+        for term in (e for e in terms if e.slot == b.effect.slot and not subject.accepts(e.name)):
             column = record.columns(ColumnSpec.from_effect(term), ())[:, 0]
             count = np.bincount(codes[codes >= 0], minlength=len(values))
-            total = np.bincount(codes[codes >= 0], column[codes >= 0], minlength=len(values))
+            sums = np.bincount(codes[codes >= 0], column[codes >= 0], minlength=len(values))
             filled = count > 0
-            mean, deviations = total[filled] / count[filled], values[filled]
-            if len(mean) < 3 or not (np.ptp(mean) and np.ptp(deviations)):
+            averages, deviations = sums[filled] / count[filled], values[filled]
+            if len(averages) < 3 or not (np.ptp(averages) and np.ptp(deviations)):
                 continue
-            r, p = correlation(mean, deviations)
+            r, p = correlation(averages, deviations)
             if p < limit("group.follows_column", "p"):
-                data = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
-                data |= {"r": r, "p": p}
+                numbers = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
+                numbers |= {"r": r, "p": p}
                 names_of = b.effect.name, term.name
-                yield Claim("group.follows_column", *names_of, **data, members=int(filled.sum()))
+                yield Claim("group.follows_column", *names_of, **numbers, members=int(filled.sum()))
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Return Pearson's correlation of two columns and its p-value under independence."""
-    r, freedom = float(np.corrcoef(first, second)[0, 1]), len(first) - 2
-    t = np.sqrt(freedom / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
-    return r, float(2 * stdtr(freedom, -abs(r) * t))
+    r, dof = float(np.corrcoef(first, second)[0, 1]), len(first) - 2
+    statistic = np.sqrt(dof / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
+    return r, float(2 * stdtr(dof, -abs(r) * statistic))
 
 
-def too_few(subject: Subject) -> Iterator[Claim]:
+def too_few_readings(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if readings are too few to separate an unstated noise from the unknowns."""
     fit, inclusion = subject.fit, subject.fit.inclusion
-    # In an average over structures, their expected number.
+    # The number of unknowns; in an average over structures, its expectation.
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
-    free = round(sum(inclusion[name] for name in names if name not in nuisances))
-    enough = free + limit("readings.too_few", "freedom")
-    if len(fit.readings) < enough and fit.layout.phi_indices("noise"):
-        yield Claim("readings.too_few", count=len(fit.readings), free=free)
+    unknown_count = round(sum(inclusion[name] for name in names if name not in nuisances))
+    sufficient = unknown_count + limit("readings.too_few", "freedom")
+    if len(fit.readings) < sufficient and fit.layout.phi_indices("noise"):
+        yield Claim("readings.too_few", count=len(fit.readings), free=unknown_count)
 
 
-def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
-    """Return a claim where an effect at its plausible size is far too small or large for these readings.
+def implausible_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
+    """Return a claim if an effect's prior standard deviation is implausibly small or large in these readings.
 
-    Its contribution is prior size times basis, the largest over the readings, in the unit of the noise; empty for an
-    effect without a fixed plausible size or a basis of columns.
+    `contribution` is prior standard deviation times basis, the maximum over the readings, in the unit of the noise.
+    Effects with a flat or hierarchical prior, or without columns, are not tested.
     """
-    first = effect.coefficients[0]
-    if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
+    c = effect.coefficients[0]
+    if not effect.columns or effect.is_placeholder or c.group_sd is not None or c.flat:
         return []
     low, high = (limit("effect.off_scale", end) for end in ("smallest", "largest"))
     if contribution == 0 or noise == 0 or low <= contribution / noise <= high:
         return []
-    sizes = {"contribution": float(contribution), "noise": float(noise)}
-    return [Claim("effect.off_scale", effect.name, **sizes, unit=unit, own=first.unit)]
+    numbers = {"contribution": float(contribution), "noise": float(noise)}
+    return [Claim("effect.off_scale", effect.name, **numbers, unit=unit, own=c.unit)]
 
 
 @on_one_thread
 def multimodality(fit: Fitted) -> list[Claim]:
-    """Return why the Laplace approximation, on which the evidence rests, does not describe the posterior.
+    """Return why the Laplace approximation of the evidence is invalid: an indefinite Hessian or a second mode.
 
-    The Hessian is not positive definite; or another mode of other shapes is nearly as probable, sought from the best of
-    some prior draws and along shapes whose evidence has many maxima.
+    A second mode, with other nonlinear parameters and nearly the same evidence, is searched from the prior draws of
+    highest density and along nonlinear parameters whose evidence has many maxima.
     """
     problem, mode = fit.problem, fit.mode
     if not math.isfinite(mode.log_evidence):
@@ -318,32 +319,32 @@ def multimodality(fit: Fitted) -> list[Claim]:
     shapes = [i for i, h in enumerate(problem.hypers) if h.kind == "shape"]
     sd = np.sqrt(np.diag(mode.covariance))
 
-    def far(v: np.ndarray) -> np.ndarray:
+    def is_far(v: np.ndarray) -> np.ndarray:
         return np.abs(v - mode.v)[shapes] > limit("mode.two", "apart_sd") * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
-    tried = np.concatenate([prior_draws(problem), *scan_ragged(problem, mode.v)])
-    # Another mode has other shapes: all else starts at this mode.
-    tried = np.where(np.isin(np.arange(len(sd)), shapes), tried, mode.v)
-    starts = [v for v in tried if far(v).any()] if shapes else []
+    candidates = np.concatenate([prior_draws(problem), *scan_ragged(problem, mode.v)])
+    # The starts differ from the mode in the nonlinear parameters ("shapes") only.
+    candidates = np.where(np.isin(np.arange(len(sd)), shapes), candidates, mode.v)
+    starts = [v for v in candidates if is_far(v).any()] if shapes else []
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
-    for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
-        least = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=least, near=near)
-        behind = mode.log_evidence - other.log_evidence
-        if far(other.v).any() and behind < limit("mode.two", "nats"):
-            names = [problem.hypers[i].name for i in np.array(shapes)[far(other.v)]]
-            a, b = problem.hyper(mode.v), problem.hyper(other.v)
+    for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:MAX_STARTS]]:
+        floor = mode.log_density - 20.0
+        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, near=near)
+        log_bayes_factor = mode.log_evidence - other.log_evidence
+        if is_far(other.v).any() and log_bayes_factor < limit("mode.two", "nats"):
+            names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other.v)]]
+            here, there = problem.hyper(mode.v), problem.hyper(other.v)
             units = {h.name: h.unit for h in problem.hypers}
-            values = tuple(f"{n} {number(a[n])} or {number(b[n])} {units[n]}" for n in names)
-            return [Claim("mode.two", *names, behind=behind, values=values)]
+            values = tuple(f"{n} {number(here[n])} or {number(there[n])} {units[n]}" for n in names)
+            return [Claim("mode.two", *names, behind=log_bayes_factor, values=values)]
     return []
 
 
 def noiseless(fit: Fitted) -> str:
-    """Return the message that a fit has no residual noise, or is not finite; empty for others.
+    """Return a message if the noise estimate is below the output's precision or not finite, else "".
 
-    Without noise nothing can be tested.
+    Without a noise estimate no check is possible.
     """
     output, variance = fit.readings["output"], fit.linear.variance
     noise, unit = math.sqrt(float(np.median(variance))), unit_label(fit.unit)
@@ -363,92 +364,94 @@ def noiseless(fit: Fitted) -> str:
     )
 
 
-def unexpected_groups(subject: Subject) -> Iterator[Claim]:
-    """Yield the group that the others predict worst, if beyond their uncertainty.
+def outlying_groups(subject: Subject) -> Iterator[Claim]:
+    """Yield a claim of the group with the largest prediction errors from the others, if significant.
 
-    An effect missing from the model is missing in every group, and counts as noise. There is one test per group.
+    An effect missing from the model is missing in every group, and inflates the noise of the reference.
     """
     out = subject.left_out
     if out is None or not np.isfinite(out.by_chance).any():
         return
     worst = int(np.nanargmin(out.by_chance))
     # Bonferroni correction: one test per group.
-    beyond = out.by_chance[worst] * out.count < settings().holdout_p
-    if beyond and (times := float(out.surprise[worst])) > limit("group.surprising", "ratio"):
+    is_significant = out.by_chance[worst] * out.count < settings().holdout_p
+    if is_significant and (times := float(out.surprise[worst])) > limit(
+        "group.surprising", "ratio"
+    ):
         which = {"group": out.group.capitalize(), "member": out.members[worst]}
         yield Claim("group.surprising", out.group, **which, times=times, scheme=scheme(out.group))
 
 
-def odd_thermometers(subject: Subject) -> Iterator[Claim]:
+def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
     """Yield anomalies in the columns of thermometers that the model depends on."""
-    readings, model = subject.fit.readings, subject.first or subject.fit.model
+    readings, model = subject.fit.readings, subject.first_model or subject.fit.model
     for anomaly in readings.oddities:
         if anomaly.column in model.columns and readings.unit(anomaly.column) == "degC":
             yield Claim("column.odd", anomaly.column, anomaly.code, said=anomaly.description)
 
 
-def describes(noise: Noise, values: Mapping[str, Any]) -> bool:
-    """Return whether correlated noise is so slow and large that it stands in for a missing effect."""
+def stands_in_for_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
+    """Return whether correlated noise is slow and large enough to represent a missing effect."""
     white = values.get(WHITE, math.inf)
     return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white
 
 
-def slow(subject: Subject) -> Iterator[Claim]:
+def slow_noise(subject: Subject) -> Iterator[Claim]:
     fit = subject.fit
     noise, values = fit.model.noise, fit.problem.hyper(fit.mode.v)
-    if not noise.independent and describes(noise, values):
-        size = noise.lasting_deviation(values)
-        numbers = {"size": size, "unit": fit.unit, "times": size / values[WHITE]}
+    if not noise.independent and stands_in_for_effect(noise, values):
+        deviation = noise.lasting_deviation(values)
+        numbers = {"size": deviation, "unit": fit.unit, "times": deviation / values[WHITE]}
         yield Claim("noise.describes", noise.name, words=noise.in_words, **numbers)
 
 
-def scatter(subject: Subject) -> Iterator[Claim]:
-    """Yield the noise law's failed leave-one-out tests."""
-    check, rare = subject.check, limit("group.follows_column", "p")
-    if along := [name for name, chance in check.scatter_with.items() if chance < rare]:
-        yield Claim("noise.scatter", *along)
-    elif check.one_sided < rare:
+def normality(subject: Subject) -> Iterator[Claim]:
+    """Yield a claim if leave-one-out residuals are not normal: heteroscedastic, one-sided or heavy-tailed."""
+    check, threshold = subject.check, limit("group.follows_column", "p")
+    if covariates := [name for name, p in check.scatter_with.items() if p < threshold]:
+        yield Claim("noise.scatter", *covariates)
+    elif check.one_sided < threshold:
         yield Claim("noise.one_sided", p=check.one_sided)
-    elif check.pit_p < rare:
+    elif check.pit_p < threshold:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         yield Claim("noise.tails", p=check.pit_p, outside=outside)
 
 
 def dependence(subject: Subject) -> list[Claim]:
-    """Return the covariate that residuals depend on; or that readings are too few to separate noise."""
+    """Return a claim of the covariate on which residuals depend most; or that the readings are too few."""
     check = subject.check
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
-    factor, depended = max(rows, default=(0.0, ()))
-    claims = [*too_few(subject)]
+    factor, covariates = max(rows, default=(0.0, ()))
+    claims = [*too_few_readings(subject)]
     if not claims and factor > limit("residuals.depend", "nats"):
-        claims = [Claim("residuals.depend", *depended, factor=factor, **subject.missing)]
+        claims = [Claim("residuals.depend", *covariates, factor=factor, **subject.remedy)]
     return claims
 
 
 def steps_between_runs(subject: Subject) -> Iterator[Claim]:
-    """Yield a function of time that only distinguishes runs: it predicts no new run."""
+    """Yield a claim of an effect in time that is constant within runs, and so cannot predict a new run."""
     fit = subject.fit
     for effect in fit.model.effects:
         if effect.kind in ("jump", "cycle") and effect.covariate == "time":
-            added = fit.linear.contribution(effect.name)
-            means, within = of_runs(fit, added)
-            if only_between_runs(added - added.mean(), within):
+            contribution = fit.linear.contribution(effect.name)
+            means, deviations = split_by_run(fit, contribution)
+            if only_between_runs(contribution - contribution.mean(), deviations):
                 distance = float(np.ptp(means))
                 yield Claim("runs.apart", effect.name, apart=distance, unit=fit.unit)
                 return
 
 
-def of_runs(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def split_by_run(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return each run's mean, and each value's deviation from its run's mean."""
     _, codes = fit.readings.groups("run")
     means = np.bincount(codes, values) / np.bincount(codes)
     return means, values - means[codes]
 
 
-def only_between_runs(values: np.ndarray, within: np.ndarray) -> bool:
-    """Return whether values only distinguish runs: their sum of squares within runs is negligible."""
-    return bool(np.sum(within**2) < limit("runs.apart", "within_share") * np.sum(values**2))
+def only_between_runs(values: np.ndarray, deviations: np.ndarray) -> bool:
+    """Return whether the sum of squares within runs is a negligible part of the total."""
+    return bool(np.sum(deviations**2) < limit("runs.apart", "within_share") * np.sum(values**2))
 
 
 def not_finite(subject: Subject) -> Iterator[Claim]:
@@ -458,7 +461,7 @@ def not_finite(subject: Subject) -> Iterator[Claim]:
         yield Claim("evidence.not_finite")
 
 
-def correlated(subject: Subject) -> Iterator[Claim]:
+def autocorrelation(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if neighbouring residuals are autocorrelated."""
     coefficient, z = subject.check.autocorrelation
     code = "noise.correlated"

@@ -1,7 +1,7 @@
-"""Leave-one-group-out: each group predicted as new, φ re-estimated in each fold, x in closed form.
+"""Leave-one-group-out cross-validation: φ re-estimated in each fold, coefficients x in closed form.
 
-The model is linearised once, at the full fit; a fold is the same linear model without the group's readings. Deviations
-of the left-out group then come from their prior, as those of any group not yet seen.
+The model is linearised once, at the full fit; a fold is that linear model without the left-out group's readings. The
+left-out group's deviations have their prior, like those of any unseen group.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Arrays, Record
 from bayescal._model.terms import ColumnSpec
 
-# Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
-FEW_IN_GROUP = 5
-BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
+# Readings of a group, for a test of its error: by chance it is three times too large once in 10⁷ groups of 5.
+MIN_GROUP_READINGS = 5
+MAX_BLOCKS = 5  # blocks of neighbouring readings, left out if there are no groups
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class LeaveOneGroupOut:
     members: tuple[str, ...]  # names of the groups
     log_score: np.ndarray  # joint log predictive density of each group (g,)
     residual: np.ndarray  # of each reading, predicted from the other groups, output unit
-    # Rms of each group's whitened residuals over its expectation from the other groups, model uncertainty and a new
-    # group's deviations included (g,): about 1 if the model is right, NaN of fewer than 5 readings.
+    # Rms of each group's whitened prediction errors over its expectation, which includes model uncertainty and the
+    # deviations of an unseen group (g,): about 1 if the model is right, NaN for fewer than 5 readings.
     surprise: np.ndarray
-    by_chance: np.ndarray  # probability of so large a surprise, if the model is right (g,)
-    variance: np.ndarray  # of each reading: noise, and its expectation as the other groups leave it
+    by_chance: np.ndarray  # p-value of the surprise (g,)
+    variance: np.ndarray  # of each reading given the other groups: noise plus expected output
 
     @property
     def rmse(self) -> float:
@@ -59,58 +59,58 @@ class LeaveOneGroupOut:
         return len(self.members)
 
 
-class Part(Record):
-    """A subset of a record's readings, by rows; columns keep what happened between them (lags, rates)."""
+class RecordSubset(Record):
+    """Readings of a record selected by row; lags and rates are computed on the full record."""
 
-    def __init__(self, whole: Record, rows: np.ndarray) -> None:
-        # In time order; each step is the sum of the steps of the readings in between.
-        order, step = whole.in_time
-        place = np.full(whole.size, -1)
-        place[rows] = np.arange(len(rows))
-        in_time = np.flatnonzero(place[order] >= 0)
-        steps = np.diff(np.cumsum(np.maximum(step, 0.0))[in_time], prepend=0.0)
-        steps[np.diff(np.cumsum(step < 0)[in_time], prepend=-1) != 0] = -1.0
-        frame = whole.frame.reordered(rows, place[order[in_time]], steps)
-        super().__init__(whole.instrument, frame, whole.y[rows])
-        self.whole, self.rows = whole, rows
+    def __init__(self, parent: Record, rows: np.ndarray) -> None:
+        # In time order; a time step sums those of the omitted readings in between.
+        order, time_steps = parent.in_time
+        row_number = np.full(parent.size, -1)
+        row_number[rows] = np.arange(len(rows))
+        in_time = np.flatnonzero(row_number[order] >= 0)
+        subset_steps = np.diff(np.cumsum(np.maximum(time_steps, 0.0))[in_time], prepend=0.0)
+        subset_steps[np.diff(np.cumsum(time_steps < 0)[in_time], prepend=-1) != 0] = -1.0
+        frame = parent.frame.reordered(rows, row_number[order[in_time]], subset_steps)
+        super().__init__(parent.instrument, frame, parent.y[rows])
+        self.parent, self.rows = parent, rows
 
     def _compute_columns(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
-        return self.whole._compute_columns(effect, values, self._fill(shifts))[:, self.rows]
+        return self.parent._compute_columns(effect, values, self._fill(shifts))[:, self.rows]
 
     def differentiate_columns(self, effect: ColumnSpec, values: Sequence[Any], shifts) -> Any:
-        rows, slopes = self.whole.differentiate_columns(effect, values, self._fill(shifts))
-        return rows[..., self.rows, :], {name: s[..., self.rows, :] for name, s in slopes.items()}
+        columns, grads = self.parent.differentiate_columns(effect, values, self._fill(shifts))
+        return columns[..., self.rows, :], {name: g[..., self.rows, :] for name, g in grads.items()}
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        return self.whole.affine and self._select_rows(self.whole.affine)
+        return self.parent.affine and self._select_rows(self.parent.affine)
 
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        whole = self.whole.respond(self._fill(slots), self._fill(shifts), with_grad)
-        return self._select_rows(whole)
+        response = self.parent.respond(self._fill(slots), self._fill(shifts), with_grad)
+        return self._select_rows(response)
 
     def _select_rows(self, values_and_slopes: tuple[np.ndarray, Mapping[str, np.ndarray]]):
-        values, slopes = values_and_slopes
-        return values[..., self.rows], {name: s[..., self.rows] for name, s in slopes.items()}
+        values, grads = values_and_slopes
+        return values[..., self.rows], {name: s[..., self.rows] for name, s in grads.items()}
 
     def _fill(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return values on the whole record, zero outside the subset."""
+        """Return values on the full record, zero outside the subset."""
         scattered = {}
         for name, value in values.items():
             broadcast = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
-            scattered[name] = np.zeros((*broadcast.shape[:-1], self.whole.size))
+            scattered[name] = np.zeros((*broadcast.shape[:-1], self.parent.size))
             scattered[name][..., self.rows] = broadcast
         return scattered
 
 
 def scheme(group: str) -> str:
-    """Return the scheme's name: "leave-one-run-out"."""
+    """Name the cross-validation scheme of a kind of group: "leave-one-run-out"."""
     return f"leave-one-{group.replace(' ', '-')}-out"
 
 
-def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
+def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
     """Choose the groups to leave out: devices if there are two, else runs, cells, or blocks in time or order."""
     for name in ("device", "run", "cell"):
         levels, codes = readings.groups(name)
@@ -118,7 +118,7 @@ def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]
             return name, levels, codes
     position = readings["time"] if readings.has("time") else np.arange(len(readings))
     rank = np.argsort(np.argsort(position, kind="stable"))
-    count = min(BLOCKS, len(readings))
+    count = min(MAX_BLOCKS, len(readings))
     codes = rank * count // len(readings)
     kind = "time block" if readings.has("time") else "block of rows"
     return kind, tuple(str(i + 1) for i in range(count)), codes
@@ -126,67 +126,65 @@ def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]
 
 @on_one_thread
 def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
-    """Predict every group from the others; None where the noise is not Gaussian."""
+    """Predict every group from the others; return None if the noise is not Gaussian."""
     if not calibration.model.noise.gaussian:
         return None
-    kind, members, codes = groups_of(calibration.readings)
-    mode, whole = calibration.mode, calibration.problem
+    kind, members, codes = choose_groups(calibration.readings)
+    mode, problem = calibration.mode, calibration.problem
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
-    residual, model = np.full((2, len(codes)), np.nan)
+    residual, model_var = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
-        out = np.flatnonzero(codes == i)
-        fold = _fold(whole, mode, np.flatnonzero(codes != i), out)
+        left_out = np.flatnonzero(codes == i)
+        fold = _predict_fold(problem, mode, np.flatnonzero(codes != i), left_out)
         if fold is None:
             continue
-        scores[i], residual[out], model[out], squares, spectrum = fold
-        if len(out) >= FEW_IN_GROUP:
-            counts = len(codes) - len(out), len(members) - 1
+        scores[i], residual[left_out], model_var[left_out], squares, spectrum = fold
+        if len(left_out) >= MIN_GROUP_READINGS:
+            counts = len(codes) - len(left_out), len(members) - 1
             surprise[i] = math.sqrt(squares / spectrum.sum())
-            by_chance[i] = _surprise_p_value(squares, spectrum, *counts)
-    variance = calibration.linear.variance + model
+            by_chance[i] = _ratio_p_value(squares, spectrum, *counts)
+    variance = calibration.linear.variance + model_var
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
 
-def _surprise_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
-    """Return the probability of rᵀr as large, under a model estimated from so many readings and groups.
+def _ratio_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
+    """Return P(rᵀr ≥ squares) if r has a covariance of eigenvalues λ (spectrum) that is itself an estimate.
 
-    rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110); Σλ was itself
-    estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
-    many groups less one: so an F distribution.
+    rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110). The noise part of Σλ
+    was estimated from the number of training readings, the rest in the worst case from a between-group standard
+    deviation with groups − 1 degrees of freedom: the ratio has an F distribution.
     """
     # Relative to Σλ, whose square may overflow.
     trace = float(spectrum.sum())
     spectrum_freedom = 1 / float(np.sum((spectrum / trace) ** 2))
-    noise = len(spectrum) / trace
-    estimate_freedom = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
+    noise_share = len(spectrum) / trace
+    estimate_freedom = 1 / (noise_share**2 / readings + (1 - noise_share) ** 2 / max(groups - 1, 1))
     return float(fdtrc(spectrum_freedom, estimate_freedom, squares / trace))
 
 
-def _fold(
-    whole: Problem, mode: Mode, training: np.ndarray, left_out: np.ndarray
+def _predict_fold(
+    problem: Problem, mode: Mode, training: np.ndarray, left_out: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
     """Predict the left-out readings from the others: return joint log predictive density, errors, variance of the
     expectation, whitened residual sum of squares and the eigenvalues of its covariance; None if either fails."""
-    parts = (Part(whole.record, rows) for rows in (training, left_out))
-    problems = (Problem(whole.layout, part, whole.size_factors) for part in parts)
+    subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
+    problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
     near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
     v = climb(fitted, mode.v, ftol=1e-3)  # φ to 0.05 standard deviations
-    kinds = np.array(whole.kinds)
-    # A noise law along a column keeps its full fit: the training readings may not cover the left-out range.
-    v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)
+    kinds = np.array(problem.kinds)
+    # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
+    v = np.where((kinds == "noise") & bool(problem.noise.covariates), mode.v, v)
     predicted_moments = _held_out_moments(fitted, predicted, v)
-    # The expected variance uses the full fit's standard deviation between groups: a few groups alike by chance would
-    # make it zero.
+    # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
     between = kinds == "group_sd"
     conservative = _held_out_moments(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
     if predicted_moments is None or conservative is None:
         return None
     size = len(mode.x)
-    unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
-    joint = condition(predicted_moments[1], len(left_out), unit, np.zeros(size))
-    # I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: of its n eigenvalues those of Lᵀ·Aᵀ·A·L are
-    # what it has above one.
+    standard_normal = Prior(np.zeros(size), np.ones(size), np.ones(size))
+    joint = condition(predicted_moments[1], len(left_out), standard_normal, np.zeros(size))
+    # Eigenvalues of I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: 1 plus those of Lᵀ·Aᵀ·A·L.
     spectrum = np.ones(len(left_out))
     above = np.sort(np.linalg.eigvalsh(conservative[1].jtj))[::-1][: len(left_out)]
     spectrum[: len(above)] += np.maximum(above, 0.0)
@@ -195,15 +193,15 @@ def _fold(
 
 
 def _held_out_moments(
-    fitted: Density, predicted: Density, v: np.ndarray
+    training: Density, predicted: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
-    """Return errors of the left-out readings, their Gram matrix in the training posterior's coordinates, variance."""
-    posterior = fitted.condition_at(v)[1]
+    """Return prediction errors of left-out readings, their Gram matrix in whitened coordinates, and model variance."""
+    posterior = training.condition_at(v)[1]
     if posterior is None:
         return None
-    centred, table, logdet = predicted.whiten_at(v, posterior.mean)
-    turned = table[:, :-1] @ posterior.root
-    score = turned.T @ table[:, -1]
-    gram = Gram(turned.T @ turned, score, float(table[:, -1] @ table[:, -1]), logdet)
-    line = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
-    return centred, gram, np.sum((line.jacobian @ posterior.root) ** 2, axis=1)
+    residuals, whitened, logdet = predicted.whiten_at(v, posterior.mean)
+    rotated = whitened[:, :-1] @ posterior.root
+    score = rotated.T @ whitened[:, -1]
+    gram = Gram(rotated.T @ rotated, score, float(whitened[:, -1] @ whitened[:, -1]), logdet)
+    linearisation = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
+    return residuals, gram, np.sum((linearisation.jacobian @ posterior.root) ** 2, axis=1)

@@ -6,42 +6,42 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayescal._calibration.fitted import CELLS, Fitted, flat, named, replicate
+from bayescal._calibration.fitted import MAX_CELLS, Fitted, flatten, replicate, to_xarray
 from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import encode_name
 from bayescal._model.prior import HalfCauchy, HalfNormal, slope
 
-PRIOR_DRAWS = 1000  # in ArviZ's tree: enough to plot a prior
-TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # whose square does not overflow
+PRIOR_DRAWS = 1000  # of the group `prior`: enough to plot a prior density
+MIN_SD, MAX_Z = float(np.finfo(float).tiny), 1e150  # whose square does not overflow
 
 
 def build_tree(c: Fitted) -> xr.DataTree:
     """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     readings, dims = c.readings, ("chain", "draw", "reading")
     units = {"units": readings.unit("output")}
-    thin, chains = c.thinned(CELLS)
-    drawn = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
-    drawn = drawn.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
+    draws, chains = c.thinned(MAX_CELLS)
+    outputs = replicate(c.problem, draws, np.random.default_rng([c.seed, 1]))
+    outputs = outputs.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(c),
-        "posterior_predictive": xr.Dataset({"output": (dims, drawn, units)}),
+        "posterior_predictive": xr.Dataset({"output": (dims, outputs, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
         "draws": xr.Dataset(draws_group(c.joint)),
     }
-    groups = {name: _stored(group, c.joint.x.shape[1]) for name, group in groups.items()}
+    groups = {name: _for_netcdf(group, c.joint.x.shape[1]) for name, group in groups.items()}
     if not c.layout.is_improper:
-        prior = named(c.unknowns, c.unknowns.values(*_prior_draws(c)))
-        groups["prior"] = _stored(prior, PRIOR_DRAWS)
+        prior = to_xarray(c.unknowns, c.unknowns.values(*_prior_draws(c)))
+        groups["prior"] = _for_netcdf(prior, PRIOR_DRAWS)
     return xr.DataTree.from_dict(groups)
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     """Copy a calibration's tree and add `log_likelihood`, with all posterior groups thinned alike."""
     count = calibration.joint.x.shape[1]
-    density = _stored(calibration.log_likelihood(), count)
+    density = _for_netcdf(calibration.log_likelihood(), count)
     groups = {name: child.to_dataset() for name, child in tree.children.items()}
     for name, group in groups.items():
         if name != "prior" and group.sizes.get("draw") == count:
@@ -49,9 +49,9 @@ def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
     return xr.DataTree.from_dict({**groups, "log_likelihood": density})
 
 
-def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
-    """Rename a group for NetCDF, and number its chains and draws; thinned ones by their place in `count`."""
-    if "draw" in group.sizes:  # ArviZ's pictures count on the numbers
+def _for_netcdf(group: xr.Dataset, count: int) -> xr.Dataset:
+    """Rename a group's variables for NetCDF and add chain and draw coordinates; thinned draws keep their index."""
+    if "draw" in group.sizes:  # ArviZ's plots need the coordinates
         step = -(-count // group.sizes["draw"])
         # Indices of pandas: xarray would load Dask to look at arrays.
         draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
@@ -63,18 +63,18 @@ def _stored(group: xr.Dataset, count: int) -> xr.Dataset:
 def _log_prior(c: Fitted) -> xr.Dataset:
     """Return each unknown's log prior density, per its unit, given the hyperparameters; without flat priors."""
     x, v = c.joint.x, c.joint.v
-    values, hyper = c.unknowns.values(x, v), c.problem.hyper(flat(v).T)
-    sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flat(v)),)).sd.reshape(x.shape)
+    values, hyper = c.unknowns.values(x, v), c.problem.hyper(flatten(v).T)
+    sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flatten(v)),)).sd.reshape(x.shape)
     density = np.zeros_like(values)
     for i, u in enumerate(c.unknowns):
         if (b := u.block) is None:
             prior, coordinate = u.prior, v[..., u.v]
             density[..., i] = prior.log_density(coordinate) - np.log(slope(prior, coordinate))
             continue
-        learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
-        spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
-        z = np.clip((flat(values[..., i]) - b.coefficient.mean) / spread, -FAR_SD, FAR_SD)
-        coordinate = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        group_sd = hyper.get(b.group_sd_name) if u.x is None else flatten(sd[..., u.x])
+        prior_sd = np.maximum(b.coefficient.size if group_sd is None else group_sd, MIN_SD)
+        z = np.clip((flatten(values[..., i]) - b.coefficient.mean) / prior_sd, -MAX_Z, MAX_Z)
+        coordinate = -0.5 * z**2 - np.log(prior_sd) - 0.5 * np.log(2 * np.pi)
         density[..., i] = coordinate.reshape(v.shape[:-1])
     keys = {u.key: u for u in c.unknowns if u.block is None}
     keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}

@@ -1,14 +1,14 @@
 """Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
 
-Every sum is fitted to the spectrum of the readings, with run levels and a cubic over temperature integrated out
-(restricted likelihood); the sums are weighted by their evidence, and the parameters of the probable ones drawn by
-importance sampling. Lost readings are imputed from the noise law, given the others, and the sums fitted again (data
-augmentation).
+A "sum" is a noise model: white noise plus independent terms. Each is fitted to the spectrum of the readings, with run
+levels and a cubic over temperature integrated out (restricted likelihood); sums are weighted by their evidence, and
+parameters of probable sums drawn by importance sampling. Lost readings are imputed from the noise model conditional on
+the others, and the sums fitted again (data augmentation).
 
-N is the density along which the Allan deviation falls with slope −½ (IEEE 952, C.1.2). A low-pass, a moving average, an
-interpolation or a held output correlates readings over shorter times: where the slope −½ begins only at means of m
-readings, these means are analysed. Of a process that is short against T they are white noise, but for a correlation of
-neighbours.
+N is the density along which the Allan deviation falls with slope −½ (IEEE 952, C.1.2). A low-pass filter, a moving
+average, interpolation or a sample-and-hold output correlates readings over shorter times: if the slope −½ begins only
+at means of m readings, these means are analysed. Means over times much longer than a process's correlation time are
+white noise, except for a correlation of neighbours.
 
 Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); M. Tanner and W. Wong, J. Am. Stat.
 Assoc. 82 (1987) 528 (data augmentation); IEEE Std 952-1997, Annex C.
@@ -50,53 +50,53 @@ from bayescal._model.noise_terms import FLICKER_FLOOR, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.summed_noise import SummedNoise
 
-# Share of the most probable noise law's probability, above which another law is drawn from.
-DRAWN_SHARE = 0.1
-# Standard deviations between the correlation of neighbours and that of readings farther apart, before quantisation
-# noise is tried, or means are taken.
+# Ratio to the largest probability of a sum, above which another sum's parameters are drawn.
+SAMPLED_SHARE = 0.1
+# z of the correlation of neighbours beyond that of readings farther apart, above which quantisation or averaging noise
+# is a candidate, or means are analysed.
 NEIGHBOURS_SD = 2.0
-# Standard deviations of a spectral line above its neighbours, before a tone is tried.
+# z of a spectral line against its neighbours, above which a tone is a candidate.
 LINE_SD = 4.5
-# Standard deviations of either, above which every sum has that term; the best one is also evaluated without it.
-SURE_SD = 6.0
-# Slope of the Allan deviation over two octaves where it falls along N. After a low-pass of time T it is so steep for
-# means over 3.4·T, of which only neighbours correlate by more than 0.01.
+# z of either, above which every sum has that term; the best sum is also evaluated without it.
+CERTAIN_SD = 6.0
+# Steepest slope of the Allan deviation over two octaves that counts as −½. After a low-pass of time constant T it is
+# reached by means over 3.4·T, of which only neighbours have a correlation above 0.01.
 LEVEL_SLOPE = -0.35
-FEWEST_MEANS = 64  # for a slope known to 0.1
-SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
-
+MIN_MEANS = 64  # for a slope known to 0.1
+MAX_SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
 
 Terms = tuple[str, ...]  # names of a sum's terms, besides white noise
-DEGREE = 3  # of the polynomial over temperature
+CURVE_DEGREE = 3  # of the polynomial over temperature
 IMPUTATIONS = 6  # of lost readings; the first is burn-in
-SLOW = ("walk", "flicker", "correlated")  # slow terms: a sum has two at most,
-NOT_TWICE = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
+SLOW_TERMS = ("walk", "flicker", "correlated")  # a sum has two of them at most
+EXCLUDED = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
-ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
-# Weights of five values at 2 to 6 in the extrapolation of their regression line to 1.
-LINE = 0.2 - 0.3 * np.arange(-2, 3)
-WINDOW = 64  # readings of the shortest window in which a line is sought; the others double
-WINDOWS = 8  # fewest windows, of the longest length
+TONE_RMS, TONE_FREQ, TONE_TIME = TONE
+QUANTISATION, AVERAGING = "quantisation", "averaging"  # of neighbouring readings alone
+# Weights of values at lags 2 to 6 in the extrapolation of their regression line to lag 1.
+EXTRAPOLATION = 0.2 - 0.3 * np.arange(-2, 3)
+MIN_WINDOW = 64  # readings of the shortest window in which a line is sought; the others double
+MIN_WINDOWS = 8  # fewest windows, of the longest length
 # Frequency offsets, in bins, of a line's background; a window's width is 2.
 BACKGROUND = np.array([3, 4, 5, 6])
-LINE_BLOCKS = 256  # of a run, along which the phase of a line is followed
+MAX_PHASE_BLOCKS = 256  # of a run, along which the phase of a line is followed
 COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
-SMOOTH = 0.02  # relative curvature of a spectrum without lines over so many bins
-STARTS = 2  # best starting points, from which a maximum is sought
-DRAWS = 2048  # of each sum
+BACKGROUND_CURVATURE = 0.02  # relative curvature of a spectrum without lines over so many bins
+MODE_SEARCH_STARTS = 2  # best starting points, from which a maximum is sought
+DRAWS_PER_SUM = 2048  # of each sum
 RESAMPLED = 2048  # draws by their weights, over all sums together
-SHOWN_PROBABILITY = 0.01  # probability from which a noise law is printed
+SHOWN_PROBABILITY = 0.01  # of a sum, from which it is printed
 # Posterior quantile of N and K for a filter: underestimated noise makes it overconfident.
 FILTER_QUANTILE = 0.95
-# Share of the law's Allan deviation that a filter's two terms must reach at every averaging time.
-FILTER_REACHES_SHARE = 0.95
-SHOWN_SUMS = 4  # sums that are printed with their probabilities
+# Share of the noise model's Allan deviation that a filter's two terms must reach at every averaging time.
+FILTER_RATIO = 0.95
+MAX_PRINTED_SUMS = 4  # sums that are printed with their probabilities
 CURVE = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # in JSON
 
 
 @dataclass(frozen=True)
 class NoiseFigure:
-    """A number of a noise law with its 95 % credible interval, in the unit of data sheets and in SI units."""
+    """A parameter of a noise model with its 95 % credible interval, in the unit of data sheets and in SI units."""
 
     symbol: str  # of IEEE 952; empty for others
     name: str  # as in data sheets
@@ -105,20 +105,20 @@ class NoiseFigure:
     low: float
     high: float
     si_unit: str
-    si: tuple[float, float, float]  # the same three in base units
-    bound: bool = False  # not seen: `high` is an upper bound, infinite if there is none
+    si: tuple[float, float, float]  # value, low and high in `si_unit`
+    bound: bool = False  # not identified: `high` is an upper bound, infinite if there is none
 
     def row(self) -> list[str]:
         """Return the printed row: name, value, interval, SI value."""
         name = f"{self.name} {self.symbol}".strip()
-        extent = f"{number(self.low)} to {number(self.high)}"
+        interval = f"{number(self.low)} to {number(self.high)}"
         value, si = number(self.value), number(self.si[0])
         if self.bound and not math.isfinite(self.high):
             return [name, "", "not determined", ""]
         if self.bound:
-            value, extent, si = f"< {number(self.high)}", "one-sided", f"< {number(self.si[2])}"
+            value, interval, si = f"< {number(self.high)}", "one-sided", f"< {number(self.si[2])}"
         units = unit_label(self.unit), unit_label(self.si_unit)
-        return [name, f"{value} {units[0]}".strip(), extent, f"{si} {units[1]}".strip()]
+        return [name, f"{value} {units[0]}".strip(), interval, f"{si} {units[1]}".strip()]
 
 
 @dataclass(frozen=True, repr=False)
@@ -126,19 +126,19 @@ class SensorNoise(Printed):
     """Noise of a channel at rest.
 
     Attributes:
-        file: that was read.
-        unit: of the output.
-        step: between readings, s.
-        terms: of the most probable sum beside white noise, as `SummedNoise` names them.
-        probabilities: of the sums, by description, the most probable first.
-        figures: Q, N, B, K and the law's other parameters.
+        file: name of the file.
+        unit: output unit.
+        step: sampling interval, s.
+        terms: noise terms of the most probable sum besides white noise, as `SummedNoise` names them.
+        probabilities: posterior probabilities of the sums, by description, the most probable first.
+        figures: Q, N, B, K and the other parameters of the noise model.
         measured: Allan deviation of the record.
-        expected: of the law (k,), the median of its posterior; output unit.
-        low, high: 95 % posterior band of that (k,).
-        estimate_low, estimate_high: between which 95 % of Allan deviations of such a record lie under the law (k,).
-        claims: processing of the record, and the law's failed checks.
-        densities: posterior draws of the N and the K that a filter is given, output unit times and per √s.
-        horizon: the longest averaging time that this K holds for, s.
+        expected: posterior median of the noise model's Allan deviation (k,), output unit.
+        low, high: bounds of its 95 % credible band (k,).
+        estimate_low, estimate_high: bounds of 95 % of Allan deviations estimated from such a record (k,).
+        claims: processing of the record, and failed checks of the noise model.
+        densities: posterior draws of N and K for a Kalman filter, output unit times √s and per √s.
+        horizon: longest averaging time for which the filter's K holds, s.
     """
 
     file: str
@@ -164,24 +164,24 @@ class SensorNoise(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
-        likely = [
+        probable = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
         ]
         doubts = [f"Not to be used as they are: {c}" for c in self.claims if c.severity != "note"]
         term = "term" + " of a law that does not fit" * bool(doubts)
         terms = plain_table([term, "value", "95 % interval", "SI"], rows, fold=40)
         which = "Best noise law, which does not fit" if doubts else "Noise law (probability)"
-        notes = [*doubts, f"{which}: {', '.join(likely[:SHOWN_SUMS])}."]
-        notes += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
+        remarks = [*doubts, f"{which}: {', '.join(probable[:MAX_PRINTED_SUMS])}."]
+        remarks += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
         m, unit = self.measured, unit_label(self.unit) or "1"
-        head = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of records of that law"]
+        header = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of records of that law"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
         curve = [
             [number(t), number(d), number(e), f"{number(a)} to {number(b)}"]
             for t, d, e, a, b in zip(*columns, strict=True)
         ]
-        lines = [line for note in notes for line in ("", folded(note, ""))]
-        return [terms, *lines, "", plain_table(head, curve, left=0)]
+        lines = [line for note in remarks for line in ("", folded(note, ""))]
+        return [terms, *lines, "", plain_table(header, curve, left=0)]
 
     def _brief(self) -> str:
         figures = (f"{f.symbol} {f.row()[1] or f.row()[2]}" for f in self.figures)
@@ -194,11 +194,11 @@ class SensorNoise(Printed):
     def for_filter(self, quantile: float | None = None) -> tuple[float, float]:
         """Return N and K for a filter of white noise and a random walk, output unit times √s and per √s.
 
-        Where noise is correlated they are the pair of least excess whose Allan deviation reaches 95 % of the law's at
-        every averaging time up to `horizon`: density replaces noise of a few steps, a random walk slower noise.
+        If noise is correlated, they are the smallest pair whose Allan deviation is at least 95 % of the noise model's
+        at every averaging time up to `horizon`: N replaces noise of a few steps, K slower noise.
 
         Args:
-            quantile: of the posterior; that of the settings if None.
+            quantile: posterior quantile of N and K; 0.95 if None.
         """
         quantile = FILTER_QUANTILE if quantile is None else quantile
         n, k = (float(np.quantile(d, quantile)) for d in self.densities)
@@ -207,8 +207,8 @@ class SensorNoise(Printed):
     def data(self) -> dict[str, Any]:
         """Return plain numbers for JSON."""
         (n, k), m = self.for_filter(), self.measured
-        law = (self.expected, self.low, self.high)
-        columns = [column.tolist() for column in (m.tau, m.deviation, m.low, m.high, *law)]
+        band = (self.expected, self.low, self.high)
+        columns = [column.tolist() for column in (m.tau, m.deviation, m.low, m.high, *band)]
         return {
             "file": self.file,
             "unit": self.unit,
@@ -227,14 +227,14 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
 
-    Sums of white noise, as it is or averaged by the sensor itself, quantisation noise, a random walk, flicker noise and
+    Sums of white noise (or white noise averaged by the sensor), quantisation noise, a random walk, flicker noise and
     one or two Ornstein–Uhlenbeck processes are weighted by their evidence; run levels and a cubic over a column
     `temperature` are integrated out.
 
     Args:
-        readings: of one channel, evenly spaced in time within runs.
-        seed: of the draws.
-        time_limit: seconds, after which the sums fitted so far are the result, as at Ctrl-C; a note says so.
+        readings: readings of one channel, evenly spaced in time within runs.
+        seed: seed of the random draws.
+        time_limit: seconds, after which the result has only the sums fitted so far, with a note; so has Ctrl-C.
 
     Raises:
         InputError: readings of several devices, no column `time`, no run of 30 readings, uneven steps, or an output
@@ -248,45 +248,43 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
             )
     with deadline.until(time_limit):
         seed = seed_of(seed)
-        weighed = _evaluate_sums(readings, seed)
+        sums = _evaluate_sums(readings, seed)
     step = allan.even_runs(readings).step
-    readings, runs, unit = weighed.readings, weighed.runs, readings.unit("output") or ""
+    readings, runs, unit = sums.readings, sums.runs, readings.unit("output") or ""
     measured = allan.of_runs(readings, np.asarray(readings["output"], float), runs)
-    draws = np.concatenate([law.allan_variance(runs.factors, runs.step) for law in weighed.drawn])
+    draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in sums.noises])
     tail = 0.5 * (1 - CONFIDENCE)
-    low, middle, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
+    low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
     edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
     random = np.random.default_rng(seed)
-    spread = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
-    estimate_low, estimate_high = np.quantile(spread, [tail, 1 - tail], axis=0)
-    claims, repeats = list(weighed.claims), runs.step / (weighed.count or 1) / step
-    if weighed.count is None:
+    estimates = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
+    estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
+    claims, repetition = list(sums.claims), runs.step / (sums.count or 1) / step
+    if sums.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=allan.habit(unit).names[0]))
-    elif weighed.count > 1:
-        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=weighed.count))
-    if repeats > 1:
-        claims.insert(0, Claim("noise.held", "N", times=repeats))
+    elif sums.count > 1:
+        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=sums.count))
+    if repetition > 1:
+        claims.insert(0, Claim("noise.held", "N", times=repetition))
     outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
     if outside.sum() > limit("noise.outside", "times"):
-        at = tuple(number(t) for t in measured.tau[outside])
-        claims.append(Claim("noise.outside", count=len(at), times=len(outside), taus=at))
+        tau = tuple(number(t) for t in measured.tau[outside])
+        claims.append(Claim("noise.outside", count=len(tau), times=len(outside), taus=tau))
     return SensorNoise(
         file=readings.file,
         unit=unit,
         step=step,
-        terms=weighed.drawn[0].terms,
-        probabilities={
-            SummedNoise(1.0, 2.0, t).in_words: p for t, p in weighed.probabilities.items()
-        },
-        figures=_figures(weighed, unit, draws),
+        terms=sums.noises[0].terms,
+        probabilities={SummedNoise(1.0, 2.0, t).in_words: p for t, p in sums.probabilities.items()},
+        figures=_figures(sums, unit, draws),
         measured=measured,
-        expected=middle,
+        expected=median,
         low=low,
         high=high,
         estimate_low=estimate_low,
         estimate_high=estimate_high,
         claims=tuple(claims),
-        densities=_filter_densities(weighed),
+        densities=_filter_densities(sums),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
@@ -294,69 +292,69 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
 class RestNoise(NamedTuple):
     """A sum of noise terms fitted to a channel at rest."""
 
-    terms: Terms  # beside white noise
-    draws: dict[str, np.ndarray]  # parameters, in output units and seconds (d,); equally probable
-    law: SummedNoise  # with these parameters
+    terms: Terms  # besides white noise
+    draws: dict[str, np.ndarray]  # equally weighted posterior draws (d,), output unit and seconds
+    model: SummedNoise  # with these parameters
 
     @property
     def processes(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return size, output unit, and correlation time, s, of each Ornstein–Uhlenbeck process (d,)."""
-        parameters = {**self.draws, **self.law.derived(self.draws)}
+        """Return standard deviation, output unit, and correlation time, s, of each Ornstein–Uhlenbeck process (d,)."""
+        parameters = {**self.draws, **self.model.derived(self.draws)}
         names = (f"noise.correlated{k + 1}" for k in range(self.terms.count("correlated")))
         return [(parameters[f"{name}.size"], parameters[f"{name}.time"]) for name in names]
 
     def density(self, step: float) -> Float[np.ndarray, "d"]:
         """Return N at each draw, output unit times √s, of readings `step` s apart.
 
-        White noise, as it is or averaged, and each Ornstein–Uhlenbeck process of a few steps: of the variance s² and a
-        correlation ρ of neighbours it has the spectral density s²·(1 + ρ)/(1 − ρ) per reading at low frequencies.
+        It sums white noise, averaged white noise, and Ornstein–Uhlenbeck processes of up to three steps, whose spectral
+        density at low frequencies is s²·(1 + ρ)/(1 − ρ) per reading, with variance s² and correlation ρ of neighbours.
         """
-        variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGED}", 0.0) ** 2
+        variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGING}", 0.0) ** 2
         for size, time in self.processes:
-            short = time <= SHORT_STEPS * step
-            variance = variance + np.where(short, size**2 / np.tanh(0.5 * step / time), 0.0)
+            is_short = time <= MAX_SHORT_STEPS * step
+            variance = variance + np.where(is_short, size**2 / np.tanh(0.5 * step / time), 0.0)
         return np.sqrt(variance * step)
 
     def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
-        """Return the law's Allan variance at each draw (d, k), output unit squared."""
-        total = self.draws[WHITE] ** 2 + self.law.slow_variance(self.draws)
-        return self.law.allan_variance(self.draws, total, factors, step)
+        """Return the noise model's Allan variance at each draw (d, k), output unit squared."""
+        total = self.draws[WHITE] ** 2 + self.model.slow_variance(self.draws)
+        return self.model.allan_variance(self.draws, total, factors, step)
 
 
-class _AtRest(NamedTuple):
+class _RestRecord(NamedTuple):
     """Runs, spectrum and scales of a channel at rest."""
 
     columns: Sequence[np.ndarray]  # of its runs (n, r): integrated out, and last the output
     spectrum: EvenSpectrum
-    size: float  # standard deviation of neighbours, output unit
+    scale: float  # standard deviation of neighbours, output unit
     longest: float  # run, a power of two of steps, s
     tau: np.ndarray  # averaging times, s,
     allan: np.ndarray  # and variances, output unit squared
-    line: Mapping[str, float]  # starting values of a tone; none if empty
+    tone: Mapping[str, float]  # starting values of a tone; none if empty
 
-    def law(self, terms: Terms) -> SummedNoise:
-        scale = HalfCauchy(self.size)
+    def model(self, terms: Terms) -> SummedNoise:
+        scale = HalfCauchy(self.scale)
         return SummedNoise(self.spectrum.step, self.longest, terms, scale, scale)
 
     def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
         """Return a sum's log posterior density over parameter coordinates, levels and curve integrated out."""
-        law = self.law(terms)
-        priors = law.parameters()
+        model = self.model(terms)
+        priors = model.parameters()
 
-        def values(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        def evaluate(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
             parameters = {n: p.value(v[:, i]) for i, (n, p) in enumerate(priors.items())}
-            prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
-            total = self.spectrum.log_likelihood(law, parameters) + prior
+            log_prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
+            total = self.spectrum.log_likelihood(model, parameters) + log_prior
             return np.where(np.isfinite(total), total, NOWHERE)
 
-        return values
+        return evaluate
 
 
 class EvaluatedSums(NamedTuple):
     """Sums of noise terms with their probabilities and draws."""
 
-    drawn: Sequence[RestNoise]  # the probable sums, draws in proportion to their probability
-    walk: np.ndarray  # draws of a random walk in the most probable sum: a bound, where it has none
+    noises: Sequence[RestNoise]  # the probable sums, draws in proportion to their probability
+    walk_draws: np.ndarray  # draws of K in the most probable sum, with a walk added if it has none
     probabilities: dict[Terms, float]  # the most probable first
     claims: tuple[Claim, ...]  # processing of the record
     readings: Measurements  # the record, or means of it
@@ -366,255 +364,256 @@ class EvaluatedSums(NamedTuple):
 
 @on_one_thread
 def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
-    """Evaluate sums of noise terms on a channel at rest, and draw the probable ones' parameters; see `noise`."""
+    """Evaluate sums of noise terms on a channel at rest, and draw parameters of the probable sums; see `noise`."""
     output = np.asarray(readings["output"], float)
-    runs = _first_of_repeats(output, allan.even_runs(readings))
-    clear, line = _find_line(output, runs)
-    count = _level_count(output, runs, clear, line)
-    # Means of a process that is short against their time are white, but for correlated neighbours.
+    runs = _drop_repeats(output, allan.even_runs(readings))
+    z, line = _find_line(output, runs)
+    count = _readings_per_mean(output, runs, z, line)
+    # Means over times much longer than a correlation time are white, except for correlated neighbours.
     base: Terms = ()
     if count is not None and count > 1:
-        readings, runs = _means_of(readings, runs, count)
-        base = (AVERAGED,)
+        readings, runs = _average(readings, runs, count)
+        base = (AVERAGING,)
         output = np.asarray(readings["output"], float)
-        clear, line = _find_line(output, runs)
-    columns, size, claims = _columns(readings, runs)
-    limits = {"tone": (clear, LINE_SD)}
+        z, line = _find_line(output, runs)
+    columns, scale, claims = _run_columns(readings, runs)
+    criteria = {"tone": (z, LINE_SD)}
     if not base:
-        negative = _negative_correlation_sd(output, runs)
-        limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
-    further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
-    certain = tuple(term for term in further if limits[term][0] > SURE_SD)
+        negative_sd = _negative_correlation_sd(output, runs)
+        criteria[QUANTISATION if negative_sd > 0 else AVERAGING] = abs(negative_sd), NEIGHBOURS_SD
+    optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
+    certain = tuple(term for term in optional if criteria[term][0] > CERTAIN_SD)
     variance, _ = allan.overlapping(output, runs)
     longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
-    per_reading = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
-    line = {name: per_reading[name] * value for name, value in line.items()}
-    statistics = size, longest, runs.factors * runs.step, variance, line
-    law, values = SummedNoise(runs.step, longest, ("walk",)), {WHITE: size}
-    values["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
-    random, mean = np.random.default_rng(seed), Counter[Terms]()
-    parts = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
-    end = deadline.current()
-    end.defer_interrupt()
+    tone_units = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
+    line = {name: tone_units[name] * value for name, value in line.items()}
+    channel_fields = scale, longest, runs.factors * runs.step, variance, line
+    model, parameters = SummedNoise(runs.step, longest, ("walk",)), {WHITE: scale}
+    parameters["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    random, average = np.random.default_rng(seed), Counter[Terms]()
+    imputations = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
+    time_limit = deadline.current()
+    time_limit.defer_interrupt()
     for k in range(IMPUTATIONS if runs.lost else 1):
-        filled = [_impute_run(run, law, values, runs.step, random) for run in columns]
-        lines = [line[TONE[1]]] if "tone" in further else []
-        channel = _AtRest(filled, EvenSpectrum(filled, runs.step, lines), *statistics)
-        fits: dict[Terms, GaussianFit] = {base: _fit(channel, base, {})}
+        imputed = [_impute_run(run, model, parameters, runs.step, random) for run in columns]
+        lines = [line[TONE_FREQ]] if "tone" in optional else []
+        channel = _RestRecord(imputed, EvenSpectrum(imputed, runs.step, lines), *channel_fields)
+        fits: dict[Terms, GaussianFit] = {base: _fit_sum(channel, base, {})}
         try:
-            for terms in _sums(fits, base, further, certain):
-                end.ask()
-                fits[terms] = _fit(channel, terms, fits)
+            for terms in _enumerate_sums(fits, base, optional, certain):
+                time_limit.ask()
+                fits[terms] = _fit_sum(channel, terms, fits)
         except deadline.TimeIsUp:
-            claims.append(Claim("noise.ended", why=end.why))
-        parts.append(_drawn_sums(channel, fits, seed + k))
-        best = parts[-1][0][0]
-        law, values = best.law, {n: float(d[0]) for n, d in best.draws.items()}
-        if end.over:
+            claims.append(Claim("noise.ended", why=time_limit.why))
+        imputations.append(_sample_sums(channel, fits, seed + k))
+        best = imputations[-1][0][0]
+        model, parameters = best.model, {n: float(d[0]) for n, d in best.draws.items()}
+        if time_limit.over:
             break
     # The mixture over imputations of lost readings.
-    parts = parts[-(IMPUTATIONS - 1) :]
-    for *_, probabilities in parts:
-        mean.update({terms: p / len(parts) for terms, p in probabilities.items()})
-    drawn = sorted((n for run, *_ in parts for n in run), key=lambda n: -mean[n.terms])
-    walk = np.concatenate([walk for _, walk, _ in parts])
-    probable: dict[Terms, Any] = dict(mean.most_common())
-    return EvaluatedSums(drawn, walk, probable, tuple(claims), readings, runs, count)
+    imputations = imputations[-(IMPUTATIONS - 1) :]
+    for *_, probabilities in imputations:
+        average.update({terms: p / len(imputations) for terms, p in probabilities.items()})
+    noises = sorted((n for run, *_ in imputations for n in run), key=lambda n: -average[n.terms])
+    walk_draws = np.concatenate([walk_draws for _, walk_draws, _ in imputations])
+    probable: dict[Terms, Any] = dict(average.most_common())
+    return EvaluatedSums(noises, walk_draws, probable, tuple(claims), readings, runs, count)
 
 
-def _sums(
-    fits: Mapping[Terms, GaussianFit], base: Terms, further: Terms, certain: Terms
+def _enumerate_sums(
+    fits: Mapping[Terms, GaussianFit], base: Terms, optional: Terms, certain: Terms
 ) -> Iterator[Terms]:
-    """Yield the sums to evaluate besides the smallest, `base`: of two slow terms at most, and any of `further`.
+    """Yield the sums to evaluate besides the smallest, `base`: up to two slow terms and a subset of `optional` terms.
 
-    All but the smallest have the terms `certain`; the best sum is last evaluated without each of these, as noise
+    All but the smallest include the terms `certain`; the best sum is finally evaluated without each of these, as noise
     correlated over a few readings resembles them.
     """
-    pairs = [p for p in itertools.combinations_with_replacement(SLOW, 2) if p not in NOT_TWICE]
-    counts = range(len(further) + 1)
-    brief = [{*chosen, *certain} for k in counts for chosen in itertools.combinations(further, k)]
-    slow_sums = [(), *((term,) for term in SLOW), *pairs]
-    sums = {_in_term_order((*base, *s, *b)) for s in slow_sums for b in brief} - {base}
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in EXCLUDED]
+    counts = range(len(optional) + 1)
+    subsets = [{*c, *certain} for k in counts for c in itertools.combinations(optional, k)]
+    slow_sums = [(), *((term,) for term in SLOW_TERMS), *pairs]
+    sums = {_sort_terms((*base, *s, *b)) for s in slow_sums for b in subsets} - {base}
     yield from sorted(sums, key=lambda terms: (len(terms), terms))
-    best = next(iter(_totals(fits)))
+    best = next(iter(_log_posteriors(fits)))
     yield from {tuple(t for t in best if t != term) for term in certain} - {*fits}
 
 
-def _drawn_sums(
-    channel: _AtRest, fits: dict[Terms, GaussianFit], seed: int
+def _sample_sums(
+    channel: _RestRecord, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], np.ndarray, dict[Terms, float]]:
-    """Draw the probable sums and the most probable one's random walk; return them and all probabilities."""
+    """Draw the parameters of the probable sums; return them, draws of a random walk's K in the most probable sum (with
+    a random walk added if it has none), and the probabilities of all sums."""
     sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> float:
-        values = channel.log_density(terms)
-        v, weights, evidence = importance_draws(values, fits[terms], seed, DRAWS)
+        log_density = channel.log_density(terms)
+        v, weights, evidence = importance_draws(log_density, fits[terms], seed, DRAWS_PER_SUM)
         sampled[terms] = v, weights
         return evidence
 
     while True:
-        totals = _totals(fits)
-        shares = softmax(list(totals.values()))
-        probabilities = dict(zip(totals, shares.tolist(), strict=True))
-        probable = [t for t, share in probabilities.items() if share > DRAWN_SHARE * shares[0]]
+        totals = _log_posteriors(fits)
+        posterior = softmax(list(totals.values()))
+        probabilities = dict(zip(totals, posterior.tolist(), strict=True))
+        probable = [t for t, share in probabilities.items() if share > SAMPLED_SHARE * posterior[0]]
         if not (unsampled := [t for t in probable if t not in sampled]):
             break
         # Importance sampling corrects the Laplace evidence of skewed posteriors.
         for terms in unsampled:
             fits[terms] = fits[terms]._replace(log_evidence=sample(terms))
-    drawn = [_draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in probable]
-    walk = drawn[0]
-    if "walk" not in walk.terms:
-        further = _in_term_order((*walk.terms, "walk"))
-        if further not in fits:
-            fits[further] = _fit(channel, further, fits)
-        if further not in sampled:
-            sample(further)
-        walk = _draw_parameters(channel, further, *sampled[further], seed, 1.0)
-    return drawn, walk.draws["noise.walk"], probabilities
+    noises = [_draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in probable]
+    walk_sum = noises[0]
+    if "walk" not in walk_sum.terms:
+        extended = _sort_terms((*walk_sum.terms, "walk"))
+        if extended not in fits:
+            fits[extended] = _fit_sum(channel, extended, fits)
+        if extended not in sampled:
+            sample(extended)
+        walk_sum = _draw_parameters(channel, extended, *sampled[extended], seed, 1.0)
+    return noises, walk_sum.draws["noise.walk"], probabilities
 
 
-def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
-    """Return the differences of neighbouring readings."""
+def _differences(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
+    """Return the finite differences of successive readings within runs."""
     changes = np.concatenate([np.diff(run) for run in runs.of(output)])
     return changes[np.isfinite(changes)]
 
 
-def _first_of_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
-    """Reduce a held output to the first reading of each value, at their mean step; return other outputs whole.
+def _drop_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
+    """Reduce a sample-and-hold output to the first reading of each value, at their mean step; keep others unchanged.
 
-    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are,
-    and no value lasts much longer than others, unlike in an output that is stuck for a while.
+    Rounding to steps of g makes a share 0.27·g/m of neighbours equal, m their median difference. In a held output many
+    more are equal, and no value lasts much longer than the mean, unlike in an output that is temporarily stuck.
     """
-    changes = np.abs(_changes(output, runs))
-    changed = changes[changes > 0]
-    least = np.min(np.diff(np.unique(output)), initial=math.inf)
-    rounded = least / np.median(changed) if len(changed) else 1.0
-    recorded = [r[r >= 0] for r in runs.rows]
-    first = [np.append(True, np.diff(output[rows_of_run]) != 0) for rows_of_run in recorded]
-    longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in first)
-    repeated = len(changed) < (1 - max(limit("noise.held", "share"), rounded)) * len(changes)
-    if not repeated or longest * len(changed) > limit("noise.held", "ratio") * len(changes):
+    changes = np.abs(_differences(output, runs))
+    nonzero = changes[changes > 0]
+    resolution = np.min(np.diff(np.unique(output)), initial=math.inf)
+    ratio = resolution / np.median(nonzero) if len(nonzero) else 1.0
+    recorded_rows = [r[r >= 0] for r in runs.rows]
+    is_first = [np.append(True, np.diff(output[rows_of_run]) != 0) for rows_of_run in recorded_rows]
+    longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in is_first)
+    repeats = len(nonzero) < (1 - max(limit("noise.held", "share"), ratio)) * len(changes)
+    if not repeats or longest * len(nonzero) > limit("noise.held", "ratio") * len(changes):
         return runs
     span = sum(len(r) - 1 for r in runs.rows) * runs.step
-    rows = tuple(rows_of_run[f] for rows_of_run, f in zip(recorded, first, strict=True))
+    rows = tuple(rows_of_run[f] for rows_of_run, f in zip(recorded_rows, is_first, strict=True))
     return EvenRuns(rows, span / sum(len(r) - 1 for r in rows))
 
 
-def _level_count(
-    output: Float[np.ndarray, "n"], runs: EvenRuns, clear: float, line: Mapping[str, float]
+def _readings_per_mean(
+    output: Float[np.ndarray, "n"], runs: EvenRuns, z: float, line: Mapping[str, float]
 ) -> int | None:
     """Return the readings per mean at which the Allan deviation begins to fall with slope −½; None if it never does.
 
-    A narrow line is subtracted: its Allan deviation rises and falls over a period. Single readings are accepted where
-    the slope is −½ within two standard deviations and neighbours are uncorrelated.
+    The Allan variance of a narrow spectral line is subtracted, as it oscillates. Single readings suffice if the slope
+    is −½ within two standard deviations and neighbours are uncorrelated.
     """
     variance, _ = allan.overlapping(output, runs)
-    if clear > LINE_SD:
+    if z > LINE_SD:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
-        variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
-    limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
-    freedom = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
-    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(2 / freedom[2:3])
-    level = variance[2:] <= limit
-    level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
-    level[:1] &= clear > LINE_SD or _negative_correlation_sd(output, runs) > -NEIGHBOURS_SD
+        variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE_RMS] ** 2, runs.factors, 1.0)
+    upper_limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    dof = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
+    upper_limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(2 / dof[2:3])
+    level = variance[2:] <= upper_limit
+    level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
+    level[:1] &= z > LINE_SD or _negative_correlation_sd(output, runs) > -NEIGHBOURS_SD
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 
 
-def _means_of(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
-    """Average `count` consecutive readings; a mean of fewer than half of them is lost."""
-    parts = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
-    valid = [2 * np.sum(part >= 0, axis=1) >= count for part in parts]
-    full = np.concatenate([part[mask] for part, mask in zip(parts, valid, strict=True)])
+def _average(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
+    """Average blocks of `count` consecutive readings; a block with more than half of them lost counts as lost."""
+    blocks = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
+    valid = [2 * np.sum(block >= 0, axis=1) >= count for block in blocks]
+    full = np.concatenate([block[mask] for block, mask in zip(blocks, valid, strict=True)])
     means = readings.select(full.max(axis=1))
     for name in readings.columns:
         if readings.unit(name) is not None:
             values = np.where(full >= 0, readings[name][full], 0.0)
             means = means.with_column(name, values.sum(axis=1) / np.sum(full >= 0, axis=1))
-    place = np.split(np.cumsum(np.concatenate(valid)) - 1, np.cumsum([len(t) for t in valid])[:-1])
-    rows = tuple(np.where(mask, at, -1) for mask, at in zip(valid, place, strict=True))
+    row_no = np.split(np.cumsum(np.concatenate(valid)) - 1, np.cumsum([len(t) for t in valid])[:-1])
+    rows = tuple(np.where(mask, index, -1) for mask, index in zip(valid, row_no, strict=True))
     return means, EvenRuns(rows, count * runs.step)
 
 
-def _in_term_order(terms: Terms) -> Terms:
+def _sort_terms(terms: Terms) -> Terms:
     """Sort terms into the canonical order of a sum."""
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
 def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
-    """Return the significance of a negative correlation of neighbours, as of rounded angles, in standard deviations.
+    """Return z of a negative correlation of neighbours, as in rounded angles; negative z is a positive correlation.
 
-    Half the mean square of differences k readings apart is γ₀ − γₖ, linear in k under slow noise: if its value at k = 1
-    is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
+    The variogram, half the mean square of differences at lag k, is γ₀ − γₖ, linear in k under slow noise: if its value
+    at k = 1 is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
     """
-    squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
+    squares, counts = np.zeros(len(EXTRAPOLATION) + 1), np.zeros(len(EXTRAPOLATION) + 1)
     for run in runs.of(output):
         for k in range(1, min(len(run), len(squares) + 1)):
             differences = run[k:] - run[:-k]
             differences = differences[np.isfinite(differences)]
             squares[k - 1] += 0.5 * float(differences @ differences)
             counts[k - 1] += len(differences)
-    rise = squares / counts
-    expected = float(LINE @ rise[1:])
-    # Each γₖ of n readings of white noise, of the variance γ₀, has the variance γ₀²/n.
-    deviation = abs(expected) * math.sqrt((1 + float(LINE @ LINE)) / counts[0])
-    return float(rise[0] - expected) / deviation
+    variogram = squares / counts
+    expected = float(EXTRAPOLATION @ variogram[1:])
+    # The estimate of γₖ from n readings of white noise with variance γ₀ has the variance γ₀²/n.
+    sd = abs(expected) * math.sqrt((1 + float(EXTRAPOLATION @ EXTRAPOLATION)) / counts[0])
+    return float(variogram[0] - expected) / sd
 
 
 def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
-    """Find the longest run's strongest spectral line: its significance in standard deviations, and a tone's start.
+    """Find the longest run's strongest spectral line: return its z, and starting values of a tone per reading.
 
-    A frequency is compared with the geometric mean of both sides, which cancels the spectrum's slope; of the mean of k
-    windows, the logarithm of this ratio has a standard deviation of about 1/√k.
+    The power at a frequency is divided by the geometric mean of that on both sides, which cancels a sloping background;
+    averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
     run, best, line = max(runs.of(output), key=len), 0.0, dict[str, float]()
     run = np.where(np.isfinite(run), run, np.nanmean(run))
-    length = WINDOW
-    while (count := len(run) // length) >= WINDOWS:
+    length = MIN_WINDOW
+    while (count := len(run) // length) >= MIN_WINDOWS:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
         window, parts = np.hanning(length), run[: count * length].reshape(count, length)
         spectra = np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)) ** 2
         power = 2 * spectra.mean(axis=0) / np.sum(window**2)
-        places = np.arange(BACKGROUND[-1] + 1, len(power) - BACKGROUND[-1] - 1)
-        low, high = (power[places[:, None] + sign * BACKGROUND].mean(axis=1) for sign in (-1, 1))
-        around = np.sqrt(low * high)
-        sigmas = np.log(power[places] / around) / (1 / math.sqrt(count) + SMOOTH)
-        if sigmas[k := int(np.argmax(sigmas))] > best:
+        bins = np.arange(BACKGROUND[-1] + 1, len(power) - BACKGROUND[-1] - 1)
+        low, high = (power[bins[:, None] + sign * BACKGROUND].mean(axis=1) for sign in (-1, 1))
+        background = np.sqrt(low * high)
+        z = np.log(power[bins] / background) / (1 / math.sqrt(count) + BACKGROUND_CURVATURE)
+        if z[k := int(np.argmax(z))] > best:
             # A Hann window spreads a line over 1.5 bins.
-            size = math.sqrt(1.5 * float(power[places[k]] - around[k]) / length)
-            best, entries = float(sigmas[k]), (size, float(places[k]) / length, float(length))
+            amplitude = math.sqrt(1.5 * float(power[bins[k]] - background[k]) / length)
+            best, entries = float(z[k]), (amplitude, float(bins[k]) / length, float(length))
             line = dict(zip(TONE, entries, strict=True))
         length *= 2
     if line:  # at the maximum of the whole run's spectrum within that window's width
         power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
-        low, high = (round((line[TONE[1]] + side / line[TONE[2]]) * len(run)) for side in (-1, 1))
-        line[TONE[1]] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
+        low, high = (round((line[TONE_FREQ] + s / line[TONE_TIME]) * len(run)) for s in (-1, 1))
+        line[TONE_FREQ] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
     return best, line
 
 
-def _totals(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
-    """Return log evidence plus log prior of sums, the most probable first.
+def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
+    """Return the unnormalised log posterior of each sum (log evidence plus log prior), the most probable first.
 
-    The smallest sum has one half of the prior; each further term halves the joint prior of the sums of that size.
+    The smallest sum has half of the prior; each additional term halves the joint prior of the sums of that length.
     """
-    (base, *others), level = fits, settings().prior_complete
-    counts = Counter(map(len, others))
-    share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in others}
-    prior = {base: level} | {t: (1 - level) * s / sum(share.values()) for t, s in share.items()}
+    (base, *other_sums), p0 = fits, settings().prior_complete
+    counts = Counter(map(len, other_sums))
+    share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in other_sums}
+    prior = {base: p0} | {t: (1 - p0) * s / sum(share.values()) for t, s in share.items()}
     totals = {terms: fit.log_evidence + math.log(prior[terms]) for terms, fit in fits.items()}
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
-def _columns(
+def _run_columns(
     readings: Measurements, runs: EvenRuns
 ) -> tuple[list[Float[np.ndarray, "n r"]], float, list[Claim]]:
-    """Return each run's columns (temperature polynomial, if it varies, and output; NaN where a reading was lost), the
-    standard deviation of neighbours, output unit, and claims of the processing."""
+    """Return each run's columns (temperature polynomial, if it varies, and output; NaN for lost readings), a robust
+    standard deviation from differences of neighbours, output unit, and claims about the processing."""
     output, claims = np.asarray(readings["output"], float), list[Claim]()
-    changes = _changes(output, runs)
-    size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
-    if not size > 0:
+    changes = _differences(output, runs)
+    scale = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
+    if not scale > 0:
         raise InputError(
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
@@ -623,207 +622,207 @@ def _columns(
     least_range = limit("noise.temperature", "degrees")
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > least_range:
         temperature = np.asarray(readings["temperature"], float)
-        place = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
-        columns = np.column_stack([legvander(place, DEGREE)[:, 1:], columns])
-        claims.append(Claim("noise.temperature", "temperature", degree=DEGREE))
+        scaled = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
+        columns = np.column_stack([legvander(scaled, CURVE_DEGREE)[:, 1:], columns])
+        claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
     parts = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
-    return parts, size, claims
+    return parts, scale, claims
 
 
 def _impute_run(
     columns: Float[np.ndarray, "n r"],
-    law: SummedNoise,
+    model: SummedNoise,
     values: Mapping[str, float],
     step: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "n r"]:
-    """Draw a run's lost readings from a noise law, given the others; its temperature columns are interpolated.
+    """Draw a run's lost readings from the noise model, conditional on the others; interpolate its temperature columns.
 
-    With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
-    the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
-    and their covariance Q_mm⁻¹. The level is free: 1/D is taken as zero at frequency zero.
+    The precision matrix is Q = CᵀD⁻¹C (but for end effects), with C the cosine transform and D the spectral density.
+    For m the lost rows, ε standard normal and x zero at m, the solution of Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m has the
+    conditional mean and covariance Q_mm⁻¹. The level is free: 1/D is zero at frequency zero.
     Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
     """
-    lost, n = np.isnan(columns[:, -1]), len(columns)
-    if not lost.any():
+    is_lost, n = np.isnan(columns[:, -1]), len(columns)
+    if not is_lost.any():
         return columns
-    from scipy.sparse.linalg import LinearOperator, cg  # a third of a second that most do without
+    from scipy.sparse.linalg import LinearOperator, cg  # loading takes a third of a second
 
-    places, (m,) = np.arange(n), np.nonzero(lost)
-    curve = [np.interp(places, places[~lost], column[~lost]) for column in columns.T[:-1]]
+    indices, (m,) = np.arange(n), np.nonzero(is_lost)
+    curve = [np.interp(indices, indices[~is_lost], column[~is_lost]) for column in columns.T[:-1]]
     design = np.column_stack([np.ones(n), *curve])
-    mean = design @ np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
-    parameters = {name: np.array([[value]]) for name, value in values.items()}
-    terms = law.spectrum(parameters, step, eigenvalues(n, np.arange(n)))
-    density = parameters[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
+    arrays = {name: np.array([[value]]) for name, value in values.items()}
+    terms = model.spectrum(arrays, step, eigenvalues(n, np.arange(n)))
+    density = arrays[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
     weight = np.append(0.0, 1 / density[0, 1:])
 
-    def precise(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
+    def product(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
         return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
 
-    q = LinearOperator((len(m), len(m)), lambda x: precise(np.bincount(m, x.ravel(), n)))
-    noise = np.where(lost, 0.0, columns[:, -1] - mean)
-    right = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - precise(noise)
-    noise[m], _ = cg(q, right, rtol=1e-6)
-    return np.column_stack([*curve, mean + noise])
+    q = LinearOperator((len(m), len(m)), lambda x: product(np.bincount(m, x.ravel(), n)))
+    deviations = np.where(is_lost, 0.0, columns[:, -1] - mean)
+    rhs = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - product(deviations)
+    deviations[m], _ = cg(q, rhs, rtol=1e-6)
+    return np.column_stack([*curve, mean + deviations])
 
 
-def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
-    """Find a sum's mode, also from the modes of sums of one term less; return it with its Laplace evidence."""
-    priors, values = channel.law(terms).parameters(), channel.log_density(terms)
+def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
+    """Find a sum's posterior mode, starting also from modes of sums with one term less; add the Laplace evidence."""
+    priors, log_density = channel.model(terms).parameters(), channel.log_density(terms)
     starts = list(_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
-    for part in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
-        coordinates = dict(zip(channel.law(part).parameters(), fits[part].v, strict=True))
+    for smaller in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
+        coordinates = dict(zip(channel.model(smaller).parameters(), fits[smaller].v, strict=True))
         starts.append(np.array([coordinates.get(n, v) for n, v in zip(priors, least, strict=True)]))
     scale = np.ones(len(priors))
-    if "tone" in terms:  # a line is known to a part of its width
-        frequency_range = channel.line[TONE[1]] - np.array([0.1 / channel.line[TONE[2]], 0.0])
-        scale[list(priors).index(TONE[1])] = np.diff(priors[TONE[1]].coordinate(frequency_range))[0]
-    order = np.argsort(-values(np.array(starts)))[:STARTS]
-    densities = [(ByValues(values, scale), starts[i]) for i in order]
-    fits_here = (gaussian_fit(density, climb(density, at)) for density, at in densities)
-    return max(fits_here, key=lambda fit: fit.log_density)
+    if "tone" in terms:  # the line's frequency is known to a tenth of its width
+        interval = channel.tone[TONE_FREQ] - np.array([0.1 / channel.tone[TONE_TIME], 0.0])
+        scale[list(priors).index(TONE_FREQ)] = np.diff(priors[TONE_FREQ].coordinate(interval))[0]
+    order = np.argsort(-log_density(np.array(starts)))[:MODE_SEARCH_STARTS]
+    densities = [(ByValues(log_density, scale), starts[i]) for i in order]
+    maxima = (gaussian_fit(density, climb(density, start)) for density, start in densities)
+    return max(maxima, key=lambda fit: fit.log_density)
 
 
-def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
-    """Yield starting coordinates from the Allan curve: each term as large as it allows, several time constants."""
-    tau, curve, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
-    sizes = {
-        WHITE: math.sqrt(curve[0]),
-        "noise.walk": math.sqrt(3 * curve[-1] / tau[-1]),
-        "noise.flicker": math.sqrt(float(np.min(curve)) / FLICKER_FLOOR),
-        "noise.quantisation": tau[0] * math.sqrt(curve[0] / 3),
-        "noise.averaging": math.sqrt(curve[0]),
+def _starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
+    """Yield starting coordinates: each term as large as the Allan variance allows, with several time constants."""
+    tau, curves, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.tone
+    amplitudes = {
+        WHITE: math.sqrt(curves[0]),
+        "noise.walk": math.sqrt(3 * curves[-1] / tau[-1]),
+        "noise.flicker": math.sqrt(float(np.min(curves)) / FLICKER_FLOOR),
+        "noise.quantisation": tau[0] * math.sqrt(curves[0] / 3),
+        "noise.averaging": math.sqrt(curves[0]),
         **line,
     }
-    several = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
-    memories = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
-    for shares, memory, factor in itertools.product(several, memories, (1.0, 0.3)):
-        values, before = {n: v if n == WHITE else factor * v for n, v in sizes.items()}, step
+    time_shares = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
+    coherences = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
+    for shares, coherence, factor in itertools.product(time_shares, coherences, (1.0, 0.3)):
+        values, previous = {n: v if n == WHITE else factor * v for n, v in amplitudes.items()}, step
         if line:
-            values[TONE[1]] = line[TONE[1]]
-            values[TONE[2]] = min(memory * line[TONE[2]], 0.7 * channel.longest)
+            values[TONE_FREQ] = line[TONE_FREQ]
+            values[TONE_TIME] = min(coherence * line[TONE_TIME], 0.7 * channel.longest)
         for k, share in enumerate(shares, 1):
             time = step * (channel.longest / step) ** share
-            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curve))
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curves))
             values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
-            part = math.log(time / before) / math.log(channel.longest / before)
-            values[f"noise.correlated{k}.place"], before = float(ndtri(part)), time
+            fraction = math.log(time / previous) / math.log(channel.longest / previous)
+            values[f"noise.correlated{k}.place"], previous = float(ndtri(fraction)), time
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
-def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
-    """Return the root mean square of a line in a run, less the noise at its frequency, output unit.
+def _line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
+    """Return the root mean square of a coherent line in a run, less the noise at its frequency, output unit.
 
-    For a line coherent over the record: with c the largest coefficient of the periodogram near its frequency, about
-    `turn` cycles per reading, |c|²/2 is its mean square.
+    The mean square is the maximum of the periodogram near `freq` cycles per reading less the background, over n.
     """
     n = len(y)
-    edges = np.linspace(0, n, min(LINE_BLOCKS, n) + 1).astype(int)
-    slow = np.add.reduceat((y - y.mean()) * np.exp(-2j * math.pi * turn * np.arange(n)), edges[:-1])
-    place = 0.5 * (edges[:-1] + edges[1:]) / n
+    edges = np.linspace(0, n, min(MAX_PHASE_BLOCKS, n) + 1).astype(int)
+    baseband = (y - y.mean()) * np.exp(-2j * math.pi * freq * np.arange(n))
+    bands = np.add.reduceat(baseband, edges[:-1])
+    block_centres = 0.5 * (edges[:-1] + edges[1:]) / n
 
     def power(offset: float) -> float:
         """Return the periodogram at an offset from the frequency, cycles per run."""
-        return float(2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n)
+        return float(2 * abs(bands @ np.exp(-2j * math.pi * offset * block_centres)) ** 2 / n)
 
     offset = 0.0
     for width in (0.8, 0.1):
         offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
-    around = np.mean([power(offset + k) for k in (*BACKGROUND, *-BACKGROUND)])
-    return math.sqrt(max(power(offset) - float(around), 0.0) / n)
+    background = np.mean([power(offset + k) for k in (*BACKGROUND, *-BACKGROUND)])
+    return math.sqrt(max(power(offset) - float(background), 0.0) / n)
 
 
 def _draw_parameters(
-    channel: _AtRest, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
+    channel: _RestRecord, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> RestNoise:
     """Resample parameters by the weights of v to equal probability; `share` of all resampled draws."""
-    chosen, law = v[resample(weights, max(1, round(share * RESAMPLED)), seed)], channel.law(terms)
+    chosen, law = v[resample(weights, max(1, round(share * RESAMPLED)), seed)], channel.model(terms)
     priors = law.parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
-        coherent = parameters[TONE[2]] > COHERENT_SHARE * channel.longest
+        coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.longest
         if coherent.any():
-            turn = float(np.median(parameters[TONE[1]][coherent])) * channel.spectrum.step
+            frequency = float(np.median(parameters[TONE_FREQ][coherent])) * channel.spectrum.step
             run = max(channel.columns, key=len)[:, -1]
             error = parameters[WHITE] / math.sqrt(len(run))
             error = error * np.random.default_rng(seed).standard_normal(len(error))
-            size = np.abs(_line_size(run, turn) + error)
-            parameters[TONE[0]] = np.where(coherent, size, parameters[TONE[0]])
+            amplitude = np.abs(_line_rms(run, frequency) + error)
+            parameters[TONE_RMS] = np.where(coherent, amplitude, parameters[TONE_RMS])
     return RestNoise(terms, parameters, law)
 
 
 def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws of N and of K for a filter; without correlated noise, K is the random walk's bound."""
+    """Return posterior draws of N and K for a Kalman filter; without correlated noise, K bounds the random walk."""
     factors, step = sums.runs.factors, sums.runs.step
-    of_walk = step * (2 * factors**2 + 1) / (6 * factors)
-    densities, walks = [], []
-    for noise in sums.drawn:
+    walk_factor = step * (2 * factors**2 + 1) / (6 * factors)
+    densities, walk_draws = [], []
+    for noise in sums.noises:
         n = noise.density(step) / step**0.5
-        rounded = noise.draws.get("noise.quantisation", 0.0) / step
-        n = np.sqrt(n**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
-        if not {*noise.terms} - {ROUNDED, AVERAGED}:
+        quantisation = noise.draws.get("noise.quantisation", 0.0) / step
+        n = np.sqrt(n**2 + 3 * quantisation**2)  # falls more slowly than Q, and is as much at first
+        if not {*noise.terms} - {QUANTISATION, AVERAGING}:
             densities.append(n * step**0.5)
-            walks.append(np.resize(sums.walk, len(n)))
+            walk_draws.append(np.resize(sums.walk_draws, len(n)))
             continue
         allan_variance = noise.allan_variance(factors, step)
-        reached = FILTER_REACHES_SHARE**2 * allan_variance
-        # Candidate densities reach the law at one averaging time each; the chosen one, with its walk, exceeds the law
-        # least (d, densities, times).
-        white = np.maximum(np.column_stack([0 * n, reached * factors]), n[:, None] ** 2)
-        lacking = (reached[:, None] - white[..., None] / factors) / of_walk
-        walk_variance = np.square(noise.draws.get("noise.walk", 0.0))[..., None]
-        walk = np.maximum(lacking.max(axis=2), walk_variance)
-        total = white[..., None] / factors + walk[..., None] * of_walk
+        required = FILTER_RATIO**2 * allan_variance
+        # Candidate densities reach the required deviation at one averaging time each; the chosen one, with its random
+        # walk, has the least excess over all times (d, densities, times).
+        white = np.maximum(np.column_stack([0 * n, required * factors]), n[:, None] ** 2)
+        required_walk = (required[:, None] - white[..., None] / factors) / walk_factor
+        fitted_walk = np.square(noise.draws.get("noise.walk", 0.0))[..., None]
+        walk = np.maximum(required_walk.max(axis=2), fitted_walk)
+        total = white[..., None] / factors + walk[..., None] * walk_factor
         least = np.argmin(np.log(total / allan_variance[:, None]).sum(axis=2), axis=1)[:, None]
         densities.append(np.sqrt(np.take_along_axis(white, least, 1)[:, 0] * step))
-        walks.append(np.sqrt(np.take_along_axis(walk, least, 1)[:, 0]))
-    return np.concatenate(densities), np.concatenate(walks)
+        walk_draws.append(np.sqrt(np.take_along_axis(walk, least, 1)[:, 0]))
+    return np.concatenate(densities), np.concatenate(walk_draws)
 
 
 def _figures(
     sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
-    """Return each term's figure over the probable sums that have it, if these are more than half."""
-    names, best, step, base = (allan.habit(unit), sums.drawn[0], sums.runs.step, unit or "1")
+    """Return each term's figure, pooled over the probable sums with that term, if they have over half of the draws."""
+    names, best, step, base = (allan.habit(unit), sums.noises[0], sums.runs.step, unit or "1")
     (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
-    draw_count = sum(len(noise.draws[WHITE]) for noise in sums.drawn)
+    draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
 
-    def over_all(name: str) -> np.ndarray | None:
-        samples = [noise.draws[name] for noise in sums.drawn if name in noise.draws]
+    def pooled_draws(name: str) -> np.ndarray | None:
+        samples = [noise.draws[name] for noise in sums.noises if name in noise.draws]
         return np.concatenate(samples) if 2 * sum(map(len, samples)) > draw_count else None
 
-    white = np.concatenate([noise.density(step) for noise in sums.drawn])
+    white = np.concatenate([noise.density(step) for noise in sums.noises])
     white = white if sums.count else np.full(1, math.nan)  # not even a bound
-    inside = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
-    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if inside else None
-    k = over_all("noise.walk")
-    # Where most sums have no walk, the bound is over all sums, with their own walk or the added one.
+    interior = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
+    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if interior else None
+    walks = pooled_draws("noise.walk")
+    # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
     bound = [
-        noise.draws.get("noise.walk", np.resize(sums.walk, len(noise.draws[WHITE])))
-        for noise in sums.drawn
+        noise.draws.get("noise.walk", np.resize(sums.walk_draws, len(noise.draws[WHITE])))
+        for noise in sums.noises
     ]
     rows = [
-        ("Q", "quantisation noise", names.rounded, f"{base}*s", over_all("noise.quantisation")),
+        ("Q", "quantisation noise", names.rounded, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, of_density, f"{base}/Hz^0.5", white),
-        ("B", f"{bias} (flicker)", of_bias, base, over_all("noise.flicker")),
+        ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest Allan deviation over 0.664)", of_bias, base, floor),
-        ("K", walk, of_walk, f"{base}/s^0.5", np.concatenate(bound) if k is None else k),
-        ("", "tone, size", of_bias, base, over_all("noise.tone")),
-        ("", "tone, frequency", "Hz", "Hz", over_all("noise.tone.frequency")),
-        ("", "tone, correlation time", "s", "s", over_all("noise.tone.time")),
+        ("K", walk, of_walk, f"{base}/s^0.5", np.concatenate(bound) if walks is None else walks),
+        ("", "tone, size", of_bias, base, pooled_draws("noise.tone")),
+        ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),
+        ("", "tone, correlation time", "s", "s", pooled_draws("noise.tone.time")),
     ]
-    for place, (size, time) in enumerate(best.processes, 1):
-        name = f"Ornstein–Uhlenbeck {place}"
+    for number_of_process, (size, time) in enumerate(best.processes, 1):
+        name = f"Ornstein–Uhlenbeck {number_of_process}"
         rows.append(("", f"{name}, size", of_bias, base, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
-    bounded = {"K": k is None, "N": not sums.count}
-    visible = ((*row, bounded.get(row[0], False)) for row in rows if row[-1] is not None)
-    return tuple(itertools.starmap(_figure, visible))
+    is_bound = {"K": walks is None, "N": not sums.count}
+    shown_rows = ((*row, is_bound.get(row[0], False)) for row in rows if row[-1] is not None)
+    return tuple(itertools.starmap(_figure, shown_rows))
 
 
 def _figure(
@@ -831,27 +830,27 @@ def _figure(
 ) -> NoiseFigure:
     """Summarise draws in `draw_unit` as a figure in `unit` and in base units."""
     tail = 0.5 * (1 - CONFIDENCE)
-    low, middle, high = np.quantile(draws, [tail, 0.5, 1 - tail])
+    low, median, high = np.quantile(draws, [tail, 0.5, 1 - tail])
     if bound:  # one-sided
         low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
     (base, to_base), factor = _to_base_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
-    values = np.array([middle, low, high])
-    (value, least, most), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
-    return NoiseFigure(symbol, name, unit, value, least, most, base, (si[0], si[1], si[2]), bound)
+    values = np.array([median, low, high])
+    (value, lower, upper), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
+    return NoiseFigure(symbol, name, unit, value, lower, upper, base, (si[0], si[1], si[2]), bound)
 
 
 def _to_base_unit(unit: str) -> tuple[str, float]:
     """Return a unit's base unit, as customarily written, and the factor to it."""
-    end = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
-    parsed, g = parse(unit.removesuffix(end)), STANDARD_GRAVITY * 1e-6
-    named_units = {  # by powers of base units: in words, and the factor from the base unit
-        (("ug", 1),): (f"m/s^2{end}", g),
-        (("rad", 1), ("s", -1)): (f"rad/s{end}", 1.0),
+    suffix = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
+    parsed, g = parse(unit.removesuffix(suffix)), STANDARD_GRAVITY * 1e-6
+    named_units = {  # powers of base units → customary unit, factor
+        (("ug", 1),): (f"m/s^2{suffix}", g),
+        (("rad", 1), ("s", -1)): (f"rad/s{suffix}", 1.0),
         (("rad", 1),): ("rad", 1.0),
         (("s", 1), ("ug", 1)): ("m/s", g),
     }
     powers = tuple(sorted(parsed.powers.items()))
     if powers not in named_units:
         return unit, 1.0
-    words, factor = named_units[powers]
-    return words, parsed.factor * factor
+    unit_text, factor = named_units[powers]
+    return unit_text, parsed.factor * factor

@@ -24,15 +24,15 @@ CONCERNED_SHARE = limit("direction.other", "share")
 
 Direction = Float[np.ndarray, "p"]
 
-MOST_TERMS = 8  # printed terms of a combination
-TRACE_SHARE = 0.01  # share of the largest entry, above which a coefficient is named
-MOST_MEMBERS = 4  # members of a group with a line each
+MAX_TERMS = 8  # printed terms of a linear combination
+NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
+MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
 
 
 def unknowns_parts(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> list[str | ResultTable]:
-    """Tabulate unknowns with standard uncertainty and 95 % interval; list fixed values and constants."""
+    """Tabulate unknowns with standard uncertainties and 95 % intervals; list fixed values and constants."""
     rows = unknown_rows(calibration, effects)
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
@@ -43,26 +43,26 @@ def unknowns_parts(
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
         lines.append(f"fixed: {fixed}")
     if model.noise_as_stated:
-        squares, freedom, chance = calibration.chi_squared
+        squares, dof, p = calibration.chi_squared
         lines.append(
-            f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
-            f"{chance:.2g} of cases)"
+            f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (as much or more by chance in "
+            f"{p:.2g} of cases)"
         )
-    if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
-        lines.append("coefficients refer to " + ", ".join(at))
-    lagging = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
-    columns = sorted({column for e in lagging for column in e.columns})
-    if steps := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
-        joined = f"(--reference {hold_flag_name(steps[0])}=0 joins them)"
-        lines.append(f"set in steps and held between readings: {', '.join(steps)} {joined}")
-    present = {s["name"]: if_present(s) for s in summary(calibration)[0] if s["name"] in rows}
+    if constants := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
+        lines.append("coefficients refer to " + ", ".join(constants))
+    lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
+    columns = sorted({column for e in lag_effects for column in e.columns})
+    if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
+        joined = f"(--reference {hold_flag_name(stepped[0])}=0 joins them)"
+        lines.append(f"set in steps and held between readings: {', '.join(stepped)} {joined}")
+    present = {s["name"]: given_text(s) for s in summary(calibration)[0] if s["name"] in rows}
     if text := ", ".join(f"{name} {value}" for name, value in present.items() if value):
         lines.append(f"if it is there: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 
-def if_present(row: dict[str, Any], times: float = 1.0) -> str:
-    """Return the value conditional on the effect's presence, with its probability; empty if unchanged."""
+def given_text(row: dict[str, Any], times: float = 1.0) -> str:
+    """Format mean and `times` standard deviations conditional on inclusion of the effect; "" if unchanged."""
     mean, sd = row["given"]["mean"], row["given"]["sd"]
     if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
         return ""
@@ -73,71 +73,71 @@ def if_present(row: dict[str, Any], times: float = 1.0) -> str:
 def unknown_rows(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> dict[str, list[str]]:
-    """Return printed rows (name, value, unit, interval, contraction) by unknown, curve or large group.
+    """Return printed rows (name, value, unit, interval, contraction) by name.
 
-    A curve (an unknown dependence) is one row, and so are the members of a large group.
+    A curve (an unknown dependence) has one row, and so has a large group.
     """
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
-    curve_effects = curves(calibration)
+    curve_effects = curve_names(calibration)
     groups = {name: key for key, members in large_groups(calibration).items() for name in members}
-    for s in (*coefficients, *hyperparameters):
-        name, effect, unit = s["name"], s["effect"], unit_label(s["unit"])
+    for g in (*coefficients, *hyperparameters):
+        name, effect, unit = g["name"], g["effect"], unit_label(g["unit"])
         key = effect if effect in curve_effects else groups.get(name)
         if key in rows or (effects is not None and effect not in (*effects, "noise")):
             continue
         if effect in curve_effects:
-            rms, largest, covariate, at = curve_extent(calibration, effect)
-            place = place_of(calibration, covariate, at)
-            where = f"{number(rms, 2)} rms, {number(largest, 2)} at {place}"
-            rows[effect] = [effect, where, unit_label(calibration.unit), "–", "–"]
+            rms, largest, covariate, worst_value = curve_range(calibration, effect)
+            location = point_text(calibration, covariate, worst_value)
+            extent = f"{number(rms, 2)} rms, {number(largest, 2)} at {location}"
+            rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
             means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
-            extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
-            rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
+            mean_range = f"means {number(min(means), 3)} to {number(max(means), 3)}"
+            rows[key] = [f"{key} ({len(means)} members)", mean_range, unit, "–", "–"]
         else:
-            (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
+            (low, high), mean, sd = g["interval95"], g["mean"], g["sd"]
             skewed = low > 0 and sd > 0.5 * mean
             value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
-            contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+            contraction = "–" if g["contraction"] is None else f"{g['contraction']:.3f}"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
     return rows
 
 
-def curves(calibration: Fitted) -> set[str]:
-    """Return the effects whose coefficients are those of a curve: unknown dependences."""
+def curve_names(calibration: Fitted) -> set[str]:
+    """Return names of the unknown dependences, whose coefficients together describe a curve."""
     return {e.name for e in calibration.model.effects if e.is_placeholder}
 
 
-def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
-    """Return a curve's rms and extreme over the readings, output unit, its covariate, and where the extreme is."""
+def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
+    """Return a curve's rms and extreme over the readings, output unit, its covariate and the extreme's abscissa."""
     values = np.asarray(calibration.linear.contribution(name))
     values = values - values.mean()
     worst = int(np.argmax(np.abs(values)))
     effect = calibration.model.effect(name)
     column = list_covariates(calibration.readings).get(effect.covariate)
-    at = None if column is None else float(column[worst])
-    return float(values.std()), float(values[worst]), effect.covariate, at
+    worst_value = None if column is None else float(column[worst])
+    return float(values.std()), float(values[worst]), effect.covariate, worst_value
 
 
-def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
+def point_text(calibration: Fitted, covariate: str, value: float | None) -> str:
     """Format a value of a covariate: "humidity 0.55"."""
-    if at is None:
+    if value is None:
         return covariate
     readings = calibration.readings
     unit = "s" if covariate == "elapsed" else "degC/s"
     unit = readings.unit(covariate) if readings.has(covariate) else unit
-    return f"{covariate} {number(at, 3)} {unit_label(unit or '1')}".rstrip()
+    return f"{covariate} {number(value, 3)} {unit_label(unit or '1')}".rstrip()
 
 
 def large_groups(calibration: Fitted) -> dict[str, list[str]]:
-    """Return names of members' coefficients by coefficient: of large groups and of initial states."""
+    """Return, by coefficient, the names of members' coefficients of large groups and of initial states."""
     large = {}
     for key, rows in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[rows]
         block = members[0].block
         initial = block is not None and block.coefficient.initial
-        if members[0].group and len(members) > (1 if initial else MOST_MEMBERS):
+        if members[0].group and len(members) > (1 if initial else MAX_MEMBER_ROWS):
             large[key] = [u.name for u in members]
     return large
 
@@ -145,10 +145,10 @@ def large_groups(calibration: Fitted) -> dict[str, list[str]]:
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
-    Each has its name, effect, unit, mean, sd, interval95 and contraction; in an average over structures also the
-    inclusion `probability` of its effect and, conditional on inclusion, its mean and sd: `given`. All of a shape is so.
+    A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
+    `given`: mean and sd conditional on inclusion. All values of a shape (a nonlinear parameter) are conditional.
 
-    Contraction is 1 − (posterior variance)/(prior variance), 0 if both are one; None of flat and of held ones.
+    Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
@@ -174,13 +174,13 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
 
 
 def null_directions(calibration: Fitted) -> list[Claim]:
-    """Return the unidentified combinations of coefficients.
+    """Return claims of the unidentified linear combinations of coefficients.
 
-    First the exact ones: combinations that change no reading, in the coefficients' units and with as few coefficients
-    each as possible. Then those whose information, in units of the prior, is below a tenth: there the posterior is the
-    prior. Those of group deviations or unknown functions are counted in one line. Last, confounders.
+    First, exact null directions of the design matrix, in the coefficients' units, each with as few coefficients as
+    possible. Second, weak directions: information below a tenth of the prior's, so that the posterior is the prior.
+    Third, one claim for all directions of group deviations or unknown functions. Last, confounders.
     """
-    claims = null_claims(calibration.linear, calibration.levels)
+    claims = unidentified_claims(calibration.linear, calibration.levels)
     return [*claims, *(confounder.claim for confounder in calibration.confounders)]
 
 
@@ -190,67 +190,67 @@ def directions_data(calibration: Fitted) -> list[dict[str, str]]:
     return [{"combination": c.numbers["combination"], "in_words": str(c)} for c in claims]
 
 
-def null_claims(
-    linear: LinearModel, levels: Mapping[str, Sequence[str]], exactly: bool = True
+def unidentified_claims(
+    linear: LinearModel, levels: Mapping[str, Sequence[str]], with_exact: bool = True
 ) -> list[Claim]:
-    """Return the claims of `null_directions` of a structure linearised at any point."""
+    """Return claims of the unidentified combinations of a linearised structure, without confounders."""
     layout = linear.problem.layout
     if layout.size == 0:
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
-    exact, weak, others = null_vectors(linear, exactly)
+    exact, weak, of_members = null_vectors(linear, with_exact)
     for v in exact:  # combinations that change no reading, in the coefficients' units
         vector = v * linear.sd[: len(v)]
         vector, order = null_space.scale_to_integers(vector), np.flatnonzero(vector)
         code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
-        combination = _sum([(vector[i], names[i]) for i in order])
+        combination = _format_combination([(vector[i], names[i]) for i in order])
         claims.append(Claim(code, *(names[i] for i in order), combination=combination))
     for v in weak:  # weakly identified directions, in prior standard deviations
         v = v / np.linalg.norm(v)
         order = [i for i in np.argsort(-np.abs(v)) if v[i] ** 2 > CONCERNED_SHARE]
         order = order or [int(np.argmax(np.abs(v)))]
         sign = float(np.sign(v[order[0]]))
-        combination = _sum([(sign * round(float(v[i]), 2), names[i]) for i in order])
+        combination = _format_combination([(sign * round(float(v[i]), 2), names[i]) for i in order])
         numbers = {"combination": f"{combination}  (in prior standard deviations)"}
         code = "direction.none" if len(order) == 1 else "direction.other"
         claims.append(Claim(code, *(names[i] for i in order), **numbers))
-    if others:  # those of group deviations and unknown functions' coefficients
-        size, main = np.max(np.abs(others), axis=0), is_single_coefficient(layout)
-        traced_entries = np.where(main, 0.0, size) > TRACE_SHARE * size.max()
+    if of_members:  # those of group deviations and unknown functions' coefficients
+        largest, single = np.max(np.abs(of_members), axis=0), is_single_coefficient(layout)
+        traced_entries = np.where(single, 0.0, largest) > NAMED_SHARE * largest.max()
         blocks = (b for b in layout.x_blocks if traced_entries[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
-        numbers = {"count": len(others), "combination": ", ".join(effects)}
+        numbers = {"count": len(of_members), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))
     return claims
 
 
 def null_vectors(
-    linear: LinearModel, exactly: bool = True
+    linear: LinearModel, with_exact: bool = True
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
-    """Return null directions, in prior standard deviations: exact; weak; of group members only."""
+    """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""
     layout = linear.problem.layout
-    main = is_single_coefficient(layout)
+    single = is_single_coefficient(layout)
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
-    white = linear.white_nuisance[:, : layout.size][:, unknown]
-    exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
-    weak = null_space.weak(white, exact, WEAK_INFORMATION, limit("direction.none", "share"))
+    whitened = linear.white_nuisance[:, : layout.size][:, unknown]
+    exact = null_space.exact(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
+    weak = null_space.weak(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
     classes: tuple[list[Direction], ...] = [], [], []
-    for kind, directions in enumerate((exact, weak)):
+    for kind_index, directions in enumerate((exact, weak)):
         for direction in directions:
             vector = np.zeros(layout.size)
             vector[unknown] = direction
-            # Either single coefficients have a share of it, or it is of members only.
-            concerns = float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
-            classes[kind if concerns else 2].append(vector)
+            # Directions without single coefficients are those of group deviations or curves.
+            concerns = float(np.sum(vector[single] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
+            classes[kind_index if concerns else 2].append(vector)
     return classes[0], classes[1], classes[2]
 
 
-def _sum(terms: list[tuple[float, str]]) -> str:
+def _format_combination(terms: list[tuple[float, str]]) -> str:
     """Format a linear combination: a − b − 2·c."""
     terms_text = []
-    for factor, name in terms[:MOST_TERMS]:
-        size = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
-        terms_text.append(f"{'+' if factor > 0 else '−'} {size}{name}")
-    if len(terms) > MOST_TERMS:
-        terms_text.append(f"… and {len(terms) - MOST_TERMS} more")
+    for factor, name in terms[:MAX_TERMS]:
+        coefficient = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
+        terms_text.append(f"{'+' if factor > 0 else '−'} {coefficient}{name}")
+    if len(terms) > MAX_TERMS:
+        terms_text.append(f"… and {len(terms) - MAX_TERMS} more")
     return " ".join(terms_text).removeprefix("+ ")

@@ -14,7 +14,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import curve_extent, if_present, place_of, summary, unknown_rows
+from bayescal._calibration.summary import curve_range, given_text, point_text, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -107,7 +107,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
             value = f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
             continue
-        mean, sd, likely, condition = r["mean"], r["sd"], r["probability"], if_present(r, K)
+        mean, sd, likely, condition = r["mean"], r["sd"], r["probability"], given_text(r, K)
         is_held = not sd > 1e-9 * abs(mean)
         note = " (held)" * is_held + " (mostly its prior)" * (name in untold)
         note += f" (if it is there {condition})" if condition else ""
@@ -301,8 +301,8 @@ def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
 
 def _numbers(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
-        _, largest, covariate, at = curve_extent(c, effect.name)
-        place = place_of(c, covariate, at)
+        _, largest, covariate, at = curve_range(c, effect.name)
+        place = point_text(c, covariate, at)
         return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {place}"
     texts = list[str]()
     for row in chain(*summary(c)):

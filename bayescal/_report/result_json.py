@@ -20,7 +20,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, check
 from bayescal._calibration.fit import load
-from bayescal._calibration.leave_group_out import groups_of
+from bayescal._calibration.leave_group_out import choose_groups
 from bayescal._calibration.storage import current_name, identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
@@ -160,7 +160,7 @@ def _source(readings: Measurements) -> dict[str, Any]:
 
 
 def _groups(readings: Measurements) -> dict[str, Any]:
-    kind, members, _ = groups_of(readings)
+    kind, members, _ = choose_groups(readings)
     counted = {g: len(readings.groups(g)[0]) for g in GROUPS}
     several = {k: n for k, n in counted.items() if n}
     return {**several, "left_out": kind, "left_out_count": len(members)}

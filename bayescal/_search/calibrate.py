@@ -192,7 +192,7 @@ class Loop:
         None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
         effect is missing that it stands in for, and the search weighs both.
         """
-        if any(claim.code != judgement.PRIOR for claim in first.failures):
+        if any(claim.code != judgement.PRIOR_CODE for claim in first.failures):
             return ()
         model, away = first.calibration.model, dict[str, float]()
         for claim in first.failures:
@@ -395,7 +395,7 @@ def step_of(
         noise_floor=floor,
         check=checked,
         discovery=None,
-        failures=judgement.wrong_question(calibration, floor, accepted),
+        failures=judgement.contradictions(calibration, floor, accepted),
         outlying_groups=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.judgement import off_scale
+from bayescal._calibration.judgement import implausible_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -135,7 +135,7 @@ def off_scale_claims(
         effect = structures.candidates[top.effect]
         largest = float(np.max(np.abs(top.view.columns(top.view.line, [top.point])[:, 0])))
         most = largest * effect.coefficients[0].size
-        claims += off_scale(effect, most, noise, structures.base.instrument.unit)
+        claims += implausible_scale(effect, most, noise, structures.base.instrument.unit)
     return tuple(claims)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.confounding import is_widened_by, shifts
+from bayescal._calibration.confounding import is_widened_by, mode_shifts
 from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, information_nats, is_undecided
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import column_scale
@@ -129,7 +129,7 @@ def _group_whitening(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Arr
 
 def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
     """Return names of coefficients that would be less certain beside an effect of these columns."""
-    wider = is_widened_by(line, np.linalg.norm(shifts(line, columns), axis=1))
+    wider = is_widened_by(line, np.linalg.norm(mode_shifts(line, columns), axis=1))
     blocks = line.problem.layout.x_blocks
     return tuple(b.name for b in blocks if wider[b.start : b.start + b.size].any())
 

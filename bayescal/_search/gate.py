@@ -14,13 +14,13 @@ import numpy as np
 from bayescal._calibration.claim import Claim, as_claim, limit
 from bayescal._calibration.judgement import (
     Subject,
-    odd_thermometers,
-    of_runs,
     only_between_runs,
+    outlying_groups,
     residual_claims,
-    unexpected_groups,
+    split_by_run,
+    thermometer_anomalies,
 )
-from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
+from bayescal._calibration.leave_group_out import MIN_GROUP_READINGS, scheme
 from bayescal._core.settings import settings
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import TakenOver, claims_of_profiles, taken_over
@@ -49,14 +49,14 @@ def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
     judged: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
-    judged |= {"doubts": last.multimodality, "missing": _may_be_missing(last), "first": first}
-    subject = Subject(last.calibration, **judged)
+    judged |= {"mode_claims": last.multimodality, "remedy": _may_be_missing(last)}
+    subject = Subject(last.calibration, **judged, first_model=first)
     replaced = [term.claim for term in _followed_terms(steps) if not term.measured][:1]
     return [
         *(*last.outlying_groups, *residual_claims(subject)),
         *(*undecided(steps), *equivalent(steps, "doubt")),
-        *(*odd_thermometers(subject), *replaced, *worsened(steps)),
-        *(*unexpected_groups(subject), *runs_unlike(steps), *contradicted(steps)),
+        *(*thermometer_anomalies(subject), *replaced, *worsened(steps)),
+        *(*outlying_groups(subject), *runs_unlike(steps), *contradicted(steps)),
     ]
 
 
@@ -151,7 +151,7 @@ def in_one_order(steps: Sequence[Step]) -> Iterator[Claim]:
         pairs = np.zeros(2 * (int(level.max()) + 1,))
         np.add.at(pairs, (current[moved], before[moved]), 1)
         visits = pairs.sum(axis=1)
-        again = visits >= FEW_IN_GROUP
+        again = visits >= MIN_GROUP_READINGS
         if again.any() and pairs[again].max(axis=1).sum() > share * visits[again].sum():
             yield Claim("input.one_order", effect.name, column=column)
 
@@ -210,7 +210,7 @@ def runs_unlike(steps: Sequence[Step]) -> Iterator[Claim]:
     coefficients = (b.coefficient for b in calibration.layout.blocks)
     if out is None or out.group != "run" or not np.isfinite(out.residual).all():
         return
-    means, within = of_runs(calibration, out.residual)
+    means, within = split_by_run(calibration, out.residual)
     named = any(c.group_sd and not c.initial for c in coefficients)
     if not named and only_between_runs(out.residual, within):
         # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
@@ -249,7 +249,7 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     # Of steps without a test the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
-    return best if last.holdout_test.worse_than(best.holdout_test) < settings().holdout_p else None
+    return best if last.holdout_test.paired_test(best.holdout_test) < settings().holdout_p else None
 
 
 def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
@@ -257,10 +257,10 @@ def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:
         return
-    departure = test.against
-    if departure.p < settings().holdout_p and departure.share > WORSE_RATIO:
-        before = f", {departure.most} before all" if departure.most else ""
-        details = {"error": float(error), "other": float(error / departure.share), "p": departure.p}
+    departure = test.contradiction
+    if departure.p < settings().holdout_p and departure.ratio > WORSE_RATIO:
+        before = f", {departure.coefficient} before all" if departure.coefficient else ""
+        details = {"error": float(error), "other": float(error / departure.ratio), "p": departure.p}
         unit = steps[-1].calibration.unit
         yield Claim("holdout.contradicts", **details, before=before, unit=unit)
     elif departure.scatter > limit("holdout.scatters", "ratio"):

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.judgement import describes
+from bayescal._calibration.judgement import stands_in_for_effect
 from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
@@ -101,7 +101,7 @@ class Weighed:
     def noise_describes(self) -> bool:
         """Return whether its noise stands for something without a name."""
         noise = self.problem.noise
-        return not noise.independent and describes(noise, self.phi)
+        return not noise.independent and stands_in_for_effect(noise, self.phi)
 
     @cached_property
     def acting(self) -> dict[Correction, tuple[float, ...]]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.summary import null_claims, null_vectors
+from bayescal._calibration.summary import null_vectors, unidentified_claims
 from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
@@ -108,8 +108,8 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     planned, vector = linear(readings), model.instrument.vector
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
-    directions = null_vectors(planned, exactly=False)[1] if layout.size else []
-    claims = null_claims(planned, levels, exactly=False)
+    directions = null_vectors(planned, with_exact=False)[1] if layout.size else []
+    claims = unidentified_claims(planned, levels, with_exact=False)
     combinations = tuple(claims[: len(directions)])  # none of a rig's errors
     if vector is None or not directions or in_moves:
         return Undetermined(count, combinations)

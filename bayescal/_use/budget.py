@@ -315,7 +315,7 @@ def _by_source(
         for slope, u in zip(gradient, unknowns, strict=True):
             if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
                 shift += float(slope) * part[index.index[u.name] - index.by_key[u.key].start]
-        parts[f"{confounder.of_column}, not told from the model's own", "B"] = shift**2
+        parts[f"{confounder.label}, not told from the model's own", "B"] = shift**2
     not_found = 0.0
     for name, (i, size) in chosen.equation.unfound_spreads.items():
         part = float(gradient[i] * size) ** 2

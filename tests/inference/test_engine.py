@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.leave_group_out import Part
+from bayescal._calibration.leave_group_out import RecordSubset
 from bayescal._inference import nuts
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import LOG_2PI, column_scale
@@ -399,7 +399,7 @@ def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: 
     """Of a part, what is left out says nothing, and its time still passes."""
     record, random = assembled("gyro, wandering").record, np.random.default_rng(0)
     rows = np.sort(random.permutation(record.size)[: record.size // share])
-    record = record if share == 1 else Part(record, rows)
+    record = record if share == 1 else RecordSubset(record, rows)
     extra = random.uniform(0.0, 0.01, record.size) if known else 0.0
     values = {"noise.white": 0.05, "noise.diffusion": 0.002, "noise.correlated.time": 400.0}
     table = random.standard_normal((record.size, 3))

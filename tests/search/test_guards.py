@@ -244,8 +244,8 @@ def test_groups_left_out_are_judged_by_their_density(line, score: float, ok: boo
 
 @pytest.mark.parametrize(("p", "ok"), [(0.02, True), (0.005, False)])
 def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
-    nothing = SimpleNamespace(p=0.5, share=1.0, scatter=1.0, most="")
-    test = SimpleNamespace(worse_than=lambda _: p, against=nothing)
+    nothing = SimpleNamespace(p=0.5, ratio=1.0, scatter=1.0, coefficient="")
+    test = SimpleNamespace(paired_test=lambda _: p, contradiction=nothing)
     first, last = ({"holdout_rmse": rmse, "holdout_test": test} for rmse in (1.0, 1.3))
     assert gate(steps(line, first, last)).ok is ok
 
@@ -267,12 +267,12 @@ def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], code: st
 
 
 def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
-    found = SimpleNamespace(p=0.5, share=1.0, scatter=2.5, most="bias.temperature")
-    kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(against=found)}
+    found = SimpleNamespace(p=0.5, ratio=1.0, scatter=2.5, coefficient="bias.temperature")
+    kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(contradiction=found)}
     (_, step) = steps(line, {}, kept)
     shut = gate([step])
     assert codes(shut) == {"holdout.scatters"}
-    found.p, found.share, found.scatter = 0.005, 3.0, 1.0
+    found.p, found.ratio, found.scatter = 0.005, 3.0, 1.0
     assert codes(gate([step])) == {"holdout.contradicts"}
     found.p = 0.02
     assert gate([step]).ok
