@@ -4,9 +4,9 @@ Two tables split the same variance, correlations included:
 
 - *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
   to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
-- *by source*: the origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
-  differences of its runs (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
-  between-group standard deviations and shapes, has its own row.
+- *by source*: origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
+  between-run deviations (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
+  between-group standard deviations and nonlinear parameters ("shapes"), has its own row.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ FORM = "form of the model: effects outside the candidates"
 SHARES = "Shares of the variance add up to 100 %; by correlation one can be above 100 % or below 0."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
-CERTIFIED = re.compile(r"(?<=\.certificate)\[.*")  # parts of a reference's error: one row
+CERTIFICATE_PART = re.compile(r"(?<=\.certificate)\[.*")  # index of a reference's error
 
 
 @dataclass(frozen=True)
 class Contribution:
     """One coefficient's contribution to the variance."""
 
-    name: str  # name, unit: of the coefficient, as reported
-    unit: str
-    value: float  # value, uncertainty: posterior mean and standard uncertainty, in that unit
-    uncertainty: float
+    name: str  # of the coefficient
+    unit: str  # reported unit
+    value: float  # posterior mean, reported unit
+    uncertainty: float  # standard uncertainty, reported unit
     sensitivity: float  # ∂value/∂coefficient, stimulus unit per reported unit
     contribution: float  # |sensitivity|·uncertainty, stimulus unit
     share: float  # of the variance, correlations included
@@ -77,14 +77,14 @@ class Budget(Printed):
     Attributes:
         stimulus, unit: of the compensated value.
         at: operating point: the stimulus and every covariate, in `at_units`.
-        at_units: the fixed units.
-        reading: expected there, in `output_unit`.
+        at_units: unit of each value of `at`.
+        reading: expected reading at the operating point, in `output_unit`.
         output_unit: of the instrument's readings.
         uncertainty: combined standard uncertainty of the compensated value, without the noise of the reading.
         noise: standard uncertainty that the noise of one reading adds, stimulus unit.
         k: coverage factor.
-        coefficients, sources: the two tables.
-        covariance: of the coefficients, in their order, reported units.
+        coefficients, sources: rows of the two tables.
+        covariance: of the coefficients, in the order of `coefficients`, reported units.
         notes: warnings, one sentence each.
     """
 
@@ -149,14 +149,14 @@ class Budget(Printed):
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
         omitted = len(b.coefficients) - len(by_coefficient.rows)
         note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
-        sizes = b.uncertainty, b.noise, b.expanded_reading / b.k
-        combined, noise, both = (f"{number(size)} {unit}" for size in sizes)
+        uncertainties = b.uncertainty, b.noise, b.expanded_reading / b.k
+        combined, noise, total = (f"{number(size)} {unit}" for size in uncertainties)
         parts = [
             folded(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
             folded(f"{SHARES}{note * (omitted > 0)}", ""),
             by_source,
-            f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {both}.",
+            f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
             f"Expanded uncertainty (k = {b.k:g}): {number(b.expanded)} {unit}; with the noise of one reading: "
             f"{number(b.expanded_reading)} {unit}.",
             folded(" ".join(b.notes), ""),
@@ -175,7 +175,7 @@ class Budget(Printed):
 
     @property
     def place(self) -> str:
-        """Return the operating point, in words; lags of one value are named once."""
+        """Format the operating point as text; equal lags of a column are named once."""
         values: dict[tuple[str, str], str] = {}
         for name, v in self.at.items():
             value = f"{number(v, 4)} {unit_label(self.at_units[name])}".strip()
@@ -185,10 +185,10 @@ class Budget(Printed):
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """Return the tables by coefficient and by source, without the smallest shares."""
         rows = (self.coefficients, self.sources)
-        printed = ([r for r in of if abs(r.share) >= LEAST_VARIANCE_SHARE] for of in rows)
-        size = f"contribution {unit_label(self.unit)}".strip()
-        tail = (
-            TableColumn(size, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
+        printed = ([r for r in table if abs(r.share) >= LEAST_VARIANCE_SHARE] for table in rows)
+        title = f"contribution {unit_label(self.unit)}".strip()
+        common = (
+            TableColumn(title, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
             TableColumn("share", lambda row: f"{100 * row.share:z.1f} %"),
         )
 
@@ -199,12 +199,12 @@ class Budget(Printed):
             TableColumn("coefficient", lambda c: c.name),
             TableColumn("estimate", estimate),
             TableColumn("sensitivity", lambda c: number(c.sensitivity)),
-            *tail,
+            *common,
         )
         by_source = (
             TableColumn("the same uncertainty by source", lambda s: s.name),
             TableColumn("type", lambda s: s.kind),
-            *tail,
+            *common,
         )
         return ResultTable(by_coefficient, next(printed)), ResultTable(by_source, next(printed))
 
@@ -215,149 +215,149 @@ def budget(
     """Compute the uncertainty budget of a compensated value.
 
     Args:
-        calibration: a fit, or a compensator of one.
+        calibration: a fit, or its compensator.
         at: operating point: the stimulus and covariates by name, fixed units. Default: the middle of the calibrated
             range; zero for a stimulus of unknown range, for rates and for lags.
         k: coverage factor of the expanded uncertainty.
 
     Raises:
-        InputError: an unknown name, k is not positive, or the output does not respond to the stimulus there.
+        InputError: an unknown name, k is not positive, or zero slope of the output by the stimulus at the point.
         ModelError: the instrument does not say what it measures.
     """
-    chosen = compensator(calibration) if isinstance(calibration, Calibration) else calibration
-    if chosen.loaded:
+    used = compensator(calibration) if isinstance(calibration, Calibration) else calibration
+    if used.loaded:
         raise InputError("a loaded compensator has no posterior: give the calibration itself")
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
-    point = _operating_point(chosen, dict(at or {}))
-    expected, slope, gradient = _slopes(chosen, point)
-    covariance = chosen._moments.covariance
+    point = _operating_point(used, dict(at or {}))
+    expected, slope, gradient = _linearise(used, point)
+    covariance = used._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    sample = chosen.equation.moments(ALL_DRAWS)
+    posterior = used.equation.moments(ALL_DRAWS)
     inputs = {name: np.array([value]) for name, value in point.items()}
-    dominant = not_measured(chosen.calibration, (sample.draws @ gradient)[:, None])
+    dominant = not_measured(used.calibration, (posterior.draws @ gradient)[:, None])
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))
-    share = gradient * (covariance @ gradient) / (variance or np.inf)
-    numbers = (chosen._moments.mean, sd, gradient, np.abs(gradient) * sd, share)
-    unknowns = chosen.equation.unknowns
+    shares = gradient * (covariance @ gradient) / (variance or np.inf)
+    columns = (used._moments.mean, sd, gradient, np.abs(gradient) * sd, shares)
+    unknowns = used.equation.unknowns
     return Budget(
-        stimulus=chosen.stimulus,
-        unit=chosen.unit,
+        stimulus=used.stimulus,
+        unit=used.unit,
         at=point,
-        at_units={chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}},
+        at_units={used.stimulus: used.unit, **{i.name: i.unit for i in used.inputs}},
         reading=expected,
-        output_unit=chosen.about.output_unit,
+        output_unit=used.about.output_unit,
         uncertainty=variance**0.5,
-        noise=float(chosen.noise_variance(inputs)[0]) ** 0.5 / abs(slope),
+        noise=float(used.noise_variance(inputs)[0]) ** 0.5 / abs(slope),
         k=float(k),
         coefficients=tuple(
             Contribution(u.name, u.unit, *map(float, figures))
-            for u, *figures in zip(unknowns, *numbers, strict=True)
+            for u, *figures in zip(unknowns, *columns, strict=True)
         ),
-        sources=_by_source(chosen, point, gradient, variance),
+        sources=_split_by_source(used, point, gradient, variance),
         covariance=covariance,
-        notes=(*claims, *_range_claims(chosen, point), *notes_on(chosen)),
+        notes=(*claims, *_range_claims(used, point), *notes_on(used)),
     )
 
 
-def _operating_point(chosen: Compensator, at: dict[str, float]) -> dict[str, float]:
-    names = [chosen.stimulus, *(i.name for i in chosen.inputs if i.kind != "lag slope")]
+def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float]:
+    names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
             why = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
             raise InputError(why)
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    return {n: float(at.get(n, v)) for n, v in chosen.middle.items() if n in names}
+    return {n: float(at.get(n, v)) for n, v in used.middle.items() if n in names}
 
 
-def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
-    """Return expected output, its slope and ∂value/∂θ at a point; inputs missing from it are zero."""
+def _linearise(used: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
+    """Return expected output, its derivative by the stimulus, and ∂value/∂θ at a point; missing inputs are zero."""
     places = {name: np.full(1, value) for name, value in point.items()}
-    at = chosen._moments.mean, places[chosen.stimulus], places
-    expected, slope, gradient = chosen.equation.linearised(*at)
+    at = used._moments.mean, places[used.stimulus], places
+    expected, slope, gradient = used.equation.linearised(*at)
     if slope[0] == 0:
         where = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-        why = f"at {where} the output does not follow {chosen.stimulus}: choose another point"
+        why = f"at {where} the output does not follow {used.stimulus}: choose another point"
         raise InputError(why)
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
-def _by_source(
-    chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
+def _split_by_source(
+    used: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
-    """Split the variance by source: noise, each prior, each deviation that is new in use."""
-    unlikely = {e.name for e in chosen.calibration.model.effects} - chosen.calibration.likeliest
+    """Split the variance by source: noise, each prior, each deviation of a new group member."""
+    unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
-        members = dict(chosen.equation.members)
-        chosen = compensator(chosen.calibration.without(unlikely), members=members)
-        *_, gradient = _slopes(chosen, point)
-        total = float(gradient @ chosen._moments.covariance @ gradient)
-    calibration, unknowns = chosen.calibration, chosen.equation.unknowns
-    slopes, learned = dict[str, float](), _learned_group_sds(chosen.equation)
+        members = dict(used.equation.members)
+        used = compensator(used.calibration.without(unlikely), members=members)
+        *_, gradient = _linearise(used, point)
+        total = float(gradient @ used._moments.covariance @ gradient)
+    calibration, unknowns = used.calibration, used.equation.unknowns
+    sensitivities, estimated = dict[str, float](), _estimated_group_sds(used.equation)
     for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
-            kind = "A" if unknown.key in learned else "B"
-            parts[unknown.name, kind] = gradient[i] ** 2 * chosen._moments.covariance[i, i]
+            kind = "A" if unknown.key in estimated else "B"
+            parts[unknown.name, kind] = gradient[i] ** 2 * used._moments.covariance[i, i]
         else:
-            slopes[unknown.name] = float(gradient[i])
-    readings, priors = variance_by_origin(calibration, slopes)
+            sensitivities[unknown.name] = float(gradient[i])
+    readings, priors = variance_by_origin(calibration, sensitivities)
     if readings or priors:
         parts[READINGS, "A"] = readings
         for name, value in priors.items():
-            row = f"prior of {CERTIFIED.sub('', name)}", "B"
+            row = f"prior of {CERTIFICATE_PART.sub('', name)}", "B"
             parts[row] = parts.get(row, 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
-        shift = 0.0  # of the value by one standard deviation of the column's effect
-        for slope, u in zip(gradient, unknowns, strict=True):
+        shift = 0.0  # of the value, per standard deviation of the column's effect
+        for derivative, u in zip(gradient, unknowns, strict=True):
             if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
-                shift += float(slope) * part[index.index[u.name] - index.by_key[u.key].start]
+                shift += float(derivative) * part[index.index[u.name] - index.by_key[u.key].start]
         parts[f"{confounder.label}, not told from the model's own", "B"] = shift**2
     not_found = 0.0
-    for name, (i, size) in chosen.equation.unfound_spreads.items():
+    for name, (i, size) in used.equation.unfound_spreads.items():
         part = float(gradient[i] * size) ** 2
         parts[f"{name} of a new run, neither found nor excluded", "B"] = part
         not_found += part
     if (extra := 1 - calibration.form_factor**-2) > 0:
         part = gradient * [u.kind != "new" for u in unknowns]
-        parts[FORM, "B"] = extra * (float(part @ chosen._moments.covariance @ part) - not_found)
+        parts[FORM, "B"] = extra * (float(part @ used._moments.covariance @ part) - not_found)
     rows = sorted(parts.items(), key=lambda p: -p[1])
     remainder = total - sum(parts.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
-    sizes = ((named, value, float(np.sign(value) * abs(value) ** 0.5)) for named, value in rows)
-    return tuple(SourceShare(*named, size, v / (variance or np.inf)) for named, v, size in sizes)
+    sizes = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
+    return tuple(SourceShare(*label, size, v / (variance or np.inf)) for label, v, size in sizes)
 
 
-def _learned_group_sds(equation: OperatingEquation) -> set[str]:
-    """Return coefficients with a new member in use and a learned standard deviation between members."""
-    chosen, fixed = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
-    learned = (b for b in equation.blocks if b.group_sd_name not in fixed)
-    return {b.name for b in learned if b.coefficient.per not in chosen}
+def _estimated_group_sds(equation: OperatingEquation) -> set[str]:
+    """Return coefficients with an unseen member in use and an estimated between-member standard deviation."""
+    members, fixed = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
+    estimated = (b for b in equation.blocks if b.group_sd_name not in fixed)
+    return {b.name for b in estimated if b.coefficient.per not in members}
 
 
-def _range_claims(chosen: Compensator, point: Mapping[str, float]) -> list[Claim]:
+def _range_claims(used: Compensator, point: Mapping[str, float]) -> list[Claim]:
     """Return a claim for each input of an operating point, fixed units, outside its calibrated range."""
-    past = {i.name for i in chosen.inputs if i.kind in PAST}
-    settled = {i.name for i in chosen.inputs if i.settled}
+    past = {i.name for i in used.inputs if i.kind in PAST}
+    fixed = {i.name for i in used.inputs if i.settled}
     return [
         Claim("budget.beyond_range", name, value=point[name], low=low, high=high, unit=unit)
-        for name, (low, high, unit) in chosen.calibrated.items()
-        if name not in past and (point[name] < low or (point[name] > high and name not in settled))
+        for name, (low, high, unit) in used.calibrated.items()
+        if name not in past and (point[name] < low or (point[name] > high and name not in fixed))
     ]
 
 
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Return claims of a budget's short coverage and omissions, for a correction or a slot alone."""
+    """Return claims about a budget's coverage and omissions, for a correction or for one slot."""
     notes = clock_note(chosen.equation)
     beyond = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
     beyond += ["the form of the model"] * (chosen.calibration.form_factor > 1)
     notes += [Claim("budget.beyond_fit", *beyond)] * bool(beyond)
-    learned = _learned_group_sds(chosen.equation)
-    for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in learned):
+    estimated = _estimated_group_sds(chosen.equation)
+    for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in estimated):
         count = len(chosen.calibration.levels.get(per, ()))
         if count < limit("budget.few_groups", "groups"):
             notes.append(Claim("budget.few_groups", group=per, count=count))

@@ -1,7 +1,7 @@
-"""Compensate a file: add two columns to its unchanged columns and rows.
+"""Compensate a file: add the compensated value and its standard uncertainty as columns.
 
-Only the needed columns are in memory, never the whole file. Excel and MATLAB files become CSV. Rows with a missing
-reading are gaps, and come out empty. The new file is written atomically.
+Only the needed columns are in memory, never the whole file. Excel and MATLAB files become CSV. Both added cells are
+empty in rows with a missing reading. The new file is written atomically.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
 
-NATIVE = (*TEXT, ".parquet", ".nc")  # written in the format that was read
-AS_CSV = (".xlsx", ".mat")
+NATIVE_SUFFIXES = (*TEXT, ".parquet", ".nc")  # of files written in the format of the input
+CSV_SUFFIXES = (".xlsx", ".mat")
 ROWS_PER_BATCH = 200_000  # of Parquet
 
 
@@ -40,9 +40,9 @@ ROWS_PER_BATCH = 200_000  # of Parquet
 class CompensationSummary:
     """Summary of a file's compensation."""
 
-    file: Path  # written
+    file: Path  # the written file
     columns: tuple[str, str]  # names of the two columns added
-    rows: int  # compensated
+    rows: int  # of the file
     outside: dict[str, int]  # name → readings outside its calibrated range
     unsolved: int  # readings for which the equation has no solution; their value is NaN
     missing: int  # rows without a reading, or without an input; their value is empty
@@ -54,7 +54,7 @@ class AddedColumns(NamedTuple):
 
     names: tuple[str, str]
     unit: str
-    values: np.ndarray  # value and uncertainty of each row (2, n), NaN where there is none
+    values: np.ndarray  # value and standard uncertainty of each row (2, n), NaN if missing
     decimal: str  # decimal sign given by the user, or empty
 
     @property
@@ -81,49 +81,49 @@ def compensate_file(
     """Add `<output>_compensated` and `<output>_standard_uncertainty` (k = 1) to a file of readings.
 
     Args:
-        compensator: of the instrument.
+        compensator: compensator of the instrument.
         path: text, .parquet or .nc; Excel or MATLAB.
         out: file to write, of the same format, or .csv for Excel and MATLAB; may be the same file.
-        local_gravity: as of `bayescal.read`.
-        missing: "drop": rows with a missing reading stay, with empty results; or "refuse".
-        method, noise: as of the compensator.
-        how: columns, units, decimal, date_order, nominal_scale, nominal_zero, as of `bayescal.read`; without a nominal
-            scale that of the calibration holds.
+        local_gravity: as in `bayescal.read`.
+        missing: "drop" leaves the results of rows with a missing reading empty; "refuse" raises InputError.
+        method, noise: as in a call of the compensator.
+        how: columns, units, decimal, date_order, nominal_scale, nominal_zero, as in `bayescal.read`; the default
+            nominal scale is that of the calibration.
 
     Raises:
-        InputError: as of `bayescal.read`; another format; columns of these names exist already.
+        InputError: as in `bayescal.read`; an unsupported format; the file has columns of these names.
     """
     path, out = Path(path), Path(out)
     suffix = path.suffix.lower()
     check_files([path], 1 << 62)
-    if suffix not in (*NATIVE, *AS_CSV):
+    if suffix not in (readable := (*NATIVE_SUFFIXES, *CSV_SUFFIXES)):
         raise InputError(
-            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join((*NATIVE, *AS_CSV))}. Of a log "
+            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join(readable)}. Of a log "
             "read the channels, and compensate these: bc.compensator(…)(bc.read(…))"
         )
-    output_suffix = ".csv" if suffix in AS_CSV else suffix
+    output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
     if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
         why = f"every column is kept as it is, so the file to write must be {output_suffix} like {path.name!r}"
-        if suffix in AS_CSV:
+        if suffix in CSV_SUFFIXES:
             why = f"{path.name!r} can only be written as text: name a file .csv"
         raise InputError(f"{out.name!r}: {why}")
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
-    # Options of calibration only.
-    unused = ("ignore", "local_field")
-    options_given = {n: value for n, value in how.items() if value is not None and n not in unused}
+    # Reading options without effect on compensation.
+    ignored = ("ignore", "local_field")
+    given_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
     if not compensator.loaded:
-        options_given["remembered"] = compensator.calibration.readings.sources
-    options_given["epoch"] = compensator.about.epoch
+        given_options["remembered"] = compensator.calibration.readings.sources
+    given_options["epoch"] = compensator.about.epoch
     options = ReadOptions.of(
-        expected, local_gravity=local_gravity, missing=missing, only=True, **options_given
+        expected, local_gravity=local_gravity, missing=missing, only=True, **given_options
     )
     with replacing_for_user(out) as partial:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
-        raw, names = _names(table, expected, options)
+        raw, names = _column_names(table, expected, options)
         size = 8 * table.rows * len(expected.columns)
         if size > MAX_BYTES:
             raise InputError(
@@ -132,20 +132,21 @@ def compensate_file(
             )
         converted = convert_columns(table, expected, options)
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
-        # Where earlier rows matter: for history, unwrapped counters, times from the first row.
+        # History, unwrapped counters and times from the first row need the whole record checked.
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             problems_of_whole(converted, expected, True).refuse()
             flags = assemble(converted, expected, (source,)).flags
         readings = Measurements(converted.values, converted.units, (source,))
         readings = replace(readings, since=converted.origin)
-        _refuse_another_clock(compensator, readings, bool(options.begin))
+        _refuse_overlap(compensator, readings, bool(options.begin))
         compensated = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
         rows = slice(None) if converted.kept_rows is None else converted.kept_rows
         values[:, rows] = compensated.value, compensated.uncertainty
-        writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
+        writers = dict.fromkeys(CSV_SUFFIXES, _write_csv)
+        writers |= {".parquet": _add_parquet, ".nc": _add_netcdf}
         added = AddedColumns(names, compensator.unit, values, options.decimal)
-        writers.get(suffix, _csv)(added, path, partial, table, raw)
+        writers.get(suffix, _add_text)(added, path, partial, table, raw)
     return CompensationSummary(
         file=out,
         columns=names,
@@ -157,24 +158,24 @@ def compensate_file(
     )
 
 
-def _refuse_another_clock(used: Compensator, readings: Measurements, begins: bool) -> None:
-    """Refuse undated times that overlap the calibration's: no device is read twice at one time."""
-    sums = {sha for _, sha in used.about.sources}
-    undated = readings.since is None and used.about.epoch is None and not begins
-    if not (used.dated and undated) or {s.sha256 for s in readings.sources} & sums:
+def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin: bool) -> None:
+    """Raise InputError if undated times overlap the calibration's, since their origin then differs."""
+    hashes = {sha for _, sha in compensator.about.sources}
+    undated = readings.since is None and compensator.about.epoch is None and not has_begin
+    if not (compensator.dated and undated) or {s.sha256 for s in readings.sources} & hashes:
         return
-    (clock,) = (i for i in used.inputs if i.name == "time")
-    low, high = float(readings["time"].min()), float(readings["time"].max())
-    if low <= clock.high and high >= clock.low:
+    (clock,) = (i for i in compensator.inputs if i.name == "time")
+    first, last = float(readings["time"].min()), float(readings["time"].max())
+    if first <= clock.high and last >= clock.low:
         raise InputError(
-            f"{readings.file}: its times, {low:.6g} to {high:.6g} s, are among those of the calibration, "
+            f"{readings.file}: its times, {first:.6g} to {last:.6g} s, are among those of the calibration, "
             f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
-            f"the date changes {used.dated}. Say when its first reading was taken on the clock of the "
+            f"the date changes {compensator.dated}. Say when its first reading was taken on the clock of the "
             "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
         )
 
 
-def _names(
+def _column_names(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """Return the output's header in the file, and the names of the columns to add."""
@@ -182,10 +183,10 @@ def _names(
     file = MatchedFile(table, expected, options, problems)
     file.note_missing()
     problems.refuse()
-    table, places = file.table, file.positions
-    header = table.headers[places["output"]]
-    behind = unit_behind(Header.parse(header.raw))  # of a unit in other brackets than [] too
-    name = header.name if behind is None or header.name != header.raw else behind.name
+    table, positions = file.table, file.positions
+    header = table.headers[positions["output"]]
+    unit_suffix = unit_behind(Header.parse(header.raw))  # of a unit in other brackets than [] too
+    name = header.name if unit_suffix is None or header.name != header.raw else unit_suffix.name
     names = f"{name}_compensated", f"{name}_standard_uncertainty"
     for name in names:
         if any(h.name == name for h in table.headers):
@@ -195,54 +196,54 @@ def _names(
     return header.raw, names
 
 
-def _csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Copy the lines of a text file and append two fields to each."""
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
     encoding = "utf-8" if text.encoding == "utf-16" else text.encoding
     with partial.open("w", encoding=encoding, newline="") as target:
-        head = text.data[: text.offset].splitlines(keepends=True)
-        for row, line in enumerate(head, 1):  # comments, the header, a row of units
+        preamble = text.data[: text.offset].splitlines(keepends=True)
+        for row, line in enumerate(preamble, 1):  # comments, the header, a row of units
             fields = added.headers if row == text.named else ["", ""]
-            target.write(line.decode() if row < text.named else _with_fields(line, fields, text))
+            target.write(line.decode() if row < text.named else _append_fields(line, fields, text))
         for line in text.rows():
-            filled = line.strip(text.blank)
-            target.write(_with_fields(line, next(rows), text) if filled else line.decode())
+            is_row = line.strip(text.blank)
+            target.write(_append_fields(line, next(rows), text) if is_row else line.decode())
 
 
-def _with_fields(line: bytes, fields: list[str], text: CsvText) -> str:
+def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
     """Append fields to a line."""
     body = line.decode().rstrip("\r\n")
     end = line.decode()[len(body) :] or "\n"
     return body + text.separator + csv_line(fields, text.separator) + end
 
 
-def _parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     with pq.ParquetFile(path) as opened:
-        schema, written = opened.schema_arrow, 0
-        in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
-        for name in added.headers if in_header else added.names:
+        schema, row_count = opened.schema_arrow, 0
+        has_unit = raw != raw.partition(" [")[0]  # the header names the unit
+        for name in added.headers if has_unit else added.names:
             schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
         with pq.ParquetWriter(partial, schema) as writer:
             for batch in opened.iter_batches(batch_size=ROWS_PER_BATCH):
-                batch_values = added.values[:, written : written + batch.num_rows]
+                batch_values = added.values[:, row_count : row_count + batch.num_rows]
                 columns = [*batch.columns, *map(pa.array, batch_values)]
                 writer.write_table(pa.Table.from_arrays(columns, schema=schema))
-                written += batch.num_rows
+                row_count += batch.num_rows
 
 
-def _as_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    """Write a sheet or vectors as CSV: its cells as text, and two further columns."""
+def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+    """Write a sheet or vectors as CSV, all cells as text, and append two columns."""
     loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
         writer.writerow([*(header.raw for header in table.headers), *added.headers])
         texts = [loaded[i].values.tolist() for i in range(len(table.headers))]
         rows = zip(*texts, added.cells(), strict=True)
-        writer.writerows([*cells, *further] for *cells, further in rows)
+        writer.writerows([*cells, *added_cells] for *cells, added_cells in rows)
 
 
-def _netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _add_netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     import h5netcdf
 
     # In memory: HDF5 aborts the process on a full disk.

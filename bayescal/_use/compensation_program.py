@@ -1,6 +1,6 @@
-"""Compensation program for firmware: inputs, equation, covariance, provenance, as one value that can be run.
+"""Compensation program for firmware: inputs, equation, covariance and provenance of an executable correction.
 
-The graph of the equation in use (`expression_graph.py`) is taken at the posterior mean of θ, its derivatives with it:
+The graph of the equation in use (`expression_graph.py`) and its derivatives are evaluated at the posterior mean of θ:
 
     expected(s), slope = d expected/ds, gradient = d expected/dθ,   at θ = the posterior mean.
 
@@ -57,15 +57,15 @@ class CorrectionInUse(ABC):
 
     @property
     def why_not(self) -> str:
-        """Return why the result must not be used, in words; empty if it may."""
+        """Return the reason why the result must not be used; empty if it may."""
         return self.about_it()[2]
 
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
 PAST = ("rate", "lag", "lag slope")  # kinds of input computed from a temperature's history
-# Share of the standard uncertainty by which a settled value may still change: 0.5 % in the root sum of squares.
+# Change of a settled value over its standard uncertainty, at most: adds 0.5 % in the root sum of squares.
 SETTLED = 0.1
-MARGIN = 0.01  # share of the stimulus range, for noise of readings at its ends
+MARGIN_SHARE = 0.01  # of the stimulus range, tolerated beyond its ends for the noise of readings
 
 
 class OutsideCalibration(UserWarning):
@@ -89,7 +89,7 @@ class Input:
     # of a lag, the longest gap over which the column is interpolated, s: in a longer one it steps at the start; None:
     # always interpolated, as in exports before 0.3.0
     silence: float | None = None
-    # of a time, whether its effects have decayed by `high`: later times are no extrapolation
+    # of an elapsed time, whether its effects have decayed at `high`, so that later times need no extrapolation
     settled: bool = False
     held: bool = False  # of a lag, whether the column is constant between readings
 
@@ -108,37 +108,37 @@ class Input:
 
 def inputs_in_use(equation: OperatingEquation) -> list[Input]:
     """List the equation's inputs with units, meanings and calibrated ranges."""
-    listed, calibration, values = list[Input](), equation.calibration, equation.at_fit
+    inputs, calibration, values = list[Input](), equation.calibration, equation.at_fit
     frame = calibration.frame
 
-    def add(name: str, unit: str, meaning: str, kind: str, column: str, **past: Any) -> None:
+    def add(name: str, unit: str, meaning: str, kind: str, column: str, **history: Any) -> None:
         if name in equation.inputs and name in values:
-            span = float(values[name].min()), float(values[name].max())
-            listed.append(Input(name, unit, meaning, kind, column, *span, **past))
+            limits = float(values[name].min()), float(values[name].max())
+            inputs.append(Input(name, unit, meaning, kind, column, *limits, **history))
 
     meanings = {c.name: c.meaning for c in calibration.model.instrument.columns}
     for name in (n for n in equation.columns if n != "elapsed"):
         meaning = clock_words(calibration) if name == "time" else meanings.get(name, "")
         add(name, calibration.readings.unit(name) or "1", meaning, "column", name)
     add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
-    for name, column in equation.rated:
+    for name, column in equation.rates:
         meaning = (
             f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two readings, if "
             "these are further apart), 0 at the start"
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
-    for lag in equation.lags:  # exports compute a lag and its slope of a record
+    for lag in equation.lags:  # exports compute lags and their derivatives ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
-        past = {"tau": lag.tau, "silence": silence, "held": is_held}
+        history = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
-        add(lag.name, "delta_degC", meaning, "lag", lag.column, **past)
+        add(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
         meaning = (
             f"change of {lag.name} by its time constant, which carries the uncertainty of that; 0 at the start, 0 "
             "throughout leaves it out"
         )
-        add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **past)
-    return sorted(listed, key=lambda i: i.name)
+        add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **history)
+    return sorted(inputs, key=lambda i: i.name)
 
 
 def gather_inputs(
@@ -147,13 +147,12 @@ def gather_inputs(
     columns: Mapping[str, ArrayLike],
     epoch: float | None,
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
-    """Return output, inputs and known uncertainties, (n,) each; and the record, where its history is needed.
+    """Return output, inputs and known uncertainties, (n,) each; and the frame, if an input depends on history.
 
     Readings are on the calibration's clock; dates among the columns count from the epoch, seconds since 1970.
 
     Raises:
-        InputError: a column that is needed is missing, columns are of different lengths, or there are dates and no
-            epoch.
+        InputError: a needed column is missing, columns differ in length, or there are dates without an epoch.
     """
     arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
     for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
@@ -175,10 +174,10 @@ def gather_inputs(
     for i in inputs:  # a lag given without its slope is taken as exact
         if i.kind == "lag slope" and lags.get((i.column, i.tau)) in values:
             values.setdefault(i.name, np.zeros_like(values["output"]))
-    record, derived = None, [i for i in inputs if i.kind != "column" and i.name not in values]
-    if derived:
-        record = _record(derived, readings, values)
-        for i in derived:
+    record, computed = None, [i for i in inputs if i.kind != "column" and i.name not in values]
+    if computed:
+        record = _build_record(computed, readings, values)
+        for i in computed:
             if i.kind in ("rate", "elapsed"):
                 values[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
             else:
@@ -193,10 +192,10 @@ def gather_inputs(
     return values, record
 
 
-def _record(
+def _build_record(
     needed: Sequence[Input], readings: Measurements | None, values: Mapping[str, np.ndarray]
 ) -> Frame:
-    """Build the record from which the inputs `needed` are computed."""
+    """Build the frame from which the inputs `needed` are computed."""
     for name in ("time", *(i.column for i in needed)):
         if name not in values:
             raise InputError(
@@ -211,9 +210,9 @@ def _record(
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:
-    """Return the limits beyond which a compensated value is flagged: the stimulus range and a margin."""
+    """Widen the stimulus range by a margin to the limits beyond which a compensated value is flagged."""
     low, high = span
-    return low - MARGIN * (high - low), high + MARGIN * (high - low)
+    return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
 
 
 @dataclass(frozen=True)
@@ -243,7 +242,7 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
     """Build an export's provenance, without notes and failed checks."""
     calibration = equation.calibration
     instrument, use = calibration.model.instrument, equation.use
-    acting = dict.fromkeys(b.effect for b in equation.blocks)
+    effects = dict.fromkeys(b.effect for b in equation.blocks)
     scale = calibration.readings.scale or instrument.nominal_scale
     numbers = {k: v for k, v in calibration.reference.items() if not isinstance(v, dict)}
     stated = {k: float(v) for k, v in numbers.items() if not k.endswith(("_low", "_high", "_held"))}
@@ -253,7 +252,7 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
         stimulus=use.stimulus,
         unit=use.unit,
         output_unit=calibration.unit,
-        effects=tuple((e.name, e.equation) for e in acting),
+        effects=tuple((e.name, e.equation) for e in effects),
         reference=stated | calibration.hold_at,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
@@ -264,14 +263,14 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
 
 
 def clock_words(calibration: Calibration) -> str:
-    """Return the origin of the calibration's time, in words."""
+    """Describe the origin of the calibration's time."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
     return f"from {format_date(since)} UTC, as which dates without a zone count"
 
 
 def clock_note(equation: OperatingEquation) -> list[Claim]:
-    """Return a claim of what depends on the date, and of time's origin; empty if time is no input."""
+    """Return a claim of effects that depend on the date, and of time's origin; empty if time is no input."""
     if "time" not in equation.inputs:
         return []
     calibration = equation.calibration
@@ -284,25 +283,25 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
 def averaged_over(calibration: Calibration) -> list[Claim]:
     """Return a claim that values average over structures, with inclusion probabilities; empty otherwise."""
     shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
-    named = tuple(f"{name} {share:.2f}" for name, share in shares.items())
-    return [Claim("use.averaged", *shares, named=named)] if shares else []
+    probabilities = tuple(f"{name} {share:.2f}" for name, share in shares.items())
+    return [Claim("use.averaged", *shares, named=probabilities)] if shares else []
 
 
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
     """Return the notes on a compensation: averaging, dates, new members, held inputs, lags, range."""
     calibration = equation.calibration
     notes = [*averaged_over(calibration), *clock_note(equation)]
-    if new := [u.name for u in equation.unknowns if u.kind == "new"]:
-        notes.append(Claim("use.new_members", *new))
-    if constants := equation.held_inputs:
-        places = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
-        numbers = {"places": places, "rms": equation.left_out(), "unit": calibration.unit}
-        notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
+    if new_members := [u.name for u in equation.unknowns if u.kind == "new"]:
+        notes.append(Claim("use.new_members", *new_members))
+    if held := equation.held_inputs:
+        values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held)
+        numbers = {"places": values, "rms": equation.left_out(), "unit": calibration.unit}
+        notes.append(Claim("use.held_inputs", *(name for name, *_ in held), **numbers))
     lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
     if lags:
         multiples = (lag.tau / equation.shapes[lag.shape] for lag in lags)
-        pairs = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
-        times = tuple(f"{lag.name} ({m}{lag.shape} = {lag.tau:.4g} s)" for lag, m in pairs)
+        lag_factors = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
+        times = tuple(f"{lag.name} ({m}{lag.shape} = {lag.tau:.4g} s)" for lag, m in lag_factors)
         notes.append(Claim("use.lags", *(lag.name for lag in lags), times=times))
     stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
@@ -313,8 +312,8 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
-READ = (2, 3)  # 2, of bayescal 0.2, had one noise everywhere
-AGAIN = "Export it again"
+READABLE_VERSIONS = (2, 3)  # 2, of bayescal 0.2, had one noise everywhere
+REPAIR_ADVICE = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
 
 
@@ -329,13 +328,13 @@ class ProgramUnknown:
 
 @dataclass(frozen=True)
 class TracedEquation:
-    """The equation as operations, and the places of its results; as in JSON."""
+    """The equation as a list of operations, and the node indices of its results; as in JSON."""
 
-    operations: list[list[str | bool | int | float]]  # of `Graph`
-    expected: int  # the output,
-    slope: int  # its slope by the stimulus,
-    gradient: tuple[int, ...]  # and by each unknown
-    noise: int | None = None  # variance of one reading, output unit squared; None before version 3
+    operations: list[list[str | bool | int | float]]  # `Graph.data`
+    expected: int  # node of the expected output
+    slope: int  # node of its derivative by the stimulus
+    gradient: tuple[int, ...]  # nodes of its derivatives by the unknowns
+    noise: int | None = None  # node of a reading's noise variance; None before version 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,11 +342,11 @@ class CompensationProgram(CorrectionInUse):
     """A first-order compensation by posterior mean and covariance."""
 
     about: Provenance
-    inputs: tuple[Input, ...]  # covariates needed, beside the reading
-    stimulus_range: tuple[float, float] | None  # None where it was not varied or is no column
+    inputs: tuple[Input, ...]  # needed covariates
+    stimulus_range: tuple[float, float] | None  # None if it was not varied or is no column
     unknowns: tuple[ProgramUnknown, ...]
-    covariance: list[list[float]]  # of these, in reported units
-    affine: bool  # whether the equation is a straight line in the stimulus
+    covariance: list[list[float]]  # of the unknowns, in reported units
+    affine: bool  # whether the expected output is affine in the stimulus
     equation: TracedEquation
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
@@ -381,16 +380,16 @@ class CompensationProgram(CorrectionInUse):
         s, slope = solve_newton(
             lambda s: evaluate(nodes, {**inputs, STIMULUS: s}), np.asarray(output), self.affine
         )
-        *_, uncertainty = self._at({**inputs, STIMULUS: s})
+        *_, uncertainty = self._expand_at({**inputs, STIMULUS: s})
         return s, uncertainty / np.abs(slope), np.broadcast_to(1 / np.abs(slope), s.shape)
 
-    def _at(self, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Return expected output, its slope, and its standard uncertainty without noise, (n,) each."""
+    def _expand_at(self, values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Return expected output, its derivative by the stimulus, and its standard uncertainty without noise, (n,)."""
         outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
-        nodes = self.graph.evaluate(outputs, places)
-        expected, slope, *gradient = (np.broadcast_to(f, places[STIMULUS].shape) for f in nodes)
-        parts = self.factor.T @ np.reshape(gradient, (-1, expected.size))
-        return expected, slope, np.sqrt(np.sum(parts**2, axis=0))
+        nodes = self.graph.evaluate(outputs, values)
+        expected, slope, *gradient = (np.broadcast_to(v, values[STIMULUS].shape) for v in nodes)
+        contributions = self.factor.T @ np.reshape(gradient, (-1, expected.size))
+        return expected, slope, np.sqrt(np.sum(contributions**2, axis=0))
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
         """Return the variance of one reading's noise, output unit squared, (n,)."""
@@ -398,16 +397,16 @@ class CompensationProgram(CorrectionInUse):
         return np.broadcast_to(variance, stimulus.shape)
 
     def settles(self, time: Input) -> bool:
-        """Return whether output and uncertainty are constant in a time from the last quarter of its range on.
+        """Return whether output and uncertainty are constant in `time` from the last quarter of its range on.
 
-        At the low ends, middles and high ends of all inputs they change by less than a tenth of the uncertainty.
+        Tested at the lower ends, midpoints and upper ends of all inputs, to a tenth of the standard uncertainty.
         """
-        late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
+        times = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         low, high = self.stimulus_range or (0.0, 0.0)
         for share in (0.0, 0.5, 1.0):
-            values = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in self.inputs}
-            values |= {time.name: late, STIMULUS: low + share * (high - low) + 0.0 * late}
-            expected, _, uncertainty = self._at(values)
+            values = {i.name: i.low + share * (i.high - i.low) + 0.0 * times for i in self.inputs}
+            values |= {time.name: times, STIMULUS: low + share * (high - low) + 0.0 * times}
+            expected, _, uncertainty = self._expand_at(values)
             changes = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
             scatter = np.sqrt(self.noise_variance(values[STIMULUS], values))
             if np.any(changes > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
@@ -415,7 +414,7 @@ class CompensationProgram(CorrectionInUse):
         return True
 
     def exportable(self) -> CompensationProgram:
-        """Return this program; raise ModelError if an effect or the noise law has an operation that no export has."""
+        """Return this program; raise ModelError if an effect or the noise model has an operation without export."""
         for op, *args in self.equation.operations:
             if op == "call":
                 raise ModelError(
@@ -434,12 +433,12 @@ def from_data(data: Any, file: str) -> CompensationProgram:
     """Parse a program from JSON of its schema; nothing in it is evaluated as code.
 
     Raises:
-        InputError: it is of another version, or damaged.
+        InputError: the program is of another version, or damaged.
     """
-    if data.get("version") not in READ:
+    if data.get("version") not in READABLE_VERSIONS:
         raise InputError(
             f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
-            f"{READ[0]} to {READ[-1]}: export it again"
+            f"{READABLE_VERSIONS[0]} to {READABLE_VERSIONS[-1]}: export it again"
         )
     try:
         fields = {k: v for k, v in data.items() if k not in ("schema", "version", "noise")}
@@ -455,22 +454,22 @@ def from_data(data: Any, file: str) -> CompensationProgram:
         program = replace(program, about=about, equation=equation)
         _refuse_inconsistent(program)
     except (InputError, ValueError) as error:
-        raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
+        raise InputError(f"{file} is damaged: {error}. {REPAIR_ADVICE}") from None
     return program
 
 
 def _refuse_inconsistent(program: CompensationProgram) -> None:
     """Raise ValueError if a program's parts are inconsistent."""
     equation, nodes = program.equation, len(program.graph.nodes)
-    for place in (equation.expected, equation.slope, *equation.gradient, equation.noise):
-        if type(place) is not int or not 0 <= place < nodes:
-            raise ValueError(f"{place!r} is no operation of it")
-    parts = program.unknowns, equation.gradient, program.covariance, *program.covariance
-    if len({len(part) for part in parts}) > 1:
+    for node in (equation.expected, equation.slope, *equation.gradient, equation.noise):
+        if type(node) is not int or not 0 <= node < nodes:
+            raise ValueError(f"{node!r} is no operation of it")
+    sizes = program.unknowns, equation.gradient, program.covariance, *program.covariance
+    if len({len(part) for part in sizes}) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")
     covariance = np.reshape(program.covariance, 2 * (len(program.unknowns),))
     sd = np.sqrt(np.diag(covariance).clip(0))
-    if np.any(np.abs(covariance) > (1 + 1e-9) * np.outer(sd, sd)):  # but for rounding
+    if np.any(np.abs(covariance) > (1 + 1e-9) * np.outer(sd, sd)):  # tolerance for rounding
         raise ValueError("its covariance has a variance below zero, or a correlation beyond 1")
     names = {i.name for i in program.inputs}
     if len(names) < len(program.inputs):
@@ -484,31 +483,31 @@ def _refuse_inconsistent(program: CompensationProgram) -> None:
         raise ValueError("about.raw has a gain of zero")
 
 
-def program_of(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
-    """Build the program of an equation in use at the mean of its unknowns."""
+def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
+    """Build the program of an operating equation at the posterior mean of its unknowns."""
     unknowns, readings, use = equation.unknowns, equation.calibration.readings, equation.use
-    law, level = equation.noise_in_use()
+    noise, noise_level = equation.noise_in_use()
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
-    law = {input_name(name): value for name, value in law.items()}
-    places = [equation.expected, equation.noise, *equation.gradient.values()]
-    graph, (expected, variance, slope, *gradient) = equation.graph.part(places, law | means)
-    variance = graph.apply("mul", graph.constant(level), variance)
-    acting = [i for i, place in enumerate(gradient) if graph.value(place) != 0]
-    acting_means = ((unknowns[i], float(moments.mean[i])) for i in acting)
-    outputs = [expected, slope, variance, *(gradient[i] for i in acting)]
-    small, (expected, slope, variance, *gradient) = graph.part(outputs, {})
-    span = None
+    noise = {input_name(name): value for name, value in noise.items()}
+    nodes = [equation.expected, equation.noise, *equation.gradient.values()]
+    graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, noise | means)
+    variance = graph.apply("mul", graph.constant(noise_level), variance)
+    nonzero = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
+    nonzero_means = ((unknowns[i], float(moments.mean[i])) for i in nonzero)
+    outputs = [expected, slope, variance, *(gradient[i] for i in nonzero)]
+    subgraph, (expected, slope, variance, *gradient) = graph.subgraph(outputs, {})
+    stimulus_range = None
     if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
-        span = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
+        stimulus_range = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
     inputs = inputs_in_use(equation)
     program = CompensationProgram(
         about=provenance_of(equation),
         inputs=tuple(inputs),
-        stimulus_range=span,
-        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in acting_means),
-        covariance=moments.covariance[np.ix_(acting, acting)].tolist(),
-        affine=STIMULUS not in small.inputs([slope]),
-        equation=TracedEquation(small.data(), expected, slope, tuple(gradient), variance),
+        stimulus_range=stimulus_range,
+        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in nonzero_means),
+        covariance=moments.covariance[np.ix_(nonzero, nonzero)].tolist(),
+        affine=STIMULUS not in subgraph.inputs([slope]),
+        equation=TracedEquation(subgraph.data(), expected, slope, tuple(gradient), variance),
     )
     settled = (replace(i, settled=i.kind == "elapsed" and program.settles(i)) for i in inputs)
     return replace(program, inputs=tuple(settled))

@@ -27,10 +27,10 @@ from bayescal._use.compensation_program import (
     Input,
     OutsideCalibration,
     Provenance,
+    build_program,
     gather_inputs,
     inputs_in_use,
     notes_on_use,
-    program_of,
 )
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
@@ -49,9 +49,9 @@ class Compensated:
 
     Attributes:
         value: the stimulus, (n,); NaN where the equation has no solution.
-        uncertainty: its standard uncertainty, (n,).
-        unit: of both.
-        outside: name → where that covariate (or the stimulus) is outside its range, (n,); only those that are.
+        uncertainty: standard uncertainty of `value`, (n,).
+        unit: unit of both.
+        outside: name → mask (n,) of readings with that input or the stimulus outside its range, if there are any.
     """
 
     value: np.ndarray
@@ -70,7 +70,7 @@ class Compensator:
 
     Attributes:
         calibration, equation: None if loaded from an export, which has mean and covariance only.
-        draws: posterior draws to average over, at most.
+        draws: maximum number of posterior draws to average over.
         loaded: the program, if loaded from an export.
     """
 
@@ -92,48 +92,47 @@ class Compensator:
         """Compensate readings.
 
         Args:
-            readings: with the output and the covariates needed, dates read on the calibration's clock; or give these as
-                `columns`.
-            noise: include each reading's noise in its uncertainty, by the noise law (its correlated part too) and by
-                the column `output_uncertainty` where there is one; False for the calibration's uncertainty alone.
+            readings: output and needed covariates, with dates on the calibration's clock; or give these as `columns`.
+            noise: include each reading's noise in its uncertainty, from the noise model (correlated noise too) and the
+                column `output_uncertainty` if there is one; False for the calibration's uncertainty alone.
             method: "draws" solves the equation for every posterior draw; "first order" propagates mean and
-                covariance, as exports do. Default: draws where there are any.
-            warn: give an `OutsideCalibration` warning for values outside their calibrated range.
+                covariance, as exports do. Default: draws if there are any.
+            warn: issue an `OutsideCalibration` warning for values outside their calibrated range.
             **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
                 (`datetime64`). The past of a record can be given too
                 (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
 
         Raises:
-            InputError: a column that is needed is missing, the method needs draws and there are none, or the readings
-                have dates and the calibration has none (or the other way round) and the correction changes with them.
+            InputError: a needed column is missing, the method needs draws and there are none, or only one of readings
+                and calibration has dates and the correction depends on the date.
         """
         method = method or ("first order" if self.loaded else "draws")
         epoch = self.about.epoch
         if readings is not None:
             readings = readings.on_clock(epoch, lambda: self.dated)
-        known_values, record = gather_inputs(self.inputs, readings, columns, epoch)
+        inputs, frame = gather_inputs(self.inputs, readings, columns, epoch)
         if method == "first order":
-            value, sd, square_slope = self.in_use.run(known_values["output"], known_values)
-            variance, square_slope = sd**2, square_slope**2
+            value, noise_variance, square_slope = self.in_use.run(inputs["output"], inputs)
+            variance, square_slope = noise_variance**2, square_slope**2
         elif self.loaded:
             raise InputError(
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
         else:
             value, variance, square_slope = solve_over_draws(
-                self.equation, self._moments.draws, known_values["output"], known_values, record
+                self.equation, self._moments.draws, inputs["output"], inputs, frame
             )
-        values = {**known_values, self.stimulus: value}
+        values = {**inputs, self.stimulus: value}
         if noise:
-            sd = self.noise_variance(values) + known_values.get(UNCERTAINTY, np.zeros(1)) ** 2
-            variance = variance + square_slope * sd
-        spans = {n: span for n, span in self._ranges.items() if n in values}
-        outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in spans.items()}
+            noise_variance = self.noise_variance(values) + inputs.get(UNCERTAINTY, np.zeros(1)) ** 2
+            variance = variance + square_slope * noise_variance
+        limits = {n: span for n, span in self._ranges.items() if n in values}
+        outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in limits.items()}
         outside = {name: mask for name, mask in outside.items() if mask.any()}
         if warn and outside:
             ranges = self.calibrated.items()
-            spans = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
-            rows = ((n, mask.sum(), spans.get(n, "")) for n, mask in outside.items())
+            limits = {n: " (calibrated: {:.6g} to {:.6g} {})".format(*span) for n, span in ranges}
+            rows = ((n, mask.sum(), limits.get(n, "")) for n, mask in outside.items())
             messages = (f"{n} in {count} of {len(value)} readings{text}" for n, count, text in rows)
             warnings.warn(
                 f"outside the calibrated range: {'; '.join(messages)}. There the result is an extrapolation, and its "
@@ -148,21 +147,21 @@ class Compensator:
         """Return the program of mean, covariance and equation, without the fit's residual checks."""
         if self.loaded:
             return self.loaded
-        return program_of(self.equation, self._moments)
+        return build_program(self.equation, self._moments)
 
     @cached_property
     def program(self) -> CompensationProgram:
         """Return the program as exported, with notes and failed checks.
 
         Raises:
-            ModelError: an effect cannot be exported; says which and what to do.
+            ModelError: an effect cannot be exported.
         """
         if self.loaded:
             return self.loaded
         reason = self.why_not
         notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
-        named = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
-        return replace(self.in_use, about=replace(self.about, **named)).exportable()
+        changes = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
+        return replace(self.in_use, about=replace(self.about, **changes)).exportable()
 
     @property
     def about(self) -> Provenance:
@@ -194,7 +193,7 @@ class Compensator:
 
     @property
     def why_not(self) -> str:
-        """Return why the result must not be used; empty if it may. An unchecked fit is checked first."""
+        """Return why the result must not be used; empty if it may. Runs the residual checks of an unchecked fit."""
         return self.loaded.why_not if self.loaded else why_not(self.calibration)
 
     @property
@@ -205,7 +204,7 @@ class Compensator:
         return "the correction" if self.loaded else ", ".join(self.calibration.dated) or "it"
 
     def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the variance of one reading's noise by the noise law, output unit squared, (n,).
+        """Return the noise variance of one reading, output unit squared, (n,).
 
         Args:
             places: the stimulus and the inputs by name, fixed units, (n,) each.
@@ -233,7 +232,7 @@ class Compensator:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Return the columns that a file to compensate must have, declared as by an instrument."""
+        """Return declarations of the columns that a file to compensate must have."""
         needed = dict.fromkeys(i.column for i in self.inputs)
         if self.history:
             needed["time"] = None
@@ -255,12 +254,12 @@ class Compensator:
         name: str | None = None,
         uncertainty: bool = True,
     ) -> Path:
-        """Write for firmware or elsewhere: .h (C99), .py (Python) or .json.
+        """Write the correction as source code or data: .h (C99), .py (Python) or .json.
 
         Args:
-            path: of the file, by whose suffix it is written.
+            path: file to write, whose suffix gives the format.
             format: "c", "python" or "json"; overrides the suffix.
-            name: of the sensor, the prefix of all names in the C header; default: the instrument's name.
+            name: name of the sensor, the prefix of all names in the C header; default: the instrument's name.
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
         Raises:
@@ -279,7 +278,7 @@ class Compensator:
         """Return the limits beyond which a reading is flagged, by input, and by stimulus where it was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
         if not self.loaded:
-            # Unused columns had calibrated ranges too.
+            # Columns without influence on the output have calibrated ranges too.
             for name in self.equation.columns:
                 values = self.equation.at_fit[name]
                 if name not in ("time", "elapsed") and np.ptp(values) > 0:
@@ -297,9 +296,9 @@ def compensator(
     Args:
         calibration: a fit, or an average over structures. Inputs that no probable effect needs are fixed at the middle
             of their calibrated range; `notes` give the rms error of that.
-        draws: posterior draws to average over, at most.
-        members: the member of a group in use, such as {"device": "A17"}; any other run, cell or device counts as new,
-            its deviation drawn from the standard deviation between members.
+        draws: maximum number of posterior draws to average over.
+        members: the member of a group in use, such as {"device": "A17"}; any other run, cell or device is unseen, with
+            a deviation drawn from the between-member standard deviation.
 
     Raises:
         ModelError: the instrument does not say what it measures (`Instrument.use`).
@@ -307,18 +306,18 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    full = Compensator(calibration, equation_in_use(calibration, members), draws)
+    unrestricted = Compensator(calibration, equation_in_use(calibration, members), draws)
     model = calibration.model
-    read = find_response_columns(model.instrument, calibration.frame)
-    needed = calibration.usual_columns.union(model.noise.needs, read)
+    response_columns = find_response_columns(model.instrument, calibration.frame)
+    needed = calibration.usual_columns.union(model.noise.needs, response_columns)
     if all(needed.issuperset(e.columns) for e in model.effects):
-        return full
+        return unrestricted
     held_inputs = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in inputs_in_use(full.equation)
+        for i in inputs_in_use(unrestricted.equation)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
-    return replace(full, equation=replace(full.equation, held_inputs=held_inputs))
+    return replace(unrestricted, equation=replace(unrestricted.equation, held_inputs=held_inputs))
 
 
 def load_compensator(path: str | Path) -> Compensator:

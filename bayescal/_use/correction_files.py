@@ -1,7 +1,7 @@
-"""Corrections as files (C99, Python, JSON, …), of one output or of three axes: one exporter, one loader, one naming.
+"""Export and loading of corrections as files (C99, Python, JSON, …), of one output or of three axes.
 
-Annexes add kinds of corrections besides those of one output (`_core/annex.py`). All names in a C header are prefixed by
-the sensor's, so that one program may include several; two of one name do not compile.
+Annexes add kinds of corrections besides those of one output (`_core/annex.py`). All names in a C header have the
+sensor's name as prefix, so that one program may include several headers; two with the same prefix do not compile.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class CorrectionKind(NamedTuple):
     read: Callable[[Any, str], CorrectionInUse]
     loader: str  # the public function that loads one
     together: tuple[str, ...] = ()  # formats that hold several
-    # what a format omits, in a sentence; empty for nothing
+    # a sentence about what a format omits; empty for nothing
     left_out: Callable[[Any, str], str] = lambda correction, format: ""
 
 
@@ -76,10 +76,10 @@ def program_text(
         field = identifier(i.name, _OWN_WORDS | set(fields.values()))
         fields[i.name] = f"{field}_" if re.fullmatch(r"t\d+", field) else field
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
-    lower = program.factor
-    factor = [number_text(lower[i, j]) for i in range(len(lower)) for j in range(i + 1)]
+    cholesky = program.factor
+    factor = [number_text(cholesky[i, j]) for i in range(len(cholesky)) for j in range(i + 1)]
     expected, gradient = (statements(program.graph, nodes, names, language) for nodes in outputs)
-    used = [program.graph.inputs(nodes) for nodes in outputs]
+    inputs_used = [program.graph.inputs(nodes) for nodes in outputs]
     filters = {"comment": language.words, "quoted": python_string}
     return template("bayescal._use", language.template, filters).render(
         p=program,
@@ -88,41 +88,41 @@ def program_text(
         guard=include_guard(name, expected, gradient, factor, program.inputs, uncertainty),
         uncertainty=uncertainty,
         fields=fields,
-        record=_record(program, fields),
+        record=_record_fields(program, fields),
         expected=expected,
         gradient=gradient,
         factor=factor,
         steps=1 if program.affine else MAX_NEWTON_STEPS,
-        uses_stimulus=[STIMULUS in nodes for nodes in used],
-        uses_inputs=[bool(nodes - {STIMULUS}) for nodes in used],
+        uses_stimulus=[STIMULUS in nodes for nodes in inputs_used],
+        uses_inputs=[bool(nodes - {STIMULUS}) for nodes in inputs_used],
     )
 
 
-def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """Return the template's fields of a record: its columns, and the inputs computed from their history."""
-    of = {kind: [i for i in program.inputs if i.kind == kind] for kind in KINDS}
-    now = of["column"]
-    columns = {i.column: (fields[i.name], i.unit) for i in now}
+def _record_fields(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return the template's variables for a record: its columns, and the inputs computed from their history."""
+    by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in KINDS}
+    current = by_kind["column"]
+    columns = {i.column: (fields[i.name], i.unit) for i in current}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
         names = {*_OWN_WORDS, *fields.values(), *(name for name, _ in columns.values())}
         columns.setdefault(i.column, (identifier(i.column, names), "degC"))
 
-    def both(i: Input) -> tuple[str, str]:
+    def field_pair(i: Input) -> tuple[str, str]:
         return columns[i.column][0], fields[i.name]
 
-    lags = {(i.column, i.tau): fields[i.name] for i in of["lag"]}
-    slopes = [(i, lags[i.column, i.tau]) for i in of["lag slope"]]
-    window = max((i.tau or RATE_WINDOW for i in of["rate"]), default=0.0)
+    lags = {(i.column, i.tau): fields[i.name] for i in by_kind["lag"]}
+    slopes = [(i, lags[i.column, i.tau]) for i in by_kind["lag slope"]]
+    window = max((i.tau or RATE_WINDOW for i in by_kind["rate"]), default=0.0)
     return {
-        "past": len(now) < len(program.inputs),
+        "past": len(current) < len(program.inputs),
         "dated": "time" in columns,
         "columns": [*columns.values()],
-        "same": [both(i) for i in now],
-        "lags": [(*both(i), i.tau, i.silence, i.held) for i in of["lag"]],
-        "slopes": [(*both(i), i.tau, i.silence, i.held, lag) for i, lag in slopes],
-        "last": sorted({columns[i.column][0] for i in (*of["lag"], *of["lag slope"])}),
-        "rates": [both(i) for i in of["rate"]],
-        "elapsed": [fields[i.name] for i in of["elapsed"]],
+        "same": [field_pair(i) for i in current],
+        "lags": [(*field_pair(i), i.tau, i.silence, i.held) for i in by_kind["lag"]],
+        "slopes": [(*field_pair(i), i.tau, i.silence, i.held, lag) for i, lag in slopes],
+        "last": sorted({columns[i.column][0] for i in (*by_kind["lag"], *by_kind["lag slope"])}),
+        "rates": [field_pair(i) for i in by_kind["rate"]],
+        "elapsed": [fields[i.name] for i in by_kind["elapsed"]],
         "window": window * (1 + 1e-9),  # as for rates of records
         "silence": SILENCE_WINDOWS * window,
     }
@@ -142,25 +142,25 @@ def include_guard(name: str, *computed: Any) -> str:
     )
 
 
-def as_data(named: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
+def as_data(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
     """Write a correction as JSON."""
-    (correction,) = named.values()
+    (correction,) = sensors.values()
     return json_text(correction.data(), indent=1)
 
 
-def in_form(write: Callable[..., str], *how: Any) -> Writer:
+def in_form(write: Callable[..., str], *arguments: Any) -> Writer:
     """Wrap a writer of a format without names and without an option to omit the uncertainty."""
-    return lambda named, uncertainty: write(*named.values(), *how)
+    return lambda sensors, uncertainty: write(*sensors.values(), *arguments)
 
 
-def _program(language: Language, named: Mapping[str, Any], uncertainty: bool) -> str:
+def _render(language: Language, named: Mapping[str, Any], uncertainty: bool) -> str:
     return "".join(program_text(program, language, n, uncertainty) for n, program in named.items())
 
 
 ONE_OUTPUT = CorrectionKind(
     of=CompensationProgram,
     axes="one output",
-    writers={"json": as_data, **{n: partial(_program, form) for n, form in LANGUAGES.items()}},
+    writers={"json": as_data, **{n: partial(_render, form) for n, form in LANGUAGES.items()}},
     suffixes={".json": "json", ".h": "c", ".py": "python"},
     is_data=lambda data: data.get("schema") == SCHEMA,
     read=from_data,
@@ -207,16 +207,16 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
         return [sensor_name(name, instruments[0])]
     prefix = "" if name is None else f"{sensor_name(name, '')}_"
     names = [sensor_name(None, f"{prefix}{instrument}") for instrument in instruments]
-    if twice := [n for n in names if names.count(n) > 1]:
+    if double := [n for n in names if names.count(n) > 1]:
         raise InputError(
-            f"two of these are of {instruments[names.index(twice[0])]}: a unit has one of each; write the other to a "
+            f"two of these are of {instruments[names.index(double[0])]}: a unit has one of each; write the other to a "
             "file of its own, with a name"
         )
     return names
 
 
 def format_of(path: str | Path | None, format: str | None) -> str:
-    """Return the format, or that of a path's suffix.
+    """Return the given format, or else that of the path's suffix.
 
     Raises:
         InputError: no format is given, and the suffix is unknown.
@@ -240,15 +240,15 @@ def as_text(
     """Return the text of an exported correction.
 
     Args:
-        correction: to write.
-        format: of those of its kind.
-        name: of the sensor in C and Python; default: the instrument's name. With `others`, of the unit.
-        others: corrections of its kind for the same file; of three axes, in the same body axes.
-        uncertainty: with the covariance; False for C and Python that return the value alone.
+        correction: the correction to write.
+        format: one of the formats of the correction's kind.
+        name: name of the sensor in C and Python; default: the instrument's name. With `others`, name of the unit.
+        others: corrections of the same kind for the same file; of three axes, in the same body axes.
+        uncertainty: include the covariance; False for C and Python that return the value alone.
 
     Raises:
-        InputError: another format, one without support for this quantity, others or no uncertainty, two triads of one
-            instrument, or an invalid C name.
+        InputError: an unknown format, one that does not support this quantity, `others` or no uncertainty, two triads
+            of one instrument, or an invalid C name.
     """
     kind = kind_of(correction)
     if format not in kind.writers:
@@ -256,7 +256,7 @@ def as_text(
             f"a correction of {kind.axes} cannot be written as {format!r}: choose {', '.join(kind.writers)}"
         )
     unit = [correction, *others]
-    named = dict(zip(names_in_unit(name, unit), unit, strict=True))
+    sensors = dict(zip(names_in_unit(name, unit), unit, strict=True))
     if others and format not in kind.together:
         raise InputError(
             f"{format} holds one triad: several go into one file as {', '.join(kind.together)}; write the others to "
@@ -265,7 +265,7 @@ def as_text(
     if not uncertainty and format not in LANGUAGES:
         why = f"{format} holds its uncertainty: only C and Python are written without uncertainty"
         raise InputError(why)
-    return kind.writers[format](named, uncertainty)
+    return kind.writers[format](sensors, uncertainty)
 
 
 def load_correction(path: str | Path) -> CorrectionInUse:

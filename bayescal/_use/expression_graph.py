@@ -1,11 +1,11 @@
 """Expression graphs of scalar operations: traced, simplified, differentiated, evaluated, written as code.
 
-One table gives each operation's NumPy function, its text in C and Python, and its pullbacks, so that the computed and
-the exported program are the same. Equal nodes are shared.
+One table defines each operation's NumPy function, its text in C and Python, and its vector-Jacobian products
+("pullbacks"), so that the evaluated and the exported program are the same. Equal nodes are stored once.
 
-An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy's functions of them create
-nodes, and functions that only move elements (reshape, stack, take) move them. So a user's effect is exported like any
-other, if firmware has its operations. Functions written for JAX alone are traced by JAX (`jax_equations.py`).
+An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy functions of them create
+nodes, and functions that only move elements (reshape, stack, take) move them. A user's effect is exported like any
+other, if its operations are in the table. Functions written for JAX alone are traced by JAX (`jax_equations.py`).
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Operation:
 
 
 def _infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
-    written = f"{{0}} {sign} {{1}}"
-    return Operation(compute, written, written, boolean)
+    text = f"{{0}} {sign} {{1}}"
+    return Operation(compute, text, text, boolean)
 
 
 def _function(compute: np.ufunc, name: str) -> Operation:
@@ -47,7 +47,7 @@ def _function(compute: np.ufunc, name: str) -> Operation:
     return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
-_SAME = "exp log expm1 log1p sqrt sin cos tan sinh cosh tanh floor ceil"
+_COMMON_NAMES = "exp log expm1 log1p sqrt sin cos tan sinh cosh tanh floor ceil"
 OPERATIONS: dict[str, Operation] = {
     "add": _infix(np.add, "+"),
     "sub": _infix(np.subtract, "-"),
@@ -63,7 +63,7 @@ OPERATIONS: dict[str, Operation] = {
     "pow": Operation(np.power, "BAYESCAL_CALL2(pow, {0}, {1})", "{0} ** {1}"),
     "atan2": Operation(np.arctan2, "BAYESCAL_CALL2(atan2, {0}, {1})", "math.atan2({0}, {1})"),
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
-    **{name: _function(getattr(np, name), name) for name in _SAME.split()},
+    **{name: _function(getattr(np, name), name) for name in _COMMON_NAMES.split()},
     **{f"a{n}": _function(getattr(np, f"arc{n}"), f"a{n}") for n in ("sin", "cos", "tan")},
     "gt": _infix(np.greater, ">", True),
     "ge": _infix(np.greater_equal, ">=", True),
@@ -79,7 +79,7 @@ OPERATIONS: dict[str, Operation] = {
         lambda x: np.where(x, 1.0, 0.0), "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0", "float({0})"
     ),
 }
-# Pullbacks of a slope d by operation and argument; zero for operations that are not listed.
+# Pullbacks of an adjoint d by operation and argument; zero for operations that are not listed.
 PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
     "add": (lambda d, x, y: d, lambda d, x, y: d),
     "sub": (lambda d, x, y: d, lambda d, x, y: -d),
@@ -113,8 +113,8 @@ PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
 }
 
 
-# ("const", value), ("input", name), ("call", function, *places), or an operation and the places of its arguments, which
-# precede it.
+# ("const", value), ("input", name), ("call", function, *nodes), or an operation and the node indices of its arguments,
+# which precede it.
 Node = tuple[Any, ...]
 
 
@@ -123,188 +123,188 @@ class Graph:
     """A list of nodes, each after its arguments."""
 
     nodes: list[Node] = field(default_factory=list)
-    places: dict[str, int] = field(default_factory=dict)
+    index: dict[str, int] = field(default_factory=dict)
 
-    def put(self, node: Node) -> int:
-        key = repr(node)
-        if key not in self.places:
-            self.places[key] = len(self.nodes)
+    def add(self, node: Node) -> int:
+        text = repr(node)
+        if text not in self.index:
+            self.index[text] = len(self.nodes)
             self.nodes.append(node)
-        return self.places[key]
+        return self.index[text]
 
     def constant(self, value: float | bool) -> int:
         is_boolean = isinstance(value, bool | np.bool_)
-        return self.put(("const", bool(value) if is_boolean else float(value)))
+        return self.add(("const", bool(value) if is_boolean else float(value)))
 
     def input(self, name: str) -> int:
-        return self.put(("input", name))
+        return self.add(("input", name))
 
-    def boolean(self, place: int) -> bool:
-        op, *args = self.nodes[place]
+    def is_boolean(self, node: int) -> bool:
+        op, *args = self.nodes[node]
         if op == "const":
             return isinstance(args[0], bool)
         if op == "select":
-            return self.boolean(args[1])
+            return self.is_boolean(args[1])
         return op in OPERATIONS and OPERATIONS[op].boolean
 
-    def value(self, place: int) -> float | bool | None:
+    def constant_value(self, node: int) -> float | bool | None:
         """Return a constant's value; None for any other node."""
-        op, *args = self.nodes[place]
+        op, *args = self.nodes[node]
         return args[0] if op == "const" else None
 
     def apply(self, op: str, *args: int) -> int:
         """Add an operation, simplified: constants are folded; x + 0, 1·x and 0·x are reduced."""
-        values = [self.value(a) for a in args]
+        values = [self.constant_value(a) for a in args]
         if all(v is not None for v in values):
             with np.errstate(all="ignore"):
                 value = OPERATIONS[op].compute(*values)
             return self.constant(bool(value) if OPERATIONS[op].boolean else value.item())
-        simpler = self._simpler(op, args, values)
-        return simpler if simpler is not None else self.put((op, *args))
+        simpler = self._simplify(op, args, values)
+        return simpler if simpler is not None else self.add((op, *args))
 
-    def _simpler(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
+    def _simplify(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
         if op == "select":
             if values[0] is not None:
                 return args[1] if values[0] else args[2]
             return args[1] if args[1] == args[2] else None
         first, second = args[0], args[-1]
-        zero = [v is not None and v == 0 for v in values]
-        negated = self.nodes[second][1] if self.nodes[second][0] == "neg" else None
+        is_zero = [v is not None and v == 0 for v in values]
+        negated_node = self.nodes[second][1] if self.nodes[second][0] == "neg" else None
         if op == "neg":
-            return negated
-        if op in ("add", "sub") and zero[-1]:
+            return negated_node
+        if op in ("add", "sub") and is_zero[-1]:
             return first
-        if op in ("add", "sub") and zero[0]:
+        if op in ("add", "sub") and is_zero[0]:
             return second if op == "add" else self.apply("neg", second)
-        if op == "add" and negated is not None:
-            return self.apply("sub", first, negated)
-        if op in ("mul", "and") and any(zero):
+        if op == "add" and negated_node is not None:
+            return self.apply("sub", first, negated_node)
+        if op in ("mul", "and") and any(is_zero):
             return self.constant(0.0 if op == "mul" else False)
-        if op == "div" and zero[0]:
+        if op == "div" and is_zero[0]:
             return first
         for sign in (1, -1):  # as a factor or divisor
             if (op in ("mul", "div") and values[1] == sign) or (op == "mul" and values[0] == sign):
-                other = second if op == "mul" and values[0] == sign else first
-                return other if sign == 1 else self.apply("neg", other)
+                operand = second if op == "mul" and values[0] == sign else first
+                return operand if sign == 1 else self.apply("neg", operand)
         return None
 
-    def needed(self, outputs: Sequence[int]) -> list[int]:
-        """Return the nodes that the outputs depend on, themselves included, in order."""
-        places, waiting = set(), list(outputs)
-        while waiting:
-            place = waiting.pop()
-            if place not in places:
-                places.add(place)
-                waiting += [arg for arg in self.nodes[place][1:] if type(arg) is int]
-        return sorted(places)
+    def dependencies(self, outputs: Sequence[int]) -> list[int]:
+        """Return the indices of the outputs and of all nodes that they depend on, in order of evaluation."""
+        nodes, stack = set(), list(outputs)
+        while stack:
+            node = stack.pop()
+            if node not in nodes:
+                nodes.add(node)
+                stack += [arg for arg in self.nodes[node][1:] if type(arg) is int]
+        return sorted(nodes)
 
     def inputs(self, outputs: Sequence[int]) -> set[str]:
         """Return the names of the inputs that the outputs depend on."""
-        nodes = (self.nodes[place] for place in self.needed(outputs))
+        nodes = (self.nodes[node] for node in self.dependencies(outputs))
         return {name for op, name, *_ in nodes if op == "input"}
 
     def evaluate(self, outputs: Sequence[int], inputs: Mapping[str, Any]) -> list[Any]:
-        """Return the outputs for arrays of inputs."""
-        values, needed = dict[int, Any](), self.needed(outputs)
-        last = {a: place for place in needed for a in self.nodes[place][1:] if type(a) is int}
-        last |= dict.fromkeys(outputs, len(self.nodes))
+        """Evaluate nodes for arrays of inputs by name."""
+        values, nodes = dict[int, Any](), self.dependencies(outputs)
+        last_use = {a: node for node in nodes for a in self.nodes[node][1:] if type(a) is int}
+        last_use |= dict.fromkeys(outputs, len(self.nodes))
         with np.errstate(all="ignore"):
-            for place in needed:
-                op, *args = self.nodes[place]
+            for node in nodes:
+                op, *args = self.nodes[node]
                 if op == "const":
-                    values[place] = args[0]
+                    values[node] = args[0]
                 elif op == "input":
-                    values[place] = inputs[args[0]]
+                    values[node] = inputs[args[0]]
                 else:
                     operation = args.pop(0) if op == "call" else OPERATIONS[op]
-                    values[place] = operation.compute(*(values[a] for a in args))
-                    for a in (a for a in args if last[a] == place):  # no longer needed
+                    values[node] = operation.compute(*(values[a] for a in args))
+                    for a in (a for a in args if last_use[a] == node):  # frees its memory
                         values.pop(a, None)
         return [values[o] for o in outputs]
 
     def gradient(self, output: int, names: Collection[str]) -> dict[str, int]:
-        """Return the nodes of a node's derivatives by some inputs, by reverse-mode differentiation."""
-        needed, dependent = self.needed([output]), set[int]()  # on these inputs
-        for place in needed:
-            op, *args = self.nodes[place]
-            acts = args[0] in names if op == "input" else not dependent.isdisjoint(args)
-            if op != "const" and acts:
-                dependent.add(place)
-        slopes, gradients = dict[int, Any]({output: 1.0}), dict[str, int]()
-        for place in (p for p in reversed(needed) if p in dependent and p in slopes):
-            op, *args = self.nodes[place]
-            slope = slopes.pop(place)
+        """Add nodes of a node's derivatives by inputs, by reverse-mode differentiation; return their indices."""
+        nodes, dependent = self.dependencies([output]), set[int]()  # nodes that depend on `names`
+        for node in nodes:
+            op, *args = self.nodes[node]
+            is_dependent = args[0] in names if op == "input" else not dependent.isdisjoint(args)
+            if op != "const" and is_dependent:
+                dependent.add(node)
+        adjoints, gradients = dict[int, Any]({output: 1.0}), dict[str, int]()
+        for node in (p for p in reversed(nodes) if p in dependent and p in adjoints):
+            op, *args = self.nodes[node]
+            adjoint = adjoints.pop(node)
             if op == "input":
-                gradients[args[0]] = self.place_of(slope)
+                gradients[args[0]] = self.node_of(adjoint)
                 continue
             pullbacks = args.pop(0).pullbacks if op == "call" else PULLBACKS.get(op, ())
             values = [self.symbols(self._element(a)) for a in args]
             for a, pullback in zip(args, pullbacks, strict=False):
                 if a in dependent:
-                    share = pullback(slope, *values)
-                    slopes[a] = slopes[a] + share if a in slopes else share
+                    contribution = pullback(adjoint, *values)
+                    adjoints[a] = adjoints[a] + contribution if a in adjoints else contribution
         return gradients
 
-    def part(
+    def subgraph(
         self, outputs: Sequence[int], constants: Mapping[str, float]
     ) -> tuple[Graph, list[int]]:
-        """Extract the subgraph that outputs need, with some inputs replaced by constants."""
-        subgraph, places = Graph(), dict[int, int]()
-        for place in self.needed(outputs):
-            op, *args = self.nodes[place]
+        """Copy the subgraph that outputs depend on, with constants for some inputs; return it and its outputs."""
+        subgraph, copies = Graph(), dict[int, int]()
+        for node in self.dependencies(outputs):
+            op, *args = self.nodes[node]
             if op in OPERATIONS:
-                places[place] = subgraph.apply(op, *(places[a] for a in args))
+                copies[node] = subgraph.apply(op, *(copies[a] for a in args))
             elif op == "input" and args[0] in constants:
-                places[place] = subgraph.constant(constants[args[0]])
+                copies[node] = subgraph.constant(constants[args[0]])
             else:
-                args = [places[a] if type(a) is int else a for a in args]
-                places[place] = subgraph.put((op, *args))
-        return subgraph, [places[o] for o in outputs]
+                args = [copies[a] if type(a) is int else a for a in args]
+                copies[node] = subgraph.add((op, *args))
+        return subgraph, [copies[o] for o in outputs]
 
     def symbols(self, elements: Any) -> Symbols:
-        """Return symbols and numbers as an array."""
+        """Convert symbols and numbers to an array of this graph."""
         array = np.asarray(elements, dtype=object).view(Symbols)
         array.graph = self
         return array
 
     def elementwise(self, op: str, *arrays: Any) -> Symbols:
         """Apply an operation to arrays of symbols and numbers, broadcast."""
-        function = np.frompyfunc(partial(self.applied, op), len(arrays), 1)
+        function = np.frompyfunc(partial(self.apply_scalar, op), len(arrays), 1)
         return self.symbols(function(*(np.asarray(a, dtype=object) for a in arrays)))
 
-    def place_of(self, element: Any) -> int:
-        """Return the node of a symbol or a number."""
+    def node_of(self, element: Any) -> int:
+        """Return the node index of a symbol; add a constant for a number."""
         element = element.item() if isinstance(element, np.ndarray) else element
-        return element.place if isinstance(element, Symbol) else self.constant(element)
+        return element.node if isinstance(element, Symbol) else self.constant(element)
 
-    def _element(self, place: int) -> Symbol | float | bool:
-        value = self.value(place)
-        return Symbol(place) if value is None else value
+    def _element(self, node: int) -> Symbol | float | bool:
+        value = self.constant_value(node)
+        return Symbol(node) if value is None else value
 
-    def applied(self, op: str, *elements: Any) -> Symbol | float | bool:
-        """Apply an operation to symbols and numbers; booleans become 0 or 1 where a number is needed."""
-        places = [self.place_of(element) for element in elements]
+    def apply_scalar(self, op: str, *elements: Any) -> Symbol | float | bool:
+        """Apply an operation to symbols and numbers; booleans become 0 or 1 in arithmetic operations."""
+        nodes = [self.node_of(element) for element in elements]
         if op not in ("and", "or", "not", "real", "select"):
-            places = [self.apply("real", p) if self.boolean(p) else p for p in places]
-        return self._element(self.apply(op, *places))
+            nodes = [self.apply("real", p) if self.is_boolean(p) else p for p in nodes]
+        return self._element(self.apply(op, *nodes))
 
     def data(self) -> list[list[Any]]:
         """Return the nodes as JSON lists; non-finite numbers as text."""
 
-        def plain(value: Any) -> Any:
+        def to_json(value: Any) -> Any:
             return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
-        return [[*map(plain, node)] for node in self.nodes]
+        return [[*map(to_json, node)] for node in self.nodes]
 
     @classmethod
     def from_data(cls, data: Sequence[Sequence[Any]]) -> Graph:
-        """Parse a graph from JSON data; only operations of the table above are accepted.
+        """Parse a graph from JSON data; only operations in `OPERATIONS` are accepted.
 
         Raises:
-            InputError: it is no graph.
+            InputError: the data are no graph.
         """
         graph = cls()
-        for place, row in enumerate(data):
+        for index, row in enumerate(data):
             op, args = (row or [None])[0], tuple(row[1:])
             value = args[0] if len(args) == 1 else None
             is_number = isinstance(value, int | float) or value in ("nan", "inf", "-inf")
@@ -312,24 +312,24 @@ class Graph:
                 args = (value if isinstance(value, bool) else float(value),)
             elif op in OPERATIONS:
                 arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
-                if len(args) != arity or not all(type(a) is int and 0 <= a < place for a in args):
-                    raise InputError(f"its operation {place}, {op!r}, cannot take {str(args)[:60]}")
+                if len(args) != arity or not all(type(a) is int and 0 <= a < index for a in args):
+                    raise InputError(f"its operation {index}, {op!r}, cannot take {str(args)[:60]}")
             elif op == "call" and hasattr(args[0], "compute"):
                 pass  # a function computed by JAX; never in a file
             elif op != "input" or not isinstance(value, str):
-                raise InputError(f"its operation {place} is not known here: {str(row)[:60]}")
+                raise InputError(f"its operation {index} is not known here: {str(row)[:60]}")
             graph.nodes.append((op, *args))
         return graph
 
 
 class Symbol:
-    """A node as an element of an array, without a value: branching on it raises NotExportable."""
+    """A node index as an element of an array: it has no value, and branching on it raises NotExportable."""
 
-    __slots__ = ("place",)
+    __slots__ = ("node",)
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 
-    def __init__(self, place: int) -> None:
-        self.place = place
+    def __init__(self, node: int) -> None:
+        self.node = node
 
     def __bool__(self) -> bool:
         raise NotExportable("a branch that depends on a covariate has no form in an export")
@@ -359,21 +359,22 @@ class Symbols(np.ndarray):
             raise NotExportable("a covariate turned into a whole number has no form in an export")
         return self != 0 if np.dtype(dtype).kind == "b" else self + 0.0
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **how: Any) -> Any:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         name, graph = ufunc.__name__, self.graph
         if method == "__call__" and name in COMPOSED:
             return COMPOSED[name](*map(graph.symbols, inputs))
-        if name not in BY_FUNCTION or method not in ("__call__", "reduce"):
+        if name not in UFUNC_NAMES or method not in ("__call__", "reduce"):
             raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
         if method == "__call__":
-            return graph.elementwise(BY_FUNCTION[name], *inputs)
-        reduced, axes = np.asarray(inputs[0]), how.get("axis", 0)
-        combine = np.frompyfunc(partial(graph.applied, BY_FUNCTION[name]), 2, 1)
-        axes = range(reduced.ndim) if axes is None else np.atleast_1d(axes) % reduced.ndim
+            return graph.elementwise(UFUNC_NAMES[name], *inputs)
+        elements, axes = np.asarray(inputs[0]), options.get("axis", 0)
+        operator = np.frompyfunc(partial(graph.apply_scalar, UFUNC_NAMES[name]), 2, 1)
+        axes = range(elements.ndim) if axes is None else np.atleast_1d(axes) % elements.ndim
         for axis in sorted(axes, reverse=True):
-            reduced = np.asarray(combine.reduce(reduced, axis=axis), dtype=object)
-        shaped = np.expand_dims(reduced, tuple(axes)) if how.get("keepdims") is True else reduced
-        return graph.symbols(shaped)
+            elements = np.asarray(operator.reduce(elements, axis=axis), dtype=object)
+        if options.get("keepdims") is True:
+            elements = np.expand_dims(elements, tuple(axes))
+        return graph.symbols(elements)
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
         if func is np.where and len(args) == 3:
@@ -381,28 +382,28 @@ class Symbols(np.ndarray):
         if func is np.dot:
             return np.matmul(*args)
 
-        def symbols(outputs: Any) -> Any:
+        def to_symbols(outputs: Any) -> Any:
             if isinstance(outputs, list | tuple):
-                return [*map(symbols, outputs)]
+                return [*map(to_symbols, outputs)]
             is_object = isinstance(outputs, np.ndarray) and outputs.dtype == object
             return self.graph.symbols(outputs) if is_object else outputs
 
-        return symbols(super().__array_function__(func, types, args, kwargs))
+        return to_symbols(super().__array_function__(func, types, args, kwargs))
 
 
-BY_FUNCTION = {o.compute.__name__: n for n, o in OPERATIONS.items() if n not in ("select", "real")}
-BY_FUNCTION |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
+UFUNC_NAMES = {o.compute.__name__: n for n, o in OPERATIONS.items() if n not in ("select", "real")}
+UFUNC_NAMES |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
 def _power(x: Symbols, y: Symbols) -> Symbols:
-    """Raise to a power: by products for a small integer exponent, else by the operation."""
+    """Raise to a power: by repeated multiplication for a small integer exponent, else by the operation "pow"."""
     exponent = y.item() if y.ndim == 0 else None
     if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
         return x.graph.elementwise("pow", x, y)
     if exponent < 0:
         return 1.0 / x**-exponent
-    half = x ** (exponent // 2) if exponent > 1 else x.graph.symbols(np.ones(x.shape))
-    return half * half * x if exponent % 2 else half * half
+    root = x ** (exponent // 2) if exponent > 1 else x.graph.symbols(np.ones(x.shape))
+    return root * root * x if exponent % 2 else root * root
 
 
 def _product(x: Symbols, y: Symbols) -> Symbols:
@@ -412,7 +413,7 @@ def _product(x: Symbols, y: Symbols) -> Symbols:
     return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
 
 
-# NumPy functions composed of several operations; others are left to JAX.
+# NumPy functions composed of several operations.
 COMPOSED: dict[str, Callable[..., Symbols]] = {
     "power": _power,
     "matmul": _product,
@@ -423,15 +424,15 @@ COMPOSED: dict[str, Callable[..., Symbols]] = {
 
 @dataclass(frozen=True)
 class Language:
-    """A language of exports."""
+    """Syntax of a language of exports."""
 
-    name: Literal["c", "python"]  # its field of `Operation`
-    cast: str  # before a constant
-    nan: str  # nan, infinity: constants of these
-    infinity: str
-    truths: tuple[str, str]  # false and true
-    statement: str  # assignment of an expression to a name; that of a boolean
-    statement_boolean: str
+    name: Literal["c", "python"]  # a field of `Operation`
+    cast: str  # prefix of a constant
+    nan: str  # constant NaN
+    infinity: str  # constant infinity
+    truths: tuple[str, str]  # constants false and true
+    statement: str  # assignment of an expression to a name
+    statement_boolean: str  # assignment of a boolean expression
     input: str = "{}"  # format of an input's field
     template: str = ""  # template file of the program
     words: Callable[[Any], str] = str  # escapes text for a comment
@@ -465,16 +466,16 @@ def statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
     """Return statements, one per operation, and the expressions of the outputs."""
-    text, written = dict[int, str](), list[str]()
-    for place in graph.needed(outputs):
-        op, *args = graph.nodes[place]
+    text, lines = dict[int, str](), list[str]()
+    for node in graph.dependencies(outputs):
+        op, *args = graph.nodes[node]
         if op == "const":
-            text[place] = language.number(args[0])
+            text[node] = language.number(args[0])
         elif op == "input":
-            text[place] = names[args[0]]
+            text[node] = names[args[0]]
         else:
             expression = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
-            form = language.statement_boolean if graph.boolean(place) else language.statement
-            text[place] = f"t{len(written)}"
-            written.append(form.format(text[place], expression))
-    return written, [text[o] for o in outputs]
+            template = language.statement_boolean if graph.is_boolean(node) else language.statement
+            text[node] = f"t{len(lines)}"
+            lines.append(template.format(text[node], expression))
+    return lines, [text[o] for o in outputs]

@@ -1,8 +1,8 @@
 """Tracing of functions written for JAX alone, such as a user's basis, to a graph of scalar operations.
 
 A function's jaxpr is evaluated on symbols. Primitives that only move elements (reshape, broadcast, slice, gather,
-concatenate) are run by JAX on the *places* of the elements, and leave no operation in the graph; constants are folded.
-An operation without a scalar form stays a JAX call, with its derivatives: it is computed here, and cannot be exported.
+concatenate) are evaluated by JAX on the elements' indices, and add no node to the graph; constants are folded. An
+operation without a scalar form becomes a call of JAX, with derivatives: it can be evaluated, but not exported.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from bayescal._core.lazy_jax import jax, jnp
 from bayescal._use.expression_graph import OPERATIONS, Graph, NotExportable, Symbol, Symbols
 
-_MOVES = "broadcast_in_dim reshape squeeze expand_dims slice dynamic_slice gather transpose rev copy unstack split"
-JOINING = ("concatenate", "stack")  # move elements of all their arguments
-MOVES = (*_MOVES.split(), *JOINING)
+_MOVE_NAMES = "broadcast_in_dim reshape squeeze expand_dims slice dynamic_slice gather transpose rev copy unstack split"
+JOIN_PRIMITIVES = ("concatenate", "stack")  # move elements of all their arguments
+MOVE_PRIMITIVES = (*_MOVE_NAMES.split(), *JOIN_PRIMITIVES)
 CALLS = ["pjit", "jit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"]
 
 
@@ -32,7 +32,7 @@ def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda p, *arrays: function(*arrays)
 
 
-def _dot(p: Any, x: Any, y: Any) -> Any:
+def _dot_general(p: Any, x: Any, y: Any) -> Any:
     """Multiply matrices or vectors, without batch dimensions."""
     (x_axes, y_axes), (batch, _) = p["dimension_numbers"]
     if batch:
@@ -44,7 +44,7 @@ def _dot(p: Any, x: Any, y: Any) -> Any:
     return np.sum(a * b, axis=tuple(axes))
 
 
-# Primitives as NumPy functions of symbols, given parameters and arrays.
+# Primitives as functions of their parameters and of arrays of symbols.
 RULES: dict[str, Callable[..., Any]] = {
     **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n not in ("select", "real")},
     "add_any": _elementwise(np.add),
@@ -60,7 +60,7 @@ RULES: dict[str, Callable[..., Any]] = {
     "reduce_max": _reduction(np.maximum),
     "reduce_min": _reduction(np.minimum),
     "reduce_prod": _reduction(np.multiply),
-    "dot_general": _dot,
+    "dot_general": _dot_general,
 }
 
 
@@ -68,25 +68,25 @@ def trace_jax_function(
     graph: Graph, function: Callable[[Any, Any], Any], frame: Any, values: Mapping[str, Any]
 ) -> Symbols:
     """Trace a function written for JAX arrays, of one reading and named values, to symbols."""
-    parts = {name: getattr(frame, name) for name in ("columns", "rates", "record", "labels")}
-    leaves, structure = jax.tree.flatten((parts, dict(values)))
+    fields = {name: getattr(frame, name) for name in ("columns", "rates", "record", "labels")}
+    leaves, structure = jax.tree.flatten((fields, dict(values)))
     lag = import_module("jax.extend.core").Primitive("lag")
     lag.def_abstract_eval(lambda tau, column: jax.core.ShapedArray((1,), tau.dtype))
 
     def lagged(column: str, tau: Any) -> Any:
         return lag.bind(jnp.asarray(tau, float), column=column)
 
-    def of_leaves(*leaves: Any) -> Any:
-        parts, values = jax.tree.unflatten(structure, leaves)
-        return jnp.asarray(function(replace(frame, **parts, lagged=lagged), values))
+    def evaluate_leaves(*leaves: Any) -> Any:
+        fields, values = jax.tree.unflatten(structure, leaves)
+        return jnp.asarray(function(replace(frame, **fields, lagged=lagged), values))
 
-    closed = jax.make_jaxpr(of_leaves)(*(np.ones(np.shape(leaf)) for leaf in leaves))
+    jaxpr = jax.make_jaxpr(evaluate_leaves)(*(np.ones(np.shape(leaf)) for leaf in leaves))
     rules = {**RULES, "lag": lambda p, tau: frame.lagged(p["column"], tau)}
-    (output,) = _run(closed.jaxpr, closed.consts, [graph.symbols(leaf) for leaf in leaves], rules)
+    (output,) = _trace(jaxpr.jaxpr, jaxpr.consts, [graph.symbols(leaf) for leaf in leaves], rules)
     return graph.symbols(output)
 
 
-def _run(
+def _trace(
     jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Any], rules: Mapping[str, Any]
 ) -> list[Any]:
     """Evaluate a jaxpr on symbols and numbers."""
@@ -103,47 +103,47 @@ def _run(
         name = equation.primitive.name
         try:
             if name in CALLS:
-                inner = next(p[n] for n in ("jaxpr", "call_jaxpr", "fun_jaxpr") if n in p)
-                subprogram = getattr(inner, "jaxpr", inner), getattr(inner, "consts", ())
-                outputs = _run(*subprogram, arguments, rules)
+                callee = next(p[n] for n in ("jaxpr", "call_jaxpr", "fun_jaxpr") if n in p)
+                subprogram = getattr(callee, "jaxpr", callee), getattr(callee, "consts", ())
+                outputs = _trace(*subprogram, arguments, rules)
             elif not any(isinstance(a, Symbols) for a in arguments) and name != "lag":
                 outputs = [*map(np.asarray, _evaluate_primitive(equation, arguments))]
-            elif name in MOVES:
-                outputs = _run_on_places(equation, arguments)
+            elif name in MOVE_PRIMITIVES:
+                outputs = _move_elements(equation, arguments)
             elif name in rules:
                 outputs = [rules[name](p, *arguments)]
             else:
                 raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
         except NotExportable as error:
-            outputs = _as_calls(equation, arguments, str(error))
+            outputs = _replace_by_calls(equation, arguments, str(error))
         values |= dict(zip(equation.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
 
 
 def _evaluate_primitive(equation: Any, arguments: Sequence[Any], **parameters: Any) -> list[Any]:
-    """Evaluate a primitive on numbers by JAX."""
-    parameters_all = {**equation.params, **parameters}
-    outputs = equation.primitive.bind(*map(jnp.asarray, arguments), **parameters_all)
+    """Evaluate a primitive on numbers with JAX."""
+    all_parameters = {**equation.params, **parameters}
+    outputs = equation.primitive.bind(*map(jnp.asarray, arguments), **all_parameters)
     return [*outputs] if equation.primitive.multiple_results else [outputs]
 
 
-def _run_on_places(equation: Any, arguments: list[Any]) -> list[Symbols]:
-    """Run a primitive that only moves elements on their places; index arguments stay numbers."""
-    moving = arguments if equation.primitive.name in JOINING else arguments[:1]
-    if any(isinstance(a, Symbols) for a in arguments[len(moving) :]):
+def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
+    """Move elements by evaluating a primitive on their indices; its index arguments are numbers."""
+    moved = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
+    if any(isinstance(a, Symbols) for a in arguments[len(moved) :]):
         raise NotExportable(
             "an element whose place depends on a covariate has no form in an export"
         )
-    graph = next(a.graph for a in moving if isinstance(a, Symbols))
-    pool, placed = list[Any](), list[Any]()
-    for argument in moving:
-        placed.append(len(pool) + np.arange(np.size(argument)).reshape(np.shape(argument)))
+    graph = next(a.graph for a in moved if isinstance(a, Symbols))
+    pool, indices = list[Any](), list[Any]()
+    for argument in moved:
+        indices.append(len(pool) + np.arange(np.size(argument)).reshape(np.shape(argument)))
         pool += np.asarray(argument, dtype=object).reshape(-1).tolist()
-    filled = {} if equation.params.get("fill_value") is None else {"fill_value": 0}
+    options = {} if equation.params.get("fill_value") is None else {"fill_value": 0}
     elements = np.empty(len(pool), dtype=object)
     elements[:] = pool
-    places_out = _evaluate_primitive(equation, [*placed, *arguments[len(moving) :]], **filled)
-    return [graph.symbols(elements[np.asarray(places)]) for places in places_out]
+    results = _evaluate_primitive(equation, [*indices, *arguments[len(moved) :]], **options)
+    return [graph.symbols(elements[np.asarray(places)]) for places in results]
 
 
 class Call:
@@ -153,47 +153,47 @@ class Call:
 
     def __init__(self, function: Callable[..., Any], count: int, why_not: str) -> None:
         self.function, self.count, self.why_not = function, count, why_not
-        self._together = jax.jit(jax.vmap(function))
+        self._batched = jax.jit(jax.vmap(function))
 
-    def of(self, graph: Graph, elements: Sequence[Any]) -> Symbol:
+    def add_to(self, graph: Graph, elements: Sequence[Any]) -> Symbol:
         """Add a call of this function on symbols and numbers to a graph."""
-        return Symbol(graph.put(("call", self, *map(graph.place_of, elements))))
+        return Symbol(graph.add(("call", self, *map(graph.node_of, elements))))
 
     def compute(self, *values: Any) -> np.ndarray:
         """Compute the function elementwise."""
         values = np.broadcast_arrays(*values)
-        return np.asarray(self._together(*map(np.ravel, values))).reshape(values[0].shape)
+        return np.asarray(self._batched(*map(np.ravel, values))).reshape(values[0].shape)
 
     @property
     def pullbacks(self) -> list[Callable[..., Any]]:
-        """Return the pullback of a slope d to each argument."""
+        """Return the vector-Jacobian product of an adjoint d for each argument."""
 
         def pullback(i: int, d: Any, *values: Symbols) -> Any:
-            slope = Call(jax.grad(self.function, i), self.count, self.why_not)
-            return d * values[0].graph.symbols(slope.of(values[0].graph, values))
+            derivative = Call(jax.grad(self.function, i), self.count, self.why_not)
+            return d * values[0].graph.symbols(derivative.add_to(values[0].graph, values))
 
         return [partial(pullback, i) for i in range(self.count)]
 
 
-def _as_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
-    """Replace an operation by JAX calls, one per element of its results."""
+def _replace_by_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
+    """Replace an operation by calls of JAX, one per element of its results."""
     symbolic = [a for a in arguments if isinstance(a, Symbols)]
-    graph, ends = symbolic[0].graph, np.cumsum([a.size for a in symbolic])[:-1]
+    graph, splits = symbolic[0].graph, np.cumsum([a.size for a in symbolic])[:-1]
     elements = [element for a in symbolic for element in np.asarray(a).flat]
 
-    def of_scalars(result: int, element: int, *scalars: Any) -> Any:
-        parts = iter(jnp.split(jnp.stack(scalars), ends))
-        whole = [
-            next(parts).reshape(v.aval.shape).astype(v.aval.dtype) if isinstance(a, Symbols) else a
+    def evaluate_element(result: int, element: int, *scalars: Any) -> Any:
+        values = iter(jnp.split(jnp.stack(scalars), splits))
+        arrays = [
+            next(values).reshape(v.aval.shape).astype(v.aval.dtype) if isinstance(a, Symbols) else a
             for a, v in zip(arguments, equation.invars, strict=True)
         ]
-        return jnp.ravel(_evaluate_primitive(equation, whole)[result])[element].astype(float)
+        return jnp.ravel(_evaluate_primitive(equation, arrays)[result])[element].astype(float)
 
     outputs = list[Symbols]()
     for result, variable in enumerate(equation.outvars):
-        elements_out = np.empty(variable.aval.shape, dtype=object)
-        for i in range(elements_out.size):
-            call = Call(partial(of_scalars, result, i), len(elements), why_not)
-            elements_out.flat[i] = call.of(graph, elements)
-        outputs.append(graph.symbols(elements_out))
+        calls = np.empty(variable.aval.shape, dtype=object)
+        for i in range(calls.size):
+            call = Call(partial(evaluate_element, result, i), len(elements), why_not)
+            calls.flat[i] = call.add_to(graph, elements)
+        outputs.append(graph.symbols(calls))
     return outputs

@@ -1,16 +1,15 @@
 """The operating equation of a calibrated instrument: one reading's equation, its posterior moments, its inverse.
 
-In use there is no test rig: slots absent from `Use.slots` do not act, and every run, cell or (unless named) device is
-new, its deviation drawn from the standard deviation between members. This leaves one function of numbers,
+In use there is no test rig: slots (terms of the measurement equation) absent from `Use.slots` are omitted, and every
+run, cell or (unless named) device is unseen, with a deviation drawn from the between-member standard deviation. The
+equation is a function of numbers,
 
     output = point(θ, stimulus, inputs),
 
-θ the coefficients and shapes that act, `inputs` the covariates of that reading; the past of a record enters as
-inputs too (`temperature_rate`, `temperature_lag`, `elapsed`). It is traced once to a graph of scalar operations, with
-its slope and its gradient by θ: that graph is computed here by NumPy, draws of θ as leading axes, and is what exports
-write.
-
-It is solved for the stimulus of each reading, for draws of θ or to first order.
+with θ the coefficients and nonlinear parameters ("shapes"), and `inputs` the covariates of the reading; the history of
+a record enters as inputs too (`temperature_rate`, `temperature_lag`, `elapsed`). It is traced once to a graph of scalar
+operations, with its derivatives by stimulus and θ. NumPy evaluates the graph, draws of θ along the leading axis, and
+exports write it as code. It is solved for the stimulus of each reading, for draws of θ or to first order.
 """
 
 from __future__ import annotations
@@ -37,26 +36,26 @@ from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
 ALL_DRAWS = 10**9  # draws: every one there is
 STIMULUS = "(stimulus)"  # its name as an input of the graph
-NUMBERS_AT_ONCE = 60_000  # draws times readings per block, so that operations stay in cache
-NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
-SIZE_DRAWS = 200  # draws, and readings, for the error of held inputs
+MAX_BLOCK_SIZE = 60_000  # draws × readings evaluated together, within the processor's cache
+NOISE_READINGS, NOISE_DRAWS = 200, 2000  # averaged over for the mean noise variance
+HELD_DRAWS = 200  # draws and readings, for the rms error of held inputs
 IMAGINARY_STEP = 1e-30j  # relative complex step of a derivative
-LAGS_AT_ONCE = 4_000_000  # draws times readings whose lags are computed together
+MAX_LAG_BLOCK_SIZE = 4_000_000  # draws × readings whose lags are computed together
 Values = Mapping[str, Any]
 
 
 class Lag(NamedTuple):
-    """One lag T̃ − T of the equation."""
+    """The lag T̃ − T of a body's temperature T̃ behind the measured T, as an input of the equation."""
 
-    column: str  # the temperature that is lagged
+    column: str  # of the measured temperature
     tau: float  # time constant, s, at the posterior mean
-    place: int  # node of the time constant
-    shape: str  # unknown of which it is a multiple; empty for a constant
-    name: str  # of the input that carries it
+    node: int  # node of the time constant
+    shape: str  # unknown that the time constant is a multiple of; empty for a constant
+    name: str  # of the input
 
     @property
     def slope(self) -> str | None:
-        """Return the name of the input ∂(T̃ − T)/∂τ, °C/s; None where τ is no unknown."""
+        """Return the name of the input ∂(T̃ − T)/∂τ, °C/s; None if τ is no unknown."""
         return f"{self.name}_by_tau" if self.shape else None
 
 
@@ -87,7 +86,7 @@ def input_name(unknown: str) -> str:
     return f"({unknown})"
 
 
-class ActingTerms(TracedColumns):
+class TermsInUse(TracedColumns):
     """The effects and the instrument in use, evaluated on symbols of a graph."""
 
     xp = np
@@ -97,9 +96,9 @@ class ActingTerms(TracedColumns):
         self.graph = graph
 
     def matrix(self, basis: Basis, frame: Frame, shapes: Values) -> Any:
-        return self.called(partial(super().matrix, basis), frame, shapes)
+        return self.trace(partial(super().matrix, basis), frame, shapes)
 
-    def called(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
+    def trace(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
         """Call a function of a frame and named values on symbols; trace it by JAX if NumPy cannot."""
         try:
             return self.graph.symbols(function(frame, values))
@@ -124,7 +123,7 @@ class OperatingEquation:
     """The measurement equation of a calibrated model for one reading in use."""
 
     calibration: Calibration  # a fit, or an average over structures
-    # (group, member) chosen by name, such as ("device", "A17"); others are new
+    # (group, member) chosen by name, such as ("device", "A17"); members of other groups are unseen
     members: tuple[tuple[str, str], ...] = ()
     # (name, value, unit) of inputs that only improbable effects need: fixed at one value
     held_inputs: tuple[tuple[str, float, str], ...] = ()
@@ -132,9 +131,9 @@ class OperatingEquation:
     @cached_property
     def layout(self) -> Layout:
         """Return the model's layout with one member of every group: the one in use."""
-        whole = self.calibration.layout
-        one_each = tuple((group, 1) for group, _ in whole.counts)
-        return replace(whole, counts=one_each, origin=())
+        fit_layout = self.calibration.layout
+        counts = tuple((group, 1) for group, _ in fit_layout.counts)
+        return replace(fit_layout, counts=counts, origin=())
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -143,7 +142,7 @@ class OperatingEquation:
         return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
 
     @cached_property
-    def rated(self) -> tuple[tuple[str, str], ...]:
+    def rates(self) -> tuple[tuple[str, str], ...]:
         """Return (name of the rate, temperature column) of each rate."""
         return tuple((f"{n}_rate", n) for n in self.calibration.frame.rates)
 
@@ -163,26 +162,26 @@ class OperatingEquation:
     def blocks(self) -> tuple[CoefficientBlock, ...]:
         """Return the coefficients that act in use."""
         slots = [s.name for s in self.layout.model.instrument.slots]
-        acting = self.use.slots or tuple(slots)
-        blocks = (b for b in self.layout.blocks if b.slot in acting or b.slot not in slots)
+        slots_in_use = self.use.slots or tuple(slots)
+        blocks = (b for b in self.layout.blocks if b.slot in slots_in_use or b.slot not in slots)
         return tuple(b for b in blocks if not b.effect.of_reference)
 
     @cached_property
     def unknowns(self) -> tuple[UnknownInUse, ...]:
         """Return the unknowns of the equation, effect by effect."""
         fixed, members = dict(self.layout.model.fixed), dict(self.members)
-        listed = dict[str, UnknownInUse]()
+        unknowns = dict[str, UnknownInUse]()
         for b in self.blocks:
             names = {b.effect.shape_name(shape): shape.unit for shape in b.effect.shapes}
             for name in (n for n in names if n not in fixed):
-                listed.setdefault(name, UnknownInUse(name, name, names[name], "shape"))
+                unknowns.setdefault(name, UnknownInUse(name, name, names[name], "shape"))
             name, kind, per = b.name, "coefficient", b.coefficient.per
             if per is not None:
                 kind = kind if per in members else "new"
                 name = member_name(b.name, members.get(per, f"new {per}"))
             if b.place != "fixed":
-                listed[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind)
-        return tuple(listed.values())
+                unknowns[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind)
+        return tuple(unknowns.values())
 
     @cached_property
     def graph(self) -> Graph:
@@ -193,12 +192,12 @@ class OperatingEquation:
         return self.graph.symbols([Symbol(self.graph.input(name))])
 
     @cached_property
-    def _terms(self) -> ActingTerms:
+    def _terms(self) -> TermsInUse:
         """Return the terms of one reading, as symbols; held inputs are numbers."""
-        values = {name: self._symbol(name) for name in (*self.columns, *dict(self.rated))}
+        values = {name: self._symbol(name) for name in (*self.columns, *dict(self.rates))}
         values |= {name: self.graph.symbols([value]) for name, value, _ in self.held_inputs}
         frame = replace(self.frame_of(self._symbol(STIMULUS), values), lagged=self._lagged)
-        return ActingTerms(self.layout.model.instrument, frame, self.graph)
+        return TermsInUse(self.layout.model.instrument, frame, self.graph)
 
     @cached_property
     def _lags(self) -> dict[tuple[str, float], Lag]:
@@ -207,29 +206,29 @@ class OperatingEquation:
 
     def _lagged(self, column: str, tau: Any) -> Symbols:
         """Return a lag: an input at the mean time constant, plus its first-order change with τ."""
-        place, means = self.graph.place_of(tau), {input_name(n): v for n, v in self.shapes.items()}
-        (mean,) = self.graph.evaluate([place], means)
+        node, means = self.graph.node_of(tau), {input_name(n): v for n, v in self.shapes.items()}
+        (mean,) = self.graph.evaluate([node], means)
         if (column, mean) not in self._lags:
-            same = sum(lag.column == column for lag in self._lags.values())
-            name = f"{column}_lag" + (f"_{same + 1}" if same else "")
-            inputs = self.graph.inputs([place])
+            count = sum(lag.column == column for lag in self._lags.values())
+            name = f"{column}_lag" + (f"_{count + 1}" if count else "")
+            inputs = self.graph.inputs([node])
             shape = next((n for n in self.shapes if input_name(n) in inputs), "")
-            self._lags[column, mean] = Lag(column, float(mean), place, shape, name)
+            self._lags[column, mean] = Lag(column, float(mean), node, shape, name)
         lag = self._lags[column, mean]
         lag_symbol = self._symbol(lag.name)
         return lag_symbol + self._symbol(lag.slope) * (tau - lag.tau) if lag.slope else lag_symbol
 
     @cached_property
-    def _composed(self) -> tuple[Frame, dict[str, Symbols]]:
+    def _composition(self) -> tuple[Frame, dict[str, Symbols]]:
         """Return the corrected frame and the slots; corrections of rig quantities are omitted."""
         fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"}
         fixed |= dict(self.layout.model.fixed)
         symbols = {name: self.graph.symbols([value]) for name, value in fixed.items()}
         symbols |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
         terms = self._terms
-        acting = [b for b in self.blocks if b.slot in terms.slots or b.slot in terms.frame.columns]
-        values, shapes = [symbols[b.name] for b in acting], {n: v[0] for n, v in symbols.items()}
-        composed = compose(terms, terms_of(acting)[0], values, shapes)
+        blocks = [b for b in self.blocks if b.slot in terms.slots or b.slot in terms.frame.columns]
+        values, shapes = [symbols[b.name] for b in blocks], {n: v[0] for n, v in symbols.items()}
+        composed = compose(terms, terms_of(blocks)[0], values, shapes)
         zero = self.graph.symbols([0.0])
         slots = {name: composed.slots.get(name, zero) for name in terms.slots}
         return terms.frame.moved(composed.shifts), slots
@@ -244,11 +243,11 @@ class OperatingEquation:
                 return response(dict(slots), frame)
             return equation(frame[self.use.stimulus], dict(slots), frame)
 
-        return self.graph.place_of(self._terms.called(output, *self._composed))
+        return self.graph.node_of(self._terms.trace(output, *self._composition))
 
     def slot_place(self, slot: str) -> int:
         """Return the node of a slot's value, in its unit."""
-        return self.graph.place_of(self._composed[1][slot])
+        return self.graph.node_of(self._composition[1][slot])
 
     @cached_property
     def gradient(self) -> dict[str, int]:
@@ -260,10 +259,10 @@ class OperatingEquation:
     @cached_property
     def noise(self) -> int:
         """Return the node of a reading's noise variance by the noise law, without stated uncertainties."""
-        law, terms = self.layout.model.noise, self._terms
-        parameters = {name: self._symbol(input_name(name)) for name in law.parameters()}
-        variance = terms.called(lambda f, values: law.variance(values, f), terms.frame, parameters)
-        return self.graph.place_of(variance)
+        noise, terms = self.layout.model.noise, self._terms
+        parameters = {name: self._symbol(input_name(name)) for name in noise.parameters()}
+        variance = terms.trace(lambda f, values: noise.variance(values, f), terms.frame, parameters)
+        return self.graph.node_of(variance)
 
     @property
     def lags(self) -> tuple[Lag, ...]:
@@ -275,7 +274,7 @@ class OperatingEquation:
     def names(self) -> tuple[str, ...]:
         """Return the names of all possible inputs."""
         lags = (name for lag in self.lags for name in (lag.name, lag.slope) if name)
-        return (*self.columns, *dict(self.rated), *lags)
+        return (*self.columns, *dict(self.rates), *lags)
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
@@ -307,23 +306,23 @@ class OperatingEquation:
         self, theta: np.ndarray, stimulus: Any, inputs: Values, slot: str | None = None
     ) -> Float[np.ndarray, "d n"]:
         """Return the expected output, output unit, or a slot's value, at draws (d, p); as in `evaluate`."""
-        place = self.expected if slot is None else self.slot_place(slot)
-        (values,) = self.evaluate([place], theta, stimulus, inputs)
+        node = self.expected if slot is None else self.slot_place(slot)
+        (values,) = self.evaluate([node], theta, stimulus, inputs)
         return np.broadcast_to(values, (len(theta), len(stimulus)))
 
     def linearised(
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
         """Return the expected output at each place, its slope by the stimulus, and its gradient by the unknowns."""
-        places = [self.expected, *self.gradient.values()]
-        values = self.evaluate(places, theta, stimulus, inputs)
-        expected, slope, *gradient = (np.broadcast_to(f, len(stimulus)) for f in values)
+        nodes = [self.expected, *self.gradient.values()]
+        values = self.evaluate(nodes, theta, stimulus, inputs)
+        expected, slope, *gradient = (np.broadcast_to(value, len(stimulus)) for value in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
         """Return the stimulus of an output, and the output's slope there; NaN where there is no solution."""
-        places = self.expected, self.gradient[STIMULUS]
-        return solve_newton(lambda s: self.evaluate(places, theta, s, inputs), output, self.affine)
+        nodes = self.expected, self.gradient[STIMULUS]
+        return solve_newton(lambda s: self.evaluate(nodes, theta, s, inputs), output, self.affine)
 
     def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
         """Build the frame of readings without history; (n,) each, in fixed units."""
@@ -333,7 +332,7 @@ class OperatingEquation:
         return OneReading(
             columns=columns,
             labels={f"{group}={member}": np.ones(size) for group, member in self.members},
-            rates={c: inputs[n] for n, c in self.rated if n in inputs and n not in columns},
+            rates={c: inputs[n] for n, c in self.rates if n in inputs and n not in columns},
             codes={group: np.zeros(size, int) for group, _ in self.layout.counts},
             reference=dict(self.calibration.frame.reference),
             order=np.arange(size),
@@ -349,7 +348,7 @@ class OperatingEquation:
         """Return all inputs at the fit's readings, (n,) each; lags at their mean time constants."""
         frame = self.calibration.frame
         values = {n: np.asarray(frame.columns[n]) for n in self.columns}
-        values |= {name: np.asarray(frame.rates[column]) for name, column in self.rated}
+        values |= {name: np.asarray(frame.rates[column]) for name, column in self.rates}
         for lag in self.lags:
             values[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
             if lag.slope:
@@ -373,20 +372,20 @@ class OperatingEquation:
         total, random = len(v), np.random.default_rng(calibration.seed)
         step = max(1, -(-total // draws))
         values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
-        new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
-        for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
+        new_members = [i for i, u in enumerate(unknowns) if u.kind == "new"]
+        for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
         scaled = calibration.form_factor * (values - mean)
         covariance = np.atleast_2d(np.cov(scaled.T)) if len(unknowns) else np.zeros((0, 0))
-        for i in new:
+        for i in new_members:
             term = next(t for t in problem.terms if t.name == unknowns[i].key)
-            spread = problem.member_sd(term, problem.hyper(v.T), total)
-            spread = spread * calibration.having[term.effect.name]
-            mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(spread**2))
-            drawn = _draw_uncorrelated(thin - mean, spread[::step], covariance[i, i], random)
-            thin[:, i] = mean[i] + drawn
+            sd = problem.member_sd(term, problem.hyper(v.T), total)
+            sd = sd * calibration.having[term.effect.name]
+            mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(sd**2))
+            deviations = _draw_uncorrelated(thin - mean, sd[::step], covariance[i, i], random)
+            thin[:, i] = mean[i] + deviations
         for i, size in self.unfound_spreads.values():
             covariance[i, i] += size**2
             thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
@@ -401,45 +400,45 @@ class OperatingEquation:
     def unfound_spreads(self) -> dict[str, tuple[int, float]]:
         """Return deviations of a new run that no draw has, by effect: index in θ and standard deviation."""
         instrument, members = self.calibration.model.instrument, dict(self.members)
-        places, spreads = {u.key: i for i, u in enumerate(self.unknowns)}, {}
+        indices, sds = {u.key: i for i, u in enumerate(self.unknowns)}, {}
         for name, size in self.calibration.unfound_spreads.items():
             effect = instrument.known[name]
             c = effect.coefficients[0]
             for b in self.blocks:
                 if b.effect.kind == "constant" and b.slot == effect.slot and c.per not in members:
                     size *= factor_of(instrument, effect, c) / b.factor
-                    spreads[name] = places[b.name], size
+                    sds[name] = indices[b.name], size
                     break
-        return spreads
+        return sds
 
     def left_out(self) -> float:
         """Return the output's rms error from holding inputs, over draws and readings of the fit."""
-        rows = slice(None, None, -(-len(self.calibration.readings) // SIZE_DRAWS))
-        places, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(SIZE_DRAWS).draws
-        at = theta, self.stimulus_at_fit[rows], places
-        difference = replace(self, held_inputs=()).points(*at) - self.points(*at)
+        rows = slice(None, None, -(-len(self.calibration.readings) // HELD_DRAWS))
+        inputs, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(HELD_DRAWS).draws
+        arguments = theta, self.stimulus_at_fit[rows], inputs
+        difference = replace(self, held_inputs=()).points(*arguments) - self.points(*arguments)
         return float(np.sqrt(np.mean(difference**2)))
 
     def noise_in_use(self) -> tuple[dict[str, float], float]:
-        """Return the noise law's parameters, at the mean of their coordinates, and its level in use.
+        """Return the noise parameters at the mean of their coordinates, and a variance factor.
 
-        The level is the posterior mean variance over the fit's readings, divided by the variance by these parameters.
+        The factor is the posterior mean variance over the fit's readings over the variance at these parameters.
         """
         problem, (_, v) = self.calibration.problem, self.calibration.draws(NOISE_DRAWS)
         rows = slice(None, None, -(-len(self.calibration.readings) // NOISE_READINGS))
-        places = {n: x[rows] for n, x in self.at_fit.items() if n in self.inputs}
-        places[STIMULUS] = self.stimulus_at_fit[rows]
+        inputs = {n: x[rows] for n, x in self.at_fit.items() if n in self.inputs}
+        inputs[STIMULUS] = self.stimulus_at_fit[rows]
 
-        def mean_variance(law: Mapping[str, Any]) -> float:
-            parameters = {input_name(name): value for name, value in law.items()}
-            (variance,) = self.graph.evaluate([self.noise], {**places, **parameters})
-            return float(np.mean(variance + np.zeros_like(places[STIMULUS])))
+        def mean_variance(values: Mapping[str, Any]) -> float:
+            parameters = {input_name(name): value for name, value in values.items()}
+            (variance,) = self.graph.evaluate([self.noise], {**inputs, **parameters})
+            return float(np.mean(variance + np.zeros_like(inputs[STIMULUS])))
 
-        law = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
-        at_mean = mean_variance(law)
+        means = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
+        at_means = mean_variance(means)
         draws = {n: np.reshape(x, (-1, 1)) for n, x in problem.hyper(v.T).items()}
-        # 0: noise as stated
-        return law, mean_variance(draws) / at_mean if at_mean > 0 else 1.0
+        # Zero variance: noise as stated.
+        return means, mean_variance(draws) / at_means if at_means > 0 else 1.0
 
 
 def equation_in_use(
@@ -476,19 +475,19 @@ def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np
 
 def _draw_uncorrelated(
     others: Float[np.ndarray, "d p"],
-    spread: Float[np.ndarray, "d"],
+    sd: Float[np.ndarray, "d"],
     variance: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
     """Draw zero-mean values with given standard deviations and total variance, uncorrelated with `others`."""
     size = others.std(axis=0)
     others = others[:, size > 0] / size[size > 0]
-    others = others[:, : len(spread) // 2]  # fewer for few draws
-    regressors = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
-    normal = random.standard_normal(len(spread))
-    drawn = spread * (normal - regressors @ np.linalg.lstsq(regressors, normal, rcond=None)[0])
-    square = float(drawn @ drawn) / (len(drawn) - 1)
-    return drawn * (variance / square) ** 0.5 if square > 0 else drawn
+    others = others[:, : len(sd) // 2]  # fewer for few draws
+    regressors = sd[:, None] * np.column_stack([np.ones(len(sd)), others])
+    normal = random.standard_normal(len(sd))
+    values = sd * (normal - regressors @ np.linalg.lstsq(regressors, normal, rcond=None)[0])
+    variance_of_values = float(values @ values) / (len(values) - 1)
+    return values * (variance / variance_of_values) ** 0.5 if variance_of_values > 0 else values
 
 
 def _match_moments(
@@ -501,18 +500,19 @@ def _match_moments(
     Results from draws and by propagation then agree where the equation is linear.
     """
     sd = np.sqrt(np.diag(covariance))
-    moving = np.flatnonzero(sd > 0)
-    if len(draws) <= 2 * len(moving):
+    varying = np.flatnonzero(sd > 0)
+    if len(draws) <= 2 * len(varying):
         return draws
-    centred = (draws - draws.mean(axis=0))[:, moving] / sd[moving]
-    target = covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
+    centred = (draws - draws.mean(axis=0))[:, varying] / sd[varying]
+    target = covariance[np.ix_(varying, varying)] / np.outer(sd[varying], sd[varying])
     roots = []
     for matrix in (centred.T @ centred / (len(draws) - 1), target):
         values, vectors = np.linalg.eigh(matrix)
         roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-    moved = np.tile(mean, (len(draws), 1))
-    moved[:, moving] += centred @ np.linalg.pinv(roots[0], hermitian=True) @ roots[1] * sd[moving]
-    return moved
+    scaled = np.tile(mean, (len(draws), 1))
+    white = centred @ np.linalg.pinv(roots[0], hermitian=True)
+    scaled[:, varying] += white @ roots[1] * sd[varying]
+    return scaled
 
 
 def solve_over_draws(
@@ -527,22 +527,22 @@ def solve_over_draws(
     Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """
     count, size = len(theta), len(output)
-    together = count if record is None else min(count, max(1, LAGS_AT_ONCE // size))
+    block_draws = count if record is None else min(count, max(1, MAX_LAG_BLOCK_SIZE // size))
     origin, sums = np.zeros(size), np.zeros((3, size))
-    for first in range(0, count, together):
-        draws = theta[first : first + together]
+    for start_draw in range(0, count, block_draws):
+        draws = theta[start_draw : start_draw + block_draws]
         values = dict(inputs)
         for lag in equation.lags if record is not None else ():
-            (tau,) = equation.evaluate([lag.place], draws, 0.0, {})
+            (tau,) = equation.evaluate([lag.node], draws, 0.0, {})
             values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
             if lag.slope:
                 values[lag.slope] = np.zeros(size)  # the lag is at this τ already
-        length = max(1, NUMBERS_AT_ONCE // len(draws))
-        for rows in (slice(start, start + length) for start in range(0, size, length)):
+        block_readings = max(1, MAX_BLOCK_SIZE // len(draws))
+        for rows in (slice(i, i + block_readings) for i in range(0, size, block_readings)):
             block_inputs, y = {n: v[..., rows] for n, v in values.items()}, output[rows]
             solution = equation.solve(draws, y, block_inputs)
             s, slope = (np.broadcast_to(array, (len(draws), len(y))) for array in solution)
-            if first == 0:  # origin of the sums, to avoid cancellation
+            if start_draw == 0:  # origin of the sums, to avoid cancellation
                 origin[rows] = s.mean(axis=0)
             offset = s - origin[rows]
             sums[:, rows] += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
