@@ -334,9 +334,9 @@ def multimodality(fit: Fitted) -> list[Claim]:
         log_bayes_factor = mode.log_evidence - other.log_evidence
         if is_far(other.v).any() and log_bayes_factor < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other.v)]]
-            here, there = problem.hyper(mode.v), problem.hyper(other.v)
+            phi, phi2 = problem.hyper(mode.v), problem.hyper(other.v)
             units = {h.name: h.unit for h in problem.hypers}
-            values = tuple(f"{n} {number(here[n])} or {number(there[n])} {units[n]}" for n in names)
+            values = tuple(f"{n} {number(phi[n])} or {number(phi2[n])} {units[n]}" for n in names)
             return [Claim("mode.two", *names, behind=log_bayes_factor, values=values)]
     return []
 

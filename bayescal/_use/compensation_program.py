@@ -293,10 +293,10 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
     notes = [*averaged_over(calibration), *clock_note(equation)]
     if new_members := [u.name for u in equation.unknowns if u.kind == "new"]:
         notes.append(Claim("use.new_members", *new_members))
-    if held := equation.held_inputs:
-        values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in held)
+    if constants := equation.held_inputs:
+        values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
         numbers = {"places": values, "rms": equation.left_out(), "unit": calibration.unit}
-        notes.append(Claim("use.held_inputs", *(name for name, *_ in held), **numbers))
+        notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
     lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
     if lags:
         multiples = (lag.tau / equation.shapes[lag.shape] for lag in lags)
