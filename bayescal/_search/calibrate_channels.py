@@ -1,4 +1,4 @@
-"""The loop for the channels of one unit: each searched alone, then again with what the others say of their body."""
+"""The loop for the channels of one unit: each searched with what those before it say of their body, then all again."""
 
 from __future__ import annotations
 
@@ -182,8 +182,7 @@ def calibrate_channels(
             )
     if len(models) < 2:
         raise InputError("a unit has two channels or more: use `calibrate` for one")
-    channels, count = list[_Channel](), len(models)
-    trails, shared = dict[str, SearchPath](), list[SharedShape]()
+    channels, count, trails = list[_Channel](), len(models), dict[str, SearchPath]()
     with deadline.until(time_limit):
         for i, (name, model) in enumerate(models.items(), 1):
             pair = readings[name], None if holdout is None else holdout[name]
@@ -194,17 +193,22 @@ def calibrate_channels(
                 loop.begin(model, effects, widen_noise)
             channels.append(_Channel(name, loop))
             follow(name, loop.trail())
+        unit = _Unit(channels)
         for i, c in enumerate(channels):
             with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (2 * count - i)):
+                c.begin(unit.from_others(c))
                 c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
+                c.evaluate_shapes()
+        shared = unit.shared()
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
-            for update in _exchange_evidence(channels, follow):
-                shared = update
+            for name in unit.exchange_evidence():
+                follow(name, unit.channels[name].loop.trail())
+                shared = unit.shared()
         for i, c in enumerate(channels):
             with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
                 trails[c.name] = c.loop.to_best(partial(follow, c.name))
             memory.trim()
-    return Channels(trails, tuple(shared))
+    return Channels(trails, tuple(shared.values()))
 
 
 @dataclass(eq=False)
@@ -215,7 +219,7 @@ class _Channel:
     loop: Loop
     # shapes that all channels share, as the instrument states them, by the candidate that has it
     shared: Mapping[str, Shape] = field(default_factory=dict)
-    # what the others said of these when the channel was last asked; at first what the instrument says
+    # what the others said of these when it was last asked; at first what the instrument says
     heard: dict[str, FromOthers] = field(default_factory=dict)
     # what it says of them itself, by the structures evaluated; empty until it is asked
     says: dict[str, ShapeEvidence] = field(default_factory=dict)
@@ -227,6 +231,12 @@ class _Channel:
             self.shared = {n: shape for n, shape in of_all.items() if shape is not None}
             odds = structures.log_odds
             self.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in self.shared.items()}
+
+    def begin(self, others: Mapping[str, FromOthers]) -> None:
+        """Take what the channels searched before say for a prior of the first search."""
+        if self.loop.library is not None:
+            self.heard |= others
+            self.loop = replace(self.loop, library=Library(self._given(self.heard, others)))
 
     def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; return whether it does.
@@ -246,15 +256,8 @@ class _Channel:
         # Where the shape says nothing new its range stays; all odds are what the others say now.
         ranges = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
         heard = {n: others[n]._replace(**ranges.get(n, {})) for n in self.shared}
-        candidates = dict(before.candidates)
-        for name in news:
-            # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
-            range_ = {self.shared[name].name: (heard[name].low, heard[name].high)}
-            candidates[name] = candidates[name].ranging(range_)
-        odds = {n: now.log_odds for n, now in heard.items()}
         earlier = {**before.earlier, **before.visited}
-        anew = {"odds": odds, "earlier": earlier, "visited": {}, "expected": {}}
-        after = replace(before, candidates=candidates, **anew)
+        after = replace(self._given(heard, news), earlier=earlier)
 
         def odds_changed(s: Structure) -> float:
             return after.log_prior(s) - before.log_prior(s)
@@ -284,46 +287,62 @@ class _Channel:
             loop.look()
             if loop.stopped:
                 raise deadline.TimeIsUp(loop.stopped)
-        self.says = self.evaluate_shapes(after)
         self.loop, self.heard = loop, heard
+        self.evaluate_shapes()
         return True
 
-    def evaluate_shapes(self, structures: Structures) -> dict[str, ShapeEvidence]:
-        """Return the channel's evidence on each shared shape by its evaluated structures."""
-        return {n: evidence_of(structures, n, shape) for n, shape in self.shared.items()}
+    def _given(self, heard: Mapping[str, FromOthers], news: Collection[str]) -> Structures:
+        """Return the channel's structures, none evaluated, by what the others say; only shapes of `news` range anew."""
+        before = self.loop.library.structures
+        candidates = dict(before.candidates)
+        for name in news:
+            # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
+            range_ = {self.shared[name].name: (heard[name].low, heard[name].high)}
+            candidates[name] = candidates[name].ranging(range_)
+        odds = {n: now.log_odds for n, now in heard.items()}
+        return replace(before, candidates=candidates, odds=odds, visited={}, expected={})
+
+    def evaluate_shapes(self) -> None:
+        """Evaluate what the channel says of each shared shape, by its evaluated structures."""
+        if self.loop.library is not None:
+            structures = self.loop.library.structures
+            self.says = {n: evidence_of(structures, n, shape) for n, shape in self.shared.items()}
 
 
-def _exchange_evidence(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:
-    """Have the channels hear each other until nothing new is said; what they say at first, and whenever it changes."""
-    shapes = {n: shape for c in channels for n, shape in c.shared.items()}
-    alone: dict[str, float] = {}  # prior probability of each effect in one channel
-    for c in channels:
-        for n, now in c.heard.items():
-            alone[n] = max(alone.get(n, 0.0), float(expit(now.log_odds)))
-        if c.loop.library is not None:
-            c.says = c.evaluate_shapes(c.loop.library.structures)
-    yield list(_combine_evidence(channels, shapes, alone).values())
-    # Coordinate ascent on a joint posterior: each channel given what all others say now.
-    for _ in range(MAX_ROUNDS):
-        moved = []
-        for c in channels:  # one by one: told all at once, they would swap opinions
-            shared = _combine_evidence(channels, shapes, alone)
-            with stage(c.name):
-                moved.append(c.hear({n: shared[n].from_others(c.name) for n in c.shared}))
-            if moved[-1]:
-                follow(c.name, c.loop.trail())
-                yield list(_combine_evidence(channels, shapes, alone).values())
-        if not any(moved):
-            break
+class _Unit:
+    """The channels that share shapes, and what all say of each."""
 
+    def __init__(self, channels: Sequence[_Channel]) -> None:
+        self.channels = {c.name: c for c in channels}
+        self.shapes = {n: shape for c in channels for n, shape in c.shared.items()}
+        # A uniform share has the mean ½: a unit has an effect twice as probably as one of its channels shows it.
+        alone = ((n, 2 * expit(now.log_odds)) for c in channels for n, now in c.heard.items())
+        self.prior = {n: min(float(p), 0.5) for n, p in sorted(alone)}
 
-def _combine_evidence(
-    channels: Sequence[_Channel], shapes: Mapping[str, Shape], alone: Mapping[str, float]
-) -> dict[str, SharedShape]:
-    """Return the combined evidence of all channels on each shared shape, by effect."""
-    shared = {}
-    for n, shape in shapes.items():
-        # A uniform share has the mean ½: a unit has the effect twice as probably as one of its channels shows it.
-        says = {c.name: c.says[n] for c in channels if n in c.says}
-        shared[n] = SharedShape.of(n, shape, min(2 * alone[n], 0.5), says)
-    return shared
+    def shared(self) -> dict[str, SharedShape]:
+        """Return the combined evidence of the channels searched on each shared shape, by effect."""
+        shared = {}
+        for n, shape in self.shapes.items():
+            if says := {c.name: c.says[n] for c in self.channels.values() if n in c.says}:
+                shared[n] = SharedShape.of(n, shape, self.prior[n], says)
+        return shared
+
+    def from_others(self, channel: _Channel) -> dict[str, FromOthers]:
+        """Return what the other channels say of each effect whose shape a channel shares with them."""
+        shared = self.shared()
+        return {n: shared[n].from_others(channel.name) for n in channel.shared if n in shared}
+
+    def exchange_evidence(self) -> Iterator[str]:
+        """Have the channels hear each other until nothing new is said; yield the name of each that changed."""
+        # Coordinate ascent on a joint posterior: each channel given what all others say now, one by one, since told all
+        # at once they would swap opinions.
+        for _ in range(MAX_ROUNDS):
+            changed = False
+            for c in self.channels.values():
+                with stage(c.name):
+                    moved = c.hear(self.from_others(c))
+                if moved:
+                    changed = True
+                    yield c.name
+            if not changed:
+                break

@@ -20,7 +20,7 @@ from bayescal._calibration.judgement import (
     split_by_run,
     thermometer_anomalies,
 )
-from bayescal._calibration.leave_group_out import MIN_GROUP_READINGS, scheme
+from bayescal._calibration.leave_group_out import scheme
 from bayescal._core.settings import settings
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import TakenOver, claims_of_profiles, taken_over
@@ -67,8 +67,8 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     if last.calibration.verdict.ok:
         hardly = (term for term in _followed_terms(steps) if term.measured and term.confounded)
         notes += [term.claim for term in hardly]
-    notes += [*sensor_or_thermometer(steps), *equivalent(steps, "note")]
-    if notes := [*notes, *two_levels(steps), *in_one_order(steps)]:
+    notes += [*sensor_or_thermometer(steps), *equivalent(steps, "note"), *two_levels(steps)]
+    if notes:
         last = last.noted(notes)
     if last.calibration.verdict.ok:
         last = last.judged(outcome.claims)
@@ -130,30 +130,6 @@ def two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
         at = float(time[order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
         details = {"apart": float(np.ptp(added)), "unit": calibration.unit, "at": at}
         yield Claim("level.which", jump.name, **details)
-
-
-def in_one_order(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield claims on placeholders along an input whose values always follow the same value.
-
-    An output that is late or smoothed holds a part of the reading before. Where that was always at the same value of
-    the input, this is a function of the input.
-    """
-    calibration = steps[-1].calibration
-    readings, (order, since) = calibration.readings, calibration.problem.record.in_time
-    share = limit("input.one_order", "share")
-    for effect in (e for e in calibration.model.effects if e.is_placeholder):
-        column = effect.along or ""
-        if not readings.has(column) or readings.unit(column) == "degC" or column == "time":
-            continue
-        _, level = np.unique(readings[column], return_inverse=True)
-        current, before = level[order][1:][since[1:] >= 0], level[order][:-1][since[1:] >= 0]
-        moved = current != before
-        pairs = np.zeros(2 * (int(level.max()) + 1,))
-        np.add.at(pairs, (current[moved], before[moved]), 1)
-        visits = pairs.sum(axis=1)
-        again = visits >= MIN_GROUP_READINGS
-        if again.any() and pairs[again].max(axis=1).sum() > share * visits[again].sum():
-            yield Claim("input.one_order", effect.name, column=column)
 
 
 def _may_be_missing(step: Step) -> dict[str, str]:

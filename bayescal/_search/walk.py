@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import lru_cache, partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 from bayescal._core import deadline
@@ -123,7 +122,7 @@ def walk(library: Library, max_effects: int, start: Structure | None = None) -> 
                     break
             else:
                 before = len(structures.visited)
-                yield from _weigh_forms(structures, structures.best, finer=True)
+                yield from _weigh_forms(structures, structures.best, last=True)
                 if len(structures.visited) == before and not (yield from _refine(structures)):
                     break
 
@@ -209,7 +208,8 @@ def _look_around(
     if not math.isfinite(at.total):
         return
     all_laws = among.laws is None
-    gained = (yield from _weigh_forms(structures, at)) if all_laws else {}
+    if all_laws:
+        yield from _weigh_forms(structures, at)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(view(at), max_effects, among)]
     # Substitutes of what corrects a column are seen beside a refit without it, on which all that depends moves.
@@ -237,7 +237,7 @@ def _look_around(
         if near and _is_open(structures, move.to, at):
             yield (evaluated := structures.weigh(move.to, at, move.hints))
             if all_laws:
-                yield from _weigh_forms(structures, evaluated, gained)
+                yield from _weigh_forms(structures, evaluated)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(structure).independent:
         for name in sorted(structure.effects):
@@ -275,15 +275,29 @@ def _beside_another(structures: Structures, to: Structure, structure: Structure)
     come, gone = to.effects - structure.effects, structure.effects - to.effects
     own_families = structures.families(structure.effects)
     of_form = come and structures.families(to.effects) == own_families
-    for s, other in structures.visited.items():
-        if s.noise != structure.noise or not gone <= s.effects or come & s.effects:
-            continue
+
+    def near(s: Structure) -> bool:
         families = structures.families(s.effects)
-        if families == own_families or (of_form and families < own_families):
-            evaluated = structures.visited.get(Structure(s.effects - gone | come, to.noise))
-            if evaluated is not None and math.isfinite(evaluated.total):
-                return evaluated.total - other.total
-    return None
+        alike = families == own_families or (of_form and families < own_families)
+        return s.noise == structure.noise and alike
+
+    return next(_known_gains(structures, gone, come, near, to.noise), None)
+
+
+def _known_gains(
+    structures: Structures,
+    gone: frozenset[str],
+    come: frozenset[str],
+    near: Callable[[Structure], bool],
+    noise: str | None = None,
+) -> Iterator[float]:
+    """Yield what an exchange of effects, and of the noise law if given, gained in structures that are near."""
+    for s, evaluated in structures.visited.items():
+        if gone <= s.effects and not come & s.effects and near(s):
+            to = Structure(s.effects - gone | come, s.noise if noise is None else noise)
+            exchanged = structures.visited.get(to)
+            if exchanged is not None and math.isfinite(exchanged.total - evaluated.total):
+                yield exchanged.total - evaluated.total
 
 
 def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluated:
@@ -295,36 +309,29 @@ def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluate
             yield structures.weigh(Structure(s.effects - gone | come, s.noise), at)
 
 
-def _weigh_forms(
-    structures: Structures,
-    at: Weighed,
-    gained: Mapping[str, float] = MappingProxyType({}),
-    finer: bool = False,
-) -> Generator[Weighed, None, dict[str, float]]:
+def _weigh_forms(structures: Structures, at: Weighed, last: bool = False) -> Evaluated:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
-    Where the structure is so improbable that no form could make it anything else they are left alone; and a form that
-    lost so much beside one effect more or less that as much would put it out of sight.
-
-    Args:
-        gained: nats by which forms changed a structure next to this one.
-        finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
-
-    Returns:
-        What each form gained.
+    Where the structure is so improbable that no form could make it anything else they are left alone; but when this
+    is the `last` look around, so are forms of several shapes, which take ten times as long, and one that lost so much
+    wherever it was tried that as much would put it out of sight.
     """
-    gains = dict[str, float]()
     behind = structures.near if structures.thrifty else OTHER_LAW_NATS
     if not at.total > structures.best.total - behind:
-        return gains
+        return
+    independent = structures.noise(at.structure).independent
+
+    def near(s: Structure) -> bool:
+        return structures.noise(s).independent == independent
+
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
-            (other,) = to.effects - at.structure.effects
+            (other,) = come = to.effects - at.structure.effects
             shapes = structures.candidates[other].column_shapes
-            several = len(shapes) > 1
-            if not structures.moves_a_column(other) or several != finer:
+            if not structures.moves_a_column(other) or (len(shapes) > 1 and not last):
                 continue
-            expected = at.total + gained.get(other, math.inf)
+            gains = () if last else _known_gains(structures, frozenset({name}), come, near)
+            expected = at.total + max(gains, default=math.inf)
             if to not in structures.visited and expected < structures.best.total - NEAR_NATS:
                 structures.expect(to, expected)
             elif _is_open(structures, to, at):
@@ -333,8 +340,6 @@ def _weigh_forms(
                 pairs = ((f"{other}.{s.name}", f"{name}.{s.name}") for s in shapes)
                 hint = {n: float(at.mode.v[places[o]]) for n, o in pairs if o in places}
                 yield structures.weigh(to, at, [hint])
-            gains[other] = structures.total(to) - at.total
-    return gains
 
 
 def correlated_laws(structures: Structures) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import Subject
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._search.gate import gate, in_one_order
+from bayescal._search.gate import gate
 from bayescal.effects import deviation
 from bayescal_models import mems_gyro, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
@@ -96,20 +96,6 @@ def test_runs_that_differ_by_far_more_than_is_plausible(
     assert not set(told) & set(judgement.conflicts(Subject(found))), (
         "what is missing may be what they differ by"
     )
-
-
-@pytest.mark.parametrize(("shuffled", "count"), [(False, 1), (True, 0)])
-def test_a_function_of_an_input_that_has_one_order(shuffled: bool, count: int) -> None:
-    """An output that is late holds a part of the reading before, which there is a function of the input."""
-    given = ng_accelerometer.simulate({}, seed=1)
-    if shuffled:
-        angle = np.array(given["position_angle"])
-        given = given.with_column("position_angle", np.random.default_rng(1).permutation(angle))
-    model = ng_accelerometer.INSTRUMENT.baseline() + "unknown(position_angle)"
-    found = bc.fit(model, given, bc.LeastSquares(draws=200), strict=False)
-    told = [*in_one_order([cast(Any, SimpleNamespace(calibration=found))])]
-    assert len(told) == count
-    assert {(t.code, *t.subjects) for t in told} <= {("input.one_order", "unknown(position_angle)")}
 
 
 def test_members_that_follow_the_column_that_their_readings_deny() -> None:
