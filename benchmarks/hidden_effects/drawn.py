@@ -71,7 +71,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     for t in problem.in_x:
         if t.effect.name in positions:
             same_effect = [b for b in base.problem.in_x if b.effect.name == t.effect.name]
-            at = same_effect[placed[t.effect.name]].at
+            at = same_effect[placed[t.effect.name]].x_slice
             placed[t.effect.name] += 1
             x[t.x_slice] = base.mode.x[at]
         else:

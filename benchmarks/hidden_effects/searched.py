@@ -104,7 +104,7 @@ class Later:
         new = {g: c if g == "axis" else -jnp.ones_like(c) for g, c in frame.codes.items()}
         unseen = eqx.tree_at(lambda f: f.codes, frame, new)
         y = np.asarray(remainder["output"])
-        records = (Record(first.instrument, f, y, first.library) for f in (unseen, frame))
+        records = (Record(first.instrument, f, y) for f in (unseen, frame))
         return cls(*records)
 
     def expected(self, weighed: Weighed) -> np.ndarray:

@@ -105,7 +105,7 @@ def added(case: tuple[str, int], world: World, baseline: bc.Calibration) -> dict
     for effect in world.hidden:
         part = world.truth - WORLDS[name][1](seed, without=effect).truth
         white = line.whiten(part[:, None])[:, 0]
-        left = line.beyond(white, np.ones(len(line.owners), dtype=bool))
+        left = line.deflate(white, np.ones(len(line.owners), dtype=bool))
         # Beside the baseline the effect counts as noise: by the true noise, not by what a fit that lacks it finds.
         rms[effect] = float(np.sqrt(np.mean(left**2 * line.variance))) / NOISE[name]
     return rms
