@@ -236,7 +236,9 @@ class _Channel:
         """Take what the channels searched before say for a prior of the first search."""
         if self.loop.library is not None:
             self.heard |= others
-            self.loop = replace(self.loop, library=Library(self._given(self.heard, others)))
+            self.loop = replace(
+                self.loop, library=Library(self._conditioned_on(self.heard, others))
+            )
 
     def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; return whether it does.
@@ -257,7 +259,7 @@ class _Channel:
         ranges = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
         heard = {n: others[n]._replace(**ranges.get(n, {})) for n in self.shared}
         earlier = {**before.earlier, **before.visited}
-        after = replace(self._given(heard, news), earlier=earlier)
+        after = replace(self._conditioned_on(heard, news), earlier=earlier)
 
         def odds_changed(s: Structure) -> float:
             return after.log_prior(s) - before.log_prior(s)
@@ -291,7 +293,7 @@ class _Channel:
         self.evaluate_shapes()
         return True
 
-    def _given(self, heard: Mapping[str, FromOthers], news: Collection[str]) -> Structures:
+    def _conditioned_on(self, heard: Mapping[str, FromOthers], news: Collection[str]) -> Structures:
         """Return the channel's structures, none evaluated, by what the others say; only shapes of `news` range anew."""
         before = self.loop.library.structures
         candidates = dict(before.candidates)

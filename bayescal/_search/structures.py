@@ -330,12 +330,16 @@ class Structures:
         """Return a structure's descriptions without a name."""
         return frozenset(n for n in structure.effects if self.candidates[n].unnamed)
 
-    def matters(self, weighed: Weighed) -> frozenset[str]:
-        """Return a structure's descriptions without a name (curves) that carry more than a small part.
+    @cached_property
+    def matters(self) -> Callable[[Weighed], frozenset[str]]:
+        """Return a structure's descriptions without a name (curves) that carry more than a small part; cached.
 
         What one explains that the rest of the structure cannot, rms over the noise; or what it moves a coefficient of a
         named effect by, over its standard uncertainty: where both are small, all that has a name is there.
         """
+        return cache(self._substantial)
+
+    def _substantial(self, weighed: Weighed) -> frozenset[str]:
         substantial = set[str]()
         for name in self.unnamed(weighed.structure):
             line = self.line(weighed)
