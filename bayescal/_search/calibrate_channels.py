@@ -227,10 +227,10 @@ class _Channel:
     def __post_init__(self) -> None:
         if self.loop.library is not None and self.loop.max_effects > 0:
             structures = self.loop.library.structures
-            of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
-            self.shared = {n: shape for n, shape in of_all.items() if shape is not None}
-            odds = structures.log_odds
-            self.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in self.shared.items()}
+            of_all = ((n, e.shared_shape) for n, e in structures.candidates.items())
+            self.shared = {n: shape for n, shape in of_all if shape is not None}
+            for n, s in self.shared.items():
+                self.heard[n] = FromOthers(structures.log_odds[n], s.low, s.high)
 
     def begin(self, others: Mapping[str, FromOthers]) -> None:
         """Take what the channels searched before say for a prior of the first search."""
@@ -336,8 +336,7 @@ class _Unit:
 
     def exchange_evidence(self) -> Iterator[str]:
         """Have the channels hear each other until nothing new is said; yield the name of each that changed."""
-        # Coordinate ascent on a joint posterior: each channel given what all others say now, one by one, since told all
-        # at once they would swap opinions.
+        # Coordinate ascent on a joint posterior, one by one: told all at once, they would swap opinions.
         for _ in range(MAX_ROUNDS):
             changed = False
             for c in self.channels.values():
