@@ -226,7 +226,7 @@ class _Channel:
 
     def __post_init__(self) -> None:
         if self.loop.library is not None and self.loop.max_effects > 0:
-            structures = self.loop.library.structures
+            structures = self.loop.structures
             of_all = ((n, e.shared_shape) for n, e in structures.candidates.items())
             self.shared = {n: shape for n, shape in of_all if shape is not None}
             for n, s in self.shared.items():
@@ -295,7 +295,7 @@ class _Channel:
 
     def _conditioned_on(self, heard: Mapping[str, FromOthers], news: Collection[str]) -> Structures:
         """Return the channel's structures, none evaluated, by what the others say; only shapes of `news` range anew."""
-        before = self.loop.library.structures
+        before = self.loop.structures
         candidates = dict(before.candidates)
         for name in news:
             # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
@@ -306,9 +306,8 @@ class _Channel:
 
     def evaluate_shapes(self) -> None:
         """Evaluate what the channel says of each shared shape, by its evaluated structures."""
-        if self.loop.library is not None:
-            structures = self.loop.library.structures
-            self.says = {n: evidence_of(structures, n, shape) for n, shape in self.shared.items()}
+        evidence = ((n, evidence_of(self.loop.structures, n, s)) for n, s in self.shared.items())
+        self.says = dict(evidence)
 
 
 class _Unit:
