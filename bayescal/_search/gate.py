@@ -97,9 +97,8 @@ def _followed_terms(steps: Sequence[Step]) -> list[TakenOver]:
 def sensor_or_thermometer(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim where the last model's thermal terms may be of the thermometer or the logger.
 
-    A thermometer that is late by τ, alike in every run, turns c·T into c·T − c·τ·dT/dt, and so does an output that is
-    early; one that drifts in every run makes a warm-up, and one that drifts over the record, or is slow in one run, an
-    effect in time that was not expected.
+    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, as an output that is early does; one that drifts
+    makes a warm-up, or an effect in time.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
     warm = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")

@@ -1,9 +1,8 @@
 """Which experiment next: the change of the campaign that would tell apart what these readings cannot.
 
-Each member of a credible set is fitted to the readings at hand; what each then expects of a further campaign is a
-normal distribution (posterior draws, new group members and noise). The log Bayes factor between two members that the
-campaign is expected to give, if one of them is the truth, is the divergence between the two distributions, in closed
-form: no campaign is simulated many times.
+Each member of a credible set is fitted to the readings at hand, and expects a normal distribution of a campaign
+(posterior draws, new group members and noise). The log Bayes factor that the campaign is expected to give between two,
+if one of them is the truth, is the divergence of the two distributions, in closed form.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Noise laws that a record can tell, and what each is expected to gain: on residuals, coefficients held.
-
-As with effects, what is computed here says only which refit to make.
-"""
+"""Noise laws that a record can tell, and what each is expected to gain on residuals, coefficients held."""
 
 from __future__ import annotations
 

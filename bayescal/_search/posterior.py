@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from bayescal._calibration.claim import Claim
 from bayescal._core.settings import settings
@@ -16,8 +17,7 @@ from bayescal._search.structures import Structure, Structures, Weighed
 
 SHOWN_STRUCTURES = 20  # structures kept of a search
 NEXT_TO_NOTHING = 1e-3  # probability of a structure, which moves no digit of what is printed
-# Probability that a name is right where a description without a name is needed beside it: what has no formula here may
-# be of one cause with what has (docs/wrong_model.md).
+# Probability that a name is right beside a description without a name that is needed (docs/wrong_model.md).
 NAME_BESIDE_DESCRIPTION = 0.55
 
 
@@ -56,8 +56,7 @@ class Posterior:
         inside = [s for s in totals if required <= s.effects]
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
         total = np.array([totals[s] for s in inside])
-        # Probabilities are relative evidence times prior: what was never weighed nor expected has none, so that the
-        # walk must have looked wherever they could be.
+        # What was never weighed nor expected has no probability: the walk looks wherever there could be any.
         weight = np.exp(total - total[0])
         return cls(structures, required, tuple(inside), total, weight / weight.sum(), refitted)
 
@@ -65,6 +64,17 @@ class Posterior:
     def reported(self) -> tuple[frozenset[str], ...]:
         """Return, of each structure, the families of its effects and of their equivalents."""
         return tuple(map(self.space.reported, self.structures))
+
+    @cached_property
+    def shares(self) -> tuple[dict[str, float], ...]:
+        """Return the probability of each family given each structure: of its equivalents, by their prior odds."""
+
+        def shares_in(s: Structure) -> dict[str, float]:
+            sets, odds = self.space.spans.generators(s.effects), self.space.log_odds
+            weights = softmax([sum(odds[n] for n in names) for names in sets])
+            return _mass(map(self.space.families, sets), weights)
+
+        return tuple(map(shares_in, self.structures))
 
     @property
     def best(self) -> Structure:
@@ -107,14 +117,17 @@ class Posterior:
         return self._of_any([not families.isdisjoint(reported) for reported in self.reported])
 
     def probability_of_names(self, *names: str) -> float:
-        """Return the probability that at least one of these effects is missing, and is what its name says."""
-        probability = self.inclusion(*names)
-        if any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
-            return probability
+        """Return the probability that at least one of these effects is missing, and is what its name says.
+
+        Of one alone only its share among equivalents counts: readings cannot tell which of them it is.
+        """
         families = self.space.families(names)
-        pairs = zip(self.described, self.reported, strict=True)
-        with_description = [d and not families.isdisjoint(reported) for d, reported in pairs]
-        return probability - (1 - NAME_BESIDE_DESCRIPTION) * self._of_any(with_description)
+        parts = np.array([float(not families.isdisjoint(reported)) for reported in self.reported])
+        if len(families) == 1:
+            parts = np.array([sum(map(s.get, families, [0.0])) for s in self.shares])
+        if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
+            parts = np.where(self.described, NAME_BESIDE_DESCRIPTION, 1.0) * parts
+        return float(min(1.0, self.probability @ parts))
 
     @cached_property
     def _of_forms(self) -> dict[str, float]:

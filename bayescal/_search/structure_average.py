@@ -1,8 +1,7 @@
 """The average over structures: draws of each in proportion to its probability, in one model that holds all of them.
 
-An interval of one structure does not hold what is not known of the structure. The average is over the structures of the
-95 % credible set that have what is found to be missing. The draws of others are few and may be far off: with them a
-mean could lie outside of its own interval, and a standard uncertainty be many times what the interval shows.
+The average is over the structures of the 95 % credible set that have what is found to be missing: the few draws of
+others, far off, would put a mean outside of its own interval.
 
 In the model that has the effects of all structures, a draw of one of them is a draw whose other coefficients are zero:
 so everything that is computed from draws (predictions, compensation, budgets, exports) is averaged without knowing it.

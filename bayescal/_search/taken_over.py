@@ -1,16 +1,12 @@
 """What an added effect takes over of the first model: a term that no longer explains what it explained before.
 
-A thermometer that is wrong explains little. Where the temperature goes through the same profile in every run, an
-unknown function of the time within a run, or another thermometer, then explains all of it, predicts hold-out data of
-the same profile as well, and the coefficient of temperature is left with nothing: small, and with the uncertainty of
-a model in which it does not matter. The fit converges, and no residual shows it.
+A thermometer that is wrong explains little. Where temperature has one profile in every run, an unknown function of the
+time within a run then explains all of it, predicts hold-out data of that profile as well, and the coefficient of
+temperature is left small, with the uncertainty of a model in which it does not matter: no residual shows it.
 
 So a term of the first model is followed to the last. Of its columns, whitened, the part that the other columns leave
 (its tolerance; Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3) is compared with and without what was added
 that depends on other columns; and its coefficient with where it stood.
-
-Where all runs have one profile of temperature, all that is thermal is a function of the time within a run: a quadratic
-at the temperature of a body, its lag and a warm-up are told apart by their forms alone. One run of another would tell.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """What readings cannot tell of a model, before anything is fitted, and which poses would.
 
-The model, linearised at the means of its priors, says which combinations of its coefficients move no planned reading,
-or move it by less than its noise. Of an instrument of three axes a reading in each of 26 directions (along the axes, at
-45° between two, along the diagonals), at the ends of the temperatures, adds some information on these; one after the
-other those are taken that add most. Among such as add nearly as much the plainest is, because it has to be set.
+The model, linearised at the means of its priors, says which combinations of coefficients move no planned reading by
+more than its noise. Of three axes a reading in each of 26 directions (along the axes, at 45° between two, along the
+diagonals), at the ends of the temperatures, adds information on these: greedily the most, the plainest where near.
 """
 
 from __future__ import annotations

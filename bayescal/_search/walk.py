@@ -44,9 +44,7 @@ def explore(
 ) -> str:
     """Walk until the end or the deadline, and return why the walk ended early; empty where it did not.
 
-    Args:
-        library, max_effects, given: of `walk`. The first structure is evaluated in any case.
-        follow: called at times, and last of all.
+    The first structure is evaluated in any case; `follow` is called at times, and last of all.
     """
     started, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
     end = deadline.current()
@@ -82,7 +80,7 @@ def walk(library: Library, max_effects: int, start: Structure | None = None) -> 
     Args:
         library: the candidates; its structures keep what was evaluated.
         max_effects: most effects to add.
-        given: one that is evaluated last: the walk goes on from there where it is probable, and is else what it would
+        start: one that is evaluated last: the walk goes on from there where it is probable, and is else what it would
             be without.
     """
     structures = library.structures

@@ -72,7 +72,7 @@ class Searched:
     @property
     def probabilities(self) -> dict[str, float]:
         """Return each candidate's probability of being missing."""
-        return {name: self.posterior.inclusion(name) for name in self.structures.forms}
+        return {name: self.posterior.probability_of_names(name) for name in self.structures.forms}
 
     def reported_names(self, structure: Structure) -> list[str]:
         """Return a structure's effects by the names of their families."""
