@@ -198,7 +198,8 @@ def calibrate_channels(
             with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (2 * count - i)):
                 c.begin(unit.from_others(c))
                 c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
-                c.evaluate_shapes()
+                with suppress(deadline.TimeIsUp):
+                    c.evaluate_shapes()
         shared = unit.shared()
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
             for name in unit.exchange_evidence():
@@ -248,6 +249,8 @@ class _Channel:
         """
         if self.loop.library is None:
             return False
+        if not self.says:  # there was no time yet
+            self.evaluate_shapes()
         before, searched, news = self.loop.library.structures, False, set[str]()
         for n, shape in self.shared.items():
             now, then = (self.says[n].conclude(o, shape) for o in (others[n], self.heard[n]))

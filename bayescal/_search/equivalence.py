@@ -1,9 +1,8 @@
 """Effects that are one on these readings: found by linear algebra before anything is fitted.
 
 Columns are whitened by the noise floor and scaled by plausible sizes, about the means of the priors. Deviations of
-groups are noise; all else of the model is projected out, whatever its size. What is left of an effect says by how much
-readings could narrow its prior. Where that is next to nothing evidence decides nothing, and zero would be wrong by all
-that the coefficients in its place take of it.
+groups are noise; all else of the model is projected out. Where next to nothing is left of an effect evidence decides
+nothing, and zero would be wrong by all that the coefficients in its place take of it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The gate: whether the last model is to be used. It asks everything that the fits and checks know.
-
-Its own checks are of all steps, the last one judged.
-"""
+"""The gate: whether the last model is to be used, by all that fits and checks of its steps know."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """A shape that the channels of a unit share, such as the lag of their body: what each says of it, and what all do.
 
 The unit has the effect or not; if it has, some share of its channels shows it, any share as probable as another. Given
-shape and share the channels are independent, so that what they say multiplies. What the others say is to a channel its
-prior: how probable the effect is there, and in which range its shape lies.
+shape and share the channels are independent: what they say multiplies, and what the others say is a channel's prior.
 """
 
 from __future__ import annotations

@@ -3,9 +3,7 @@
 Each candidate is in or out, independently, with odds such that P(model complete) is one half; placeholders share a
 tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds. A
 plausible size is known to an order of magnitude: evidence is averaged over it times 1, 3 and 10.
-
-Evidence says nothing of a candidate that readings cannot tell from the effects of a structure: it is latent in the
-structure's model, with its prior.
+What readings cannot tell from the effects of a structure is latent in its model, with its prior.
 """
 
 from __future__ import annotations
