@@ -276,8 +276,8 @@ def _beside_another(structures: Structures, to: Structure, structure: Structure)
 
     def near(s: Structure) -> bool:
         families = structures.families(s.effects)
-        alike = families == own_families or (of_form and families < own_families)
-        return s.noise == structure.noise and alike
+        is_similar = families == own_families or (of_form and families < own_families)
+        return s.noise == structure.noise and is_similar
 
     return next(_known_gains(structures, gone, come, near, to.noise), None)
 
