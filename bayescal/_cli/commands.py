@@ -95,11 +95,11 @@ class InstrumentsCommand(AsJson, Command):
             return Answer(checked, ok=checked.ok, why=" ".join(checked.errors))
         if self.readings:
             raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
-        from bayescal._cli.output import instrument_shown, instruments_listed
+        from bayescal._cli.output import format_instrument, format_instruments
 
         if self.named is not None:
-            return Answer(*instrument_shown(instrument_named(self.named)))
-        return Answer(*instruments_listed(installed_instruments()))
+            return Answer(*format_instrument(instrument_named(self.named)))
+        return Answer(*format_instruments(installed_instruments()))
 
 
 class EffectsCommand(AsJson, Command):
@@ -110,12 +110,12 @@ class EffectsCommand(AsJson, Command):
     effects_file: Path | None = Shared.effects
 
     def answer(self) -> Answer:
-        from bayescal._cli.output import effects_listed
+        from bayescal._cli.output import format_effects
 
         chosen = instrument_named(self.instrument)
         kinds = {"baseline": chosen.effects, "candidate": chosen.candidates}
         kinds["your own"] = request.user_effects(self.effects_file)
-        return Answer(*effects_listed(kinds))
+        return Answer(*format_effects(kinds))
 
 
 class SimulateCommand(AsJson, Command):
@@ -134,18 +134,18 @@ class SimulateCommand(AsJson, Command):
         chosen = instrument_named(self.instrument)
         if chosen.simulator is None:
             raise InputError(f"instrument {chosen.name!r} has no simulator")
-        law = {} if self.noise_law == "white" else {"noise_law": self.noise_law}
-        if law and "noise_law" not in inspect.signature(chosen.simulator).parameters:
+        noise_options = {} if self.noise_law == "white" else {"noise_law": self.noise_law}
+        if noise_options and "noise_law" not in inspect.signature(chosen.simulator).parameters:
             why = f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
             raise InputError(why)
         hidden = named_numbers(self.effect, "--effect")
         try:
-            readings = chosen.simulate(hidden, seed=self.seed, **law)
+            readings = chosen.simulate(hidden, seed=self.seed, **noise_options)
         except ValueError as error:
             raise InputError(str(error)) from None
         readings.write(self.out)
-        hiding = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
-        text = f"{self.out}: {len(readings)} readings, hidden effects: {hiding}; seed {self.seed}"
+        listing = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
+        text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
         return Answer(text, {**data, "noise_law": self.noise_law, "effects": hidden})
 
@@ -229,36 +229,36 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
         noise = Settings(finer_noise=not self.simple_noise)
         with use_settings(noise), result_folder(self.out) as folder:
             models, readings, holdout = request.searched(names, self)
-            name, first = next(iter(readings.items()))
-            how = {
-                "effects": request.own_effects(self, models[name].instrument, first),
+            name, first_readings = next(iter(readings.items()))
+            settings = {
+                "effects": request.own_effects(self, models[name].instrument, first_readings),
                 "method": request.method_named(self.method),
                 "reference": dict(named_numbers(self.reference, "--reference")),
                 **self.settings(),
                 "covariates": optional_names(self.covariates),
             }
-            from bayescal._cli.output import ConsoleReporter, search_shown
+            from bayescal._cli.output import ConsoleReporter, format_search
 
             reporter = ConsoleReporter(self.json_ or bool(names), self.verbose, names)
             if names:
-                how |= {"holdout": holdout or None, "follow": reporter.follow}
-                searched = bc.calibrate_channels(models, readings, **how)
+                settings |= {"holdout": holdout or None, "follow": reporter.follow}
+                searched = bc.calibrate_channels(models, readings, **settings)
             else:
-                how |= {"holdout": holdout.get(""), "follow": partial(reporter.follow, "")}
-                searched = bc.calibrate(models[name], first, **how)
+                settings |= {"holdout": holdout.get(""), "follow": partial(reporter.follow, "")}
+                searched = bc.calibrate(models[name], first_readings, **settings)
             drawn_all, written = True, ""
             if folder is not None:
                 drawn_all = drawn(searched.save, folder)
-                usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-                files = (n for n in usual if n in (*files_of(folder), MANIFEST))
+                possible_files = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
+                files = (n for n in possible_files if n in (*files_of(folder), MANIFEST))
                 listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(files)
                 written = f"{folder}/{listed}"
             trails = searched.search_paths if isinstance(searched, bc.Channels) else {"": searched}
             fitted = {n: t.final.calibration.readings for n, t in trails.items()}
             before = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-            text = {"started": reporter.begun, "verbose": self.verbose}
-            content = search_shown(searched, self.json_, **text)
+            text_options = {"started": reporter.begun, "verbose": self.verbose}
+            content = format_search(searched, self.json_, **text_options)
             why = searched.reason if isinstance(searched, bc.Channels) else searched.gate.reason
             return Answer(content, ok=searched.ok, why=why, made=drawn_all, written=written)
 
@@ -282,7 +282,7 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
         with result_folder(self.out) as folder:
             _, model, readings = request.open_request(self)
             if self.noise is not None:
-                model = model.with_noise(request.law_named(self.noise, model, readings))
+                model = model.with_noise(request.noise_named(self.noise, model, readings))
             print_notes(readings.flags)
             reference = dict(named_numbers(self.reference, "--reference"))
             how = {"seed": self.seed, "strict": False, "reference": reference}
@@ -405,7 +405,7 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
         loaded = request.load_saved(self.calibration, self)
         how = {**self.for_read(), "allow_one_temperature": True, "like": loaded.readings}
         readings = bc.read(self.files, loaded.model.instrument, **how)
-        readings = request.averaged(readings, self.average)
+        readings = request.average(readings, self.average)
         self.keep()
         print_notes(readings.flags)
         prediction = bc.predict(loaded, readings)
@@ -451,7 +451,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             readings = {next((s.output for s in single.sources if s.output), "output"): single}
         with result_folder(self.out) as folder:
             print_notes(request.flags_of(readings))
-            devices, written = request.each_device(readings), list[Path]()
+            devices, written = request.split_records(readings), list[Path]()
             results = dict[str, Any]()
             for i, name in enumerate(counted([*devices], "records")):
                 with deadline.sooner(1 / (len(devices) - i)):
@@ -504,12 +504,12 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         how["method"] = "first order" if self.first_order else None
         done = compensate_file(chosen, self.file, self.out, **how, noise=not self.without_noise)
         self.keep()
-        beyond = (
+        outside = (
             f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
             for name, count in done.outside.items()
         )
         flags = (flag for flag in done.flags if getattr(flag, "code", "") != "rows.dropped")
-        print_notes((*chosen.notes, *flags, *beyond))
+        print_notes((*chosen.notes, *flags, *outside))
         noise = f"with{'out' * self.without_noise} the noise of one reading"
         added = f"columns {' and '.join(done.columns)} [{chosen.unit}] added"
         text = f"{self.out}: {done.rows} readings, {added}"
@@ -518,11 +518,11 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         data = {"file": str(self.out), "rows": done.rows, "columns": list(done.columns)}
         data |= {"unit": chosen.unit, "epoch": chosen.about.epoch, "outside": done.outside}
         data |= {"unsolved": done.unsolved, "missing": done.missing}
-        judged = request.reliable({"": chosen})
+        verdict = request.reliable({"": chosen})
         if done.unsolved:
             why = f"{done.unsolved} readings have no solution and are written empty"
-            judged = {"ok": False, "why": why}
-        return Answer(text, data, **judged)
+            verdict = {"ok": False, "why": why}
+        return Answer(text, data, **verdict)
 
 
 class ExportCommand(InUse, DecisionRule, Command):
@@ -551,14 +551,14 @@ class ExportCommand(InUse, DecisionRule, Command):
     def answer(self) -> Answer:
         from bayescal._use.correction_files import kinds
 
-        others = {n: write for exports in offered("exports") for n, write in exports().items()}
-        formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *others))]
+        writers = {n: write for exports in offered("exports") for n, write in exports().items()}
+        formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *writers))]
         if self.format_ is None and self.out is None:
             raise InputError(f"say which format: --format {', '.join(formats)}")
         if self.format_ not in (None, *formats):
             raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
-        if self.format_ in others:
-            return others[self.format_](self)
+        if self.format_ in writers:
+            return writers[self.format_](self)
         corrections = [correction for _, correction in self.loaded()]
         if not corrections or isinstance(corrections[0], bc.Compensator):
             self.refuse_several()
@@ -595,17 +595,17 @@ class ExportCommand(InUse, DecisionRule, Command):
 
         programs = [getattr(correction, "program", correction) for correction in corrections]
         kind, format = files.kind_of(programs[0]), files.format_of(self.out, self.format_)
-        first, *others = programs
+        first_program, *others = programs
         how = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
-        text = files.as_text(first, format, **how)
+        text = files.as_text(first_program, format, **how)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
         names = [program.about_it()[0] for program in programs]
-        omitted = zip(names, (kind.left_out(p, format) for p in programs), strict=True)
-        print_notes([f"{name}: {words}" for name, words in omitted if words])
-        alone = isinstance(corrections[0], bc.Compensator)
-        judged = {f"{n}:" * (not alone): c for n, c in zip(names, corrections, strict=True)}
-        return Answer(text.removesuffix("\n"), **request.reliable(judged))
+        omissions = zip(names, (kind.left_out(p, format) for p in programs), strict=True)
+        print_notes([f"{name}: {words}" for name, words in omissions if words])
+        is_single = isinstance(corrections[0], bc.Compensator)
+        verdict = {f"{n}:" * (not is_single): c for n, c in zip(names, corrections, strict=True)}
+        return Answer(text.removesuffix("\n"), **request.reliable(verdict))
 
 
 class BudgetCommand(InUse, AsJson, Command):
@@ -635,9 +635,9 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
     limit: Texts = Shared.limit
 
     def answer(self) -> Answer:
-        stated = decided = None
+        certificate = decisions = None
         if self.certificate:
-            stated = first_offered("certificate", "--certificate")(self.certificate)
+            certificate = first_offered("certificate", "--certificate")(self.certificate)
         chapters = request.chapters_from(self.calibrations, self)
         if self.limit:
             if len(chapters) != 1:
@@ -645,17 +645,17 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
                     f"--limit decides about one result, {len(chapters)} were given: report each by itself"
                 )
             decide = first_offered("decided", "--limit")
-            decided = decide(chapters[0].used, self.limit, **self.deciding())
-        how = {"title": self.title, "certificate": stated}
-        whole = drawn(partial(bc.report, chapters, self.out, decisions=decided, **how))
+            decisions = decide(chapters[0].used, self.limit, **self.deciding())
+        texts = {"title": self.title, "certificate": certificate}
+        is_complete = drawn(partial(bc.report, chapters, self.out, decisions=decisions, **texts))
         verdicts = [c.data["verdict"] for c in chapters]
         return Answer(
             f"written: {self.out}",
             {"file": str(self.out), "chapters": len(chapters)},
             ok=all(v["ok"] for v in verdicts),
             why=" ".join(reason for v in verdicts for reason in v["reasons"]),
-            doubt=decided.doubt if decided else "",
-            made=whole,
+            doubt=decisions.doubt if decisions else "",
+            made=is_complete,
         )
 
 

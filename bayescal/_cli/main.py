@@ -29,12 +29,12 @@ from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 
-# New objects between two garbage collections: one of a million takes a quarter of a second.
-# With Python's own 700 there are thirty while modules load.
+# New objects between two garbage collections: a collection of a million takes a quarter of a second.
+# With Python's default of 700 there are thirty collections while modules load.
 COLLECTION_OBJECTS = 1_000_000
-# In the help of an option, by its type.
+# Placeholder of an option's value in the help, by type.
 METAVARS = {"Path": "FILE", "float": "NUMBER", "int": "INTEGER", "str": "TEXT", "Texts": "TEXT"}
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+INTERRUPTED = 130  # exit status 128 + SIGINT, by the convention of shells
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory")  # XLA, C++, C
 
 
@@ -114,7 +114,7 @@ def _user_message(error: BaseException) -> str:
     if isinstance(error, OSError):
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
     file, line = own_file_line(error)
-    if line:  # a basis, say, that fails when asked
+    if line:  # an exception in the user's code, such as a basis
         return f"{file}, line {line} failed: {in_one_line(error)}. Mend it, or leave --effects out"
     usage = getattr(error, "format_message", None)  # an option that the parser refused
     if usage is None:
@@ -126,9 +126,9 @@ def _user_message(error: BaseException) -> str:
 
 def _failed(message: str, status: int, listed: bool = False) -> int:
     """Print a message on stderr and return the status."""
-    with contextlib.suppress(OSError):  # nowhere to say it: the status still does
+    with contextlib.suppress(OSError):  # stderr may be closed
         text = message if listed else " ".join(message.split())
-        text = "\n".join(map(one_line, text.split("\n")))  # no name moves the cursor
+        text = "\n".join(map(one_line, text.split("\n")))  # escapes control characters
         print(f"bayescal: {text}", file=sys.stderr)
     return status
 

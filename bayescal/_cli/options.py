@@ -1,7 +1,7 @@
 """Base classes of commands (data classes of their options), their answers, and groups of shared options.
 
-Typer shows and runs a data class as it does a function. Annotations are no text here: typer would look for their names
-in the module of the command. This module imports little: `bayescal --help` loads it.
+Typer accepts a data class like a function. Annotations are not postponed here, since typer would resolve their names
+in the module of the command. This module imports little, since `bayescal --help` loads it.
 """
 
 import inspect
@@ -25,7 +25,7 @@ from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
 OUTPUTS = ("out", "yaml", "save_mapping")  # options that name output files
-IN_FOLDER = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # files read of a folder
+RESULT_FILES = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # of a result folder
 Texts = list[str] | None
 
 
@@ -69,12 +69,12 @@ def names_in(texts: str | None) -> list[str]:
 
 
 def optional_names(text: str | None) -> list[str] | None:
-    """Split names at commas; None where none are given."""
+    """Split names at commas; return None for None."""
     return None if text is None else names_in(text)
 
 
 def channel_names(texts: str | None) -> list[str]:
-    """Split the names of --channels, [] where it is not given; raise InputError for fewer than two, or one twice."""
+    """Split the names of --channels; [] without the option; raise InputError for fewer than two, or duplicates."""
     names = names_in(texts)
     if texts is not None and (len(names) < 2 or len(set(names)) < len(names)):
         why = f"--channels {texts!r}: give two names or more, each once, as gyro_x,gyro_y"
@@ -83,7 +83,7 @@ def channel_names(texts: str | None) -> list[str]:
 
 
 def refuse_missing(files: list[Path] | None) -> list[Path] | None:
-    """Raise InputError for missing files, as `read` does, before an instrument loads, which takes seconds."""
+    """Raise InputError for missing files, before the instrument loads, which takes seconds."""
     if files and not all(map(os.path.isfile, files)):
         from bayescal._tables.open_table import check_files
 
@@ -108,17 +108,17 @@ class Options:
     """Some options of a command: fields of a data class, whose defaults are typer's."""
 
     def __init_subclass__(cls) -> None:
-        """Make a data class of a command: its own options first, then those of its groups."""
+        """Convert a command to a data class: its own options first, then those of its base classes."""
         if hasattr(cls, "answer"):
             pairs = [p for base in cls.__mro__ for p in inspect.get_annotations(base).items()]
-            kinds = {**dict(pairs), **dict(reversed(pairs))}  # in this order, of its own the kinds
-            for name in (n for n, kind in kinds.items() if kind in (bool, "bool")):
+            types = {**dict(pairs), **dict(reversed(pairs))}  # in this order, of its own the kinds
+            for name in (n for n, kind in types.items() if kind in (bool, "bool")):
                 getattr(cls, name).param_decls = (f"--{name.strip('_').replace('_', '-')}",)
-            cls.__annotations__ = kinds
+            cls.__annotations__ = types
             dataclass(kw_only=True, eq=False, repr=False)(cls)
 
     def __post_init__(self) -> None:
-        """Set the defaults that typer sets, for a command that was made in Python."""
+        """Replace typer's option objects by their defaults, for a command constructed in Python."""
         for name, value in vars(self).items():
             if isinstance(value, ParameterInfo):
                 setattr(self, name, value.default)
@@ -128,16 +128,16 @@ class Options:
 class Answer:
     """Result of a command: printed, as text or as data, and the source of the exit status."""
 
-    shown: Any  # prints itself; plain data is printed as JSON; None for nothing to print
-    data: Any = None  # for --json; by default `shown.data()`
-    ok: bool = True  # whether the result may be used; where not, the status is 1
+    shown: Any  # printed as text; plain data as JSON; None prints nothing
+    data: Any = None  # printed with --json; default: `shown.data()`
+    ok: bool = True  # whether the result is fit for use; if not, the exit status is 1
     why: str = ""  # the reason against its use
-    doubt: str = ""  # a warning of a result that may be used, which makes the status 1 too
-    made: bool = True  # whether all pictures could be drawn: where not, the status is 1
-    written: str = ""  # names of the files written
+    doubt: str = ""  # a warning about a usable result; sets the exit status 1 too
+    made: bool = True  # whether all figures were drawn; if not, the exit status is 1
+    written: str = ""  # names of the written files
 
     def tell(self, json_: bool) -> bool:
-        """Print it; return whether it may be used and all was drawn: if not, the status is 1."""
+        """Print the answer; return whether the exit status is 0: fit for use, all drawn, no warning."""
         content = self.shown
         if json_:
             data = content.data() if self.data is None and hasattr(content, "data") else self.data
@@ -168,7 +168,7 @@ def drawn(make: Callable[..., Any], *arguments: Any) -> bool:
 class Command(Options):
     """A command: its docstring is its help, and `answer` runs it."""
 
-    # How it is called; name of the input that its `out` may replace; whether it prints JSON.
+    # An example call; the input option whose file `out` may overwrite; whether to print JSON.
     example, in_place, json_ = "", "", False
 
     def answer(self) -> Answer | None:
@@ -192,19 +192,21 @@ class Command(Options):
         for name in OUTPUTS:
             out = str(getattr(self, name, None) or "")
             inputs = (v for n, v in options.items() if (name, n) != ("out", self.in_place))
-            read = filter(os.path.isfile, (path for value in inputs for path in _paths(value)))
-            if os.path.isfile(out) and any(os.path.samefile(out, path) for path in read):
+            existing = filter(
+                os.path.isfile, (path for value in inputs for path in _files_in(value))
+            )
+            if os.path.isfile(out) and any(os.path.samefile(out, path) for path in existing):
                 option = f"--{name.replace('_', '-')}"
                 raise InputError(f"{option} {out} is a file that is read: name another")
 
 
-def _paths(value: Any) -> Iterator[Path]:
-    """Yield the files that an option may name: as a path, a folder of results, gyro_x=a.nc, my.py:INSTRUMENT."""
+def _files_in(value: Any) -> Iterator[Path]:
+    """Yield the files that an option value may name: a path, a result folder, gyro_x=a.nc, my.py:INSTRUMENT."""
     for item in value if isinstance(value, list) else [value]:
-        named = (str(item).rpartition("=")[2], str(item).rpartition(":")[0])
-        for path in (item,) if isinstance(item, Path) else (Path(name) for name in named if name):
-            folder = path.parent if path.name in IN_FOLDER else path
-            yield from (path, *(folder / name for name in IN_FOLDER))
+        names = (str(item).rpartition("=")[2], str(item).rpartition(":")[0])
+        for path in (item,) if isinstance(item, Path) else (Path(name) for name in names if name):
+            folder = path.parent if path.name in RESULT_FILES else path
+            yield from (path, *(folder / name for name in RESULT_FILES))
 
 
 class AsJson(Options):
@@ -214,7 +216,7 @@ class AsJson(Options):
 
 
 def opt(help: str, default: Any = None, *names: str, **how: Any) -> Any:
-    """Return an option of typer's, as the default of a field; named after the field, if no names are given."""
+    """Return a typer option as the default of a field; its name is the field's, unless `names` are given."""
     return Option(default, *names, help=help, **how)
 
 
@@ -258,7 +260,7 @@ class Shared:
     local_gravity = opt("Local gravity, m/s², if it is not 9.80665.", min=1.0)
 
 
-NO_OPTION: Any = None  # for settings without an option in a command
+NO_OPTION: Any = None  # default of a setting that a command has no option for
 
 
 class ColumnOptions(Options):
@@ -299,7 +301,7 @@ class ColumnOptions(Options):
         return {"missing": "refuse", "decimal": "", **saved, **single_values}
 
     def keep(self) -> None:
-        """Save the mapping, if --save-mapping is given, once the files have been read with it."""
+        """Save the options as a mapping file if --save-mapping is given."""
         if self.save_mapping is not None:
             save_mapping(self.save_mapping, self.for_read())
 
@@ -389,5 +391,5 @@ class DecisionRule(Options):
     false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
 
     def deciding(self) -> dict[str, Any]:
-        """Return the options as `decide` takes them."""
+        """Return the options as keyword arguments of `decide`."""
         return {"rule": self.rule, "false_accept": self.false_accept}

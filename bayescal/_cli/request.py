@@ -1,6 +1,6 @@
-"""Objects that options request: an instrument, a model, readings, a method; saved calibrations and corrections.
+"""Objects that command-line options request: instrument, model, readings, method; saved calibrations and corrections.
 
-A bad file is refused before JAX loads; samplers and other heavy modules load with the first calibration.
+Invalid files are refused before JAX loads; samplers and other heavy modules load with the first calibration.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from bayescal._report.result_json import Chapter
     from bayescal._use.compensation_program import CorrectionInUse
 
-LONG_LOG_READINGS = 20_000  # beyond, means over short times have as much information
+LONG_LOG_READINGS = 20_000  # above which means over short times have nearly the same information
 
 
 def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]:
@@ -56,49 +56,47 @@ def open_channels(
     names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Return instrument, models and readings of channels (none named: one, called ""), models tailored to them."""
-    general = instrument_named(request.instrument)
-    records = _read(request.files, general, request, names)
-    if not request.typed and general.tailor is None:  # what is typed may need the readings
-        compose(general, request, user_effects(request.effects_file))
+    instrument = instrument_named(request.instrument)
+    records = _read(request.files, instrument, request, names)
+    if not request.typed and instrument.tailor is None:  # what is typed may need the readings
+        compose(instrument, request, user_effects(request.effects_file))
     for record in records.values():
-        # The log of a triad is averaged over its rests.
-        averages = request.average is not None or general.outputs
+        # A triad's log is averaged over its stationary intervals.
+        averages = request.average is not None or instrument.outputs
         if len(record) > LONG_LOG_READINGS and record.has("time") and not averages:
             mean = f"--average TIME, means of {-(-len(record) // LONG_LOG_READINGS)} or more"
             note = f"{len(record):,} readings: {mean}, leaves nearly the same information"
             print_notes([f"{record.file}: {note}"])
-    readings = {n: averaged(r, request.average, request.keep_spikes) for n, r in records.items()}
+    readings = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
     models = {}
     for name, record in readings.items():
-        tailored = general.for_readings(record)
+        tailored = instrument.for_readings(record)
         models[name] = compose(tailored, request, own_effects(request, tailored, record))
         flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.of_reference)
         readings[name] = replace(record, flags=(*record.flags, *flags))
     request.keep()
-    return general, models, readings
+    return instrument, models, readings
 
 
 def own_effects(
     request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Load effects of the user's own: of a file, and typed; raise InputError for a file or a formula with an error."""
+    """Load user-defined effects, of a file and typed; raise InputError for an invalid file or formula."""
     typed = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
     return (*user_effects(request.effects_file), *typed)
 
 
 def _read(
-    files: Sequence[Path], of: Any, request: ReadRequest, names: Sequence[str], **options: Any
+    files: Sequence[Path], kind: Any, request: ReadRequest, names: Sequence[str], **options: Any
 ) -> dict[str, Measurements]:
     options |= {"outputs": list(names)} if names else {}
     with stage("reading"):
-        readings = bc.read(list(files), of, **request.for_read(), **options)
+        readings = bc.read(list(files), kind, **request.for_read(), **options)
     return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
 
 
-def averaged(
-    readings: Measurements, average: str | None, keep_spikes: bool = False
-) -> Measurements:
-    """Average readings by --average; clipped readings and spikes are set aside before, as a mean hides them."""
+def average(readings: Measurements, average: str | None, keep_spikes: bool = False) -> Measurements:
+    """Average readings by --average, after removal of clipped readings and spikes, which a mean would hide."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -110,36 +108,36 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
     """Compose the requested model: a structure or the baseline, effects added, coefficients fixed."""
     effects = {effect.name: effect for effect in added}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
-    chosen = request.structure or ""
-    if chosen not in structures:
+    structure = request.structure or ""
+    if structure not in structures:
         raise InputError(
-            f"instrument {instrument.name!r} has no structure {chosen!r}; "
+            f"instrument {instrument.name!r} has no structure {structure!r}; "
             f"it has: {', '.join([*structures][1:])}"
         )
-    model = structures[chosen]()
+    model = structures[structure]()
     for name in request.add or []:
         model = model + effects.get(name, name)
     for text in request.reference_dcc or []:
         column, _, path = text.rpartition("=")
-        read = first_offered("reference_dcc", "--reference-dcc")
-        model = model + read(path, instrument, column or "temperature")
+        read_certificate = first_offered("reference_dcc", "--reference-dcc")
+        model = model + read_certificate(path, instrument, column or "temperature")
     return model.fix(named_numbers(request.fix, "--fix"))
 
 
-def law_named(name: str, model: Model, readings: Measurements) -> Noise:
-    """Return noise law by its name: the model's own, or one of those that a search would compare on these readings."""
+def noise_named(name: str, model: Model, readings: Measurements) -> Noise:
+    """Return a noise model by name: the model's own, or one that a search would compare on these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
 
     frame = build_frame(readings, constants_of(readings))
-    laws = {model.noise.name: model.noise, **laws_over(model, frame)}
-    if name not in laws:
+    models = {model.noise.name: model.noise, **laws_over(model, frame)}
+    if name not in models:
         raise InputError(
-            f"--noise {name!r}: for this model and these readings there are {', '.join(laws)}. A law of your own is "
+            f"--noise {name!r}: for this model and these readings there are {', '.join(models)}. A law of your own is "
             "offered by its file: --effects my_law.py"
         )
-    return laws[name]
+    return models[name]
 
 
 def method_named(name: str) -> Method:
@@ -151,18 +149,18 @@ def searched(
     names: Sequence[str], request: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
     """Return models, readings and hold-out data by channel ("" for one output); print the readings' flags."""
-    general, models, readings = open_channels(names, request)
+    instrument, models, readings = open_channels(names, request)
     holdout = {}
     if request.holdout:
-        of = general if names else models[""].instrument
+        of = instrument if names else models[""].instrument
         records = _read(request.holdout, of, request, names, allow_one_temperature=True)
-        holdout = {n: averaged(r, request.average, request.keep_spikes) for n, r in records.items()}
+        holdout = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
     print_notes(flags_of(readings))
     return models, readings, holdout
 
 
 def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
-    """Return the flags of channels: those of all channels once, the others with the channel's name."""
+    """List the channels' flags: those common to all channels once, others with the channel's name."""
     names_by_flag = dict[str, list[str]]()
     for name, record in readings.items():
         for flag in record.flags:
@@ -173,57 +171,57 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
     ]
 
 
-def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
-    """Split the readings of channels by device and by axis, where a file holds several."""
+def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
+    """Split the readings of channels by device and by axis."""
     from bayescal._data.header_matching import BEGINNINGS, plain
     from bayescal._data.unit_conversion import is_convertible
 
-    split = dict(readings)
+    parts = dict(readings)
     for group in ("device", "axis"):
-        before, split = split, {}
-        for name, record in before.items():
+        previous_parts, parts = parts, {}
+        for name, record in previous_parts.items():
             levels, codes = record.groups(group)
             if len(levels) == 1:
-                split[name] = record
+                parts[name] = record
                 continue
             unit = record.unit(record.output) or ""
             for code, label in enumerate(levels):
-                split[f"{name}, {group} {label}"] = record.select(codes == code)
-                kinds = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
-                if any(not is_convertible(kind, unit) for kind in kinds):
+                parts[f"{name}, {group} {label}"] = record.select(codes == code)
+                units = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
+                if any(not is_convertible(kind, unit) for kind in units):
                     raise InputError(
                         f"{record.file}: the column {group!r} names {label!r}, whose output is not in "
                         f"{unit or 'no unit'}: give the readings of each sensor in a file of their own"
                     )
-    return split
+    return parts
 
 
 # saved calibrations ---------------------------------------------------------------------------------------------------
 
 
 def reliable(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
-    """Return whether the results written may be used, as keyword arguments of `Answer`."""
+    """Return whether results are fit for use, and the reason if not, as keyword arguments of `Answer`."""
     reasons = [f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not]
     return {"ok": not reasons, "why": "; ".join(reasons)}
 
 
-def _own_parts(parts: OwnParts) -> dict[str, Any]:
-    """Return the user's own effects and instrument, as `bc.load` takes them."""
+def _user_parts(parts: OwnParts) -> dict[str, Any]:
+    """Return the user's effects and instrument as keyword arguments of `bc.load`."""
     named = parts.instrument_file
     instruments = () if named is None else (instrument_named(named),)
     return {"effects": user_effects(parts.effects_file), "instruments": instruments}
 
 
 def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
-    """Load a saved calibration, or the one of a folder of results.
+    """Load a saved calibration, or the one of a result folder.
 
     Args:
-        path: of the file or folder.
-        user: the user's own effects and instrument; and whether the average over structures stands for it, where the
-            folder has one.
+        path: file or folder.
+        user: the user's effects and instrument; and whether to load the average over structures instead, if the folder
+            has one.
 
     Raises:
-        InputError: it cannot be loaded, or is not the one that its folder's manifest lists.
+        InputError: the calibration cannot be loaded, or differs from the hash in its folder's manifest.
     """
     if (path / CHANNELS).is_file():
         raise InputError(
@@ -237,11 +235,11 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
         if user.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
-    return bc.load(path, **_own_parts(user))
+    return bc.load(path, **_user_parts(user))
 
 
 def compensator_from(path: Path, user: InUse) -> bc.Compensator:
-    """Load the compensator of a saved calibration of one output, or one exported as JSON."""
+    """Load the compensator of one output, from a saved calibration or a JSON export."""
     correction = correction_from(path, user)
     if not isinstance(correction, bc.Compensator):
         raise InputError(
@@ -251,7 +249,7 @@ def compensator_from(path: Path, user: InUse) -> bc.Compensator:
 
 
 def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
-    """Load a correction, of one output or three axes: of a saved calibration, or exported as JSON."""
+    """Load a correction of one output or three axes, from a saved calibration or a JSON export."""
     if path.suffix.lower() == ".json":
         from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
@@ -281,6 +279,6 @@ def chapters_from(paths: list[Path], user: OwnParts) -> list[Chapter]:
     """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.result_json import chapters, of_folder
 
-    parts = _own_parts(user)
+    parts = _user_parts(user)
     loaded = (of_folder(p, **parts) if p.is_dir() else load_saved(p, user) for p in of_units(paths))
     return chapters(loaded, parts["effects"])

@@ -1,6 +1,6 @@
-"""Pictures of residuals, missing effects, errors and noise (those of draws are ArviZ's).
+"""Plots of residuals, missing effects, errors and noise (posterior draws are plotted by ArviZ).
 
-Pictures of the search are drawn from results, or from the data in `result.json`.
+Plots of a search are drawn from its result, or from the data in `result.json`.
 """
 
 from __future__ import annotations
@@ -30,47 +30,47 @@ from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
-MAX_LETTERS = 32  # of a label: a longer one leaves no room for the picture
-DRAWING = RLock()  # held while something is drawn
+MAX_LABEL = 32  # characters; longer labels leave no room for the axes
+DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread draws at a time
 
 
 @contextmanager
 def own_style(**settings: Any) -> Iterator[None]:
-    """Apply Matplotlib's defaults and `settings` inside the block, whatever a configuration file has.
+    """Apply Matplotlib's defaults and `settings` inside the block, instead of a user's configuration file.
 
-    Its settings are of the whole process: one thread draws at a time.
+    The settings are global to the process: one thread draws at a time.
     """
-    with DRAWING, style.context(["default", settings]):
+    with DRAWING_LOCK, style.context(["default", settings]):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure without a window; inches."""
+    """Make an empty figure without a window; width and height in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def axes_of(ax: Any, width: float, height: float) -> Any:
-    """Return axes to draw in, open above and on the right: those given, or of a figure of their own, inches."""
+def open_axes(ax: Any, width: float, height: float) -> Any:
+    """Hide the upper and right spines of axes; create a figure (width and height in inches) if `ax` is None."""
     ax = new_figure(width, height).subplots() if ax is None else ax
     ax.spines[["top", "right"]].set_visible(False)
     return ax
 
 
-def plain(text: str) -> str:
+def format_label(text: str) -> str:
     """Format text from a file as a label: shortened, and its dollar signs escaped."""
-    return no_formula(text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…")
+    return escape(text if len(text) <= MAX_LABEL else f"{text[: MAX_LABEL - 1]}…")
 
 
-def no_formula(text: str) -> str:
+def escape(text: str) -> str:
     """Escape dollar signs, so that Matplotlib draws no formula."""
     return text.replace("$", r"\$")
 
 
 def axis_label(name: str, unit: str) -> str:
     """Format a name with its unit, "temperature [°C]"; a pure number has "[1]"."""
-    return f"{plain(name)} [{unit_label(unit) or '1'}]"
+    return f"{format_label(name)} [{unit_label(unit) or '1'}]"
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -85,9 +85,9 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 MAX_PANELS = 6  # of residuals
-MIN_IMAGE_READINGS = 3000  # from which points become one image within a vector picture
-MARKERS = "o^sDvx"  # of runs, which print in grey too
-NO_UNIT = {"order": "row"}  # covariates that count
+MIN_IMAGE_READINGS = 3000  # from which the points of a vector graphic are rasterised
+MARKERS = "o^sDvx"  # of runs, to distinguish them in grey print
+UNIT_OF_COVARIATE = {"order": "row"}  # of covariates without a column
 
 
 def residuals(
@@ -97,8 +97,8 @@ def residuals(
 
     Args:
         calibration: a fit.
-        found: its check, if it is at hand.
-        against: one covariate alone; at most six, the worst first, if none is named.
+        found: residual checks of the fit; computed if None.
+        against: name of one covariate; if None, up to six are plotted, the worst first.
     """
     found = check(calibration) if found is None else found
     entries = [e for e in found.entries if not e.by_group][:MAX_PANELS]
@@ -115,19 +115,19 @@ def residuals(
 
 
 def residual_panel(
-    ax: Any, calibration: Calibration, checked: Check, entry: Entry, title: str = ""
+    ax: Any, calibration: Calibration, check: Check, entry: Entry, title: str = ""
 ) -> None:
-    """Plot residuals against one covariate."""
+    """Plot residuals against one covariate in axes `ax`."""
     values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
-    of_body = body_temperature(calibration, entry.against)
-    values = values if of_body is None else of_body
+    body = body_temperature(calibration, entry.against)
+    values = values if body is None else body
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
         rows = codes == run
-        label = f"run {plain(levels[int(run)])}" if len(levels) > 1 else None
+        label = f"run {format_label(levels[int(run)])}" if len(levels) > 1 else None
         ax.plot(
             values[rows],
-            checked.residuals[rows],
+            check.residuals[rows],
             MARKERS[int(run) % len(MARKERS)],
             ms=3,
             color=CYCLE[int(run) % len(CYCLE)],
@@ -135,15 +135,15 @@ def residual_panel(
             label=label,
             rasterized=len(values) > MIN_IMAGE_READINGS,
         )
-    ax.axhspan(-checked.noise, checked.noise, color=GREY, alpha=0.18, lw=0)
+    ax.axhspan(-check.noise, check.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
-    if entry.log_bayes_factor > 0 and of_body is None:
+    if entry.log_bayes_factor > 0 and body is None:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
-    unit = entry.worst.covariate_unit or NO_UNIT.get(entry.against, "")
-    against = entry.against if of_body is None else f"lagged {entry.against}"
+    unit = entry.worst.covariate_unit or UNIT_OF_COVARIATE.get(entry.against, "")
+    against = entry.against if body is None else f"lagged {entry.against}"
     name = f"{against} [{unit}]" if unit == "row" else axis_label(against, unit)
     ax.set_xlabel(name)
-    ax.set_ylabel(axis_label("residual", checked.unit))
+    ax.set_ylabel(axis_label("residual", check.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
     ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
     ax.locator_params(axis="x", nbins=6)
@@ -154,9 +154,9 @@ def residual_panel(
 
 
 def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None:
-    """Return the temperature T̃ of the body that lags `column` in the model, (n,); None without one.
+    """Return the temperature T̃ of the body that lags `column` in the model, (n,), at the mode; None without one.
 
-    With several bodies it is that of the last effect; by its most probable shapes.
+    With several bodies, the body of the last effect is used.
     """
     problem, values = calibration.problem, None
     hyper = problem.hyper(calibration.mode.v)
@@ -169,23 +169,23 @@ def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None
     return values
 
 
-MAX_CANDIDATES = 12  # in one picture: bars and names stay readable
-BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
-# No line runs through the words.
-ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
-KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
+MAX_CANDIDATES = 12  # bars of a plot, to be readable
+LEGEND_INCHES = 0.45  # from an axis to its legend, below tick labels and axis label
+# A white background, so that no line crosses the text.
+TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+COLOURS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     """Plot the error of each step, with the decrease from the step before, and the noise floor.
 
     Args:
-        found: a trail, or its data in result.json.
-        ax: where to draw; a figure of its own if not given.
+        found: a search path, or its data in result.json.
+        ax: axes to draw in; a new figure if None.
     """
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
-    ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
+    ax = open_axes(ax, 5.6, 0.75 + 1.0 * len(steps))
     # Without an effect of a run there is no second bar.
     runs = any(number(s["rmse"]) != number(s["rmse_fitted"]) for s in steps)
     series = [
@@ -198,19 +198,19 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     largest = max(v for _, values, _ in series for v in values if v is not None)
     height = 0.66 / len(series)
     for i, (label, values, colour) in enumerate(series):
-        at = np.arange(len(steps)) + (i + 0.5) * height
+        positions = np.arange(len(steps)) + (i + 0.5) * height
         lengths = np.array([np.nan if v is None else v for v in values], float)
-        ax.barh(at, lengths, height * 0.9, label=no_formula(label), color=colour)
-        for y, value in zip(at, lengths, strict=True):
+        ax.barh(positions, lengths, height * 0.9, label=escape(label), color=colour)
+        for y, value in zip(positions, lengths, strict=True):
             if np.isfinite(value):
-                at = value + 0.01 * largest
-                ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
-    for i, (before, step) in enumerate(zip([{}, *steps], steps, strict=False)):
-        fall, was = "", before.get("rmse_fitted")
-        if was:
-            fall = f"   ({100 * (step['rmse_fitted'] / was - 1):+.0f} %)".replace("-", "−")
-        title = f"{i}  {plain(step['title'])}{fall}"
-        ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
+                x = value + 0.01 * largest
+                ax.text(x, y, number(value), va="center", fontsize=7.5, bbox=TEXT_BOX)
+    for i, (previous_step, step) in enumerate(zip([{}, *steps], steps, strict=False)):
+        change, previous = "", previous_step.get("rmse_fitted")
+        if previous:
+            change = f"   ({100 * (step['rmse_fitted'] / previous - 1):+.0f} %)".replace("-", "−")
+        title = f"{i}  {format_label(step['title'])}{change}"
+        ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=TEXT_BOX)
     floor = last["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
@@ -223,9 +223,9 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
 
 def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
     """Place a legend below the axis' label, however tall the axes are."""
-    below = ax.transAxes + ScaledTranslation(0, -BELOW, ax.figure.dpi_scale_trans)
-    how = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": below}
-    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **how)
+    transform = ax.transAxes + ScaledTranslation(0, -LEGEND_INCHES, ax.figure.dpi_scale_trans)
+    options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": transform}
+    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **options)
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
@@ -235,34 +235,34 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
         found: a discovery, or one entry of `missing` in result.json.
         ax: where to draw; a figure of its own if not given.
     """
-    memory = isinstance(found, Discovery)
-    everyone = [vars(c) for c in found.candidates] if memory else found["candidates"]
-    tested = [c for c in everyone if c["log_bayes_factor"] is not None and not is_quiet(c)]
+    is_discovery = isinstance(found, Discovery)
+    candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
+    tested = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
     bars = sorted(tested, key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]))
     bars = bars[-MAX_CANDIDATES:]
-    ax = axes_of(ax, 5.6, 0.3 * len(bars) + 1.3)
+    ax = open_axes(ax, 5.6, 0.3 * len(bars) + 1.3)
     values = [c["log_bayes_factor"] for c in bars]
-    colours = [KINDS.get(c["kind"] or "", BLUE) for c in bars]
-    ax.barh([plain(c["effect"]) for c in bars], values, color=colours)
+    colours = [COLOURS.get(c["kind"] or "", BLUE) for c in bars]
+    ax.barh([format_label(c["effect"]) for c in bars], values, color=colours)
     ax.set_xscale("symlog", linthresh=5)
     low, high = min([0.0, *values]), max([0.0, *values])
-    powers = [10.0**k for k in range(1, 7)]  # on either side of zero
-    up = [p for p in powers if p <= high * 1.2] or [5.0]
-    ax.set_xticks([*(-p for p in powers[::-1] if -p >= low * 1.2), 0.0, *up])
+    ticks = [10.0**k for k in range(1, 7)]  # on either side of zero
+    positive_ticks = [p for p in ticks if p <= high * 1.2] or [5.0]
+    ax.set_xticks([*(-p for p in ticks[::-1] if -p >= low * 1.2), 0.0, *positive_ticks])
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor (below 0: against it) [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
     otherwise = "not needed beside the findings" if "finding" in kinds else "no evidence"
-    names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or otherwise)) for k in kinds]
+    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or otherwise)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
     return ax.figure
 
 
 def loop(found: SearchPath) -> Figure:
-    """Plot the loop in one picture: residuals before and after, missing effects, the error of each step."""
+    """Plot a search in one figure: residuals before and after, missing effects, the error of each step."""
     lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
     figure = new_figure(11.0, 3.7 + lower)
     (upper, bars), (after, falls) = figure.subplots(2, 2, height_ratios=(3.7, lower))
@@ -285,14 +285,14 @@ def loop(found: SearchPath) -> Figure:
 
 
 def allan(found: AllanDeviation) -> Figure:
-    """Plot an Allan deviation over averaging time with its 95 % intervals, as `bc.allan_deviation` returned it."""
-    ax = axes_of(None, 5.2, 3.6)
-    _measured(ax, found, fmt="o-", lw=1.2, label="readings")
-    return _labelled(ax, found.unit, [])
+    """Plot an Allan deviation (the result of `bc.allan_deviation`) over averaging time with 95 % intervals."""
+    ax = open_axes(None, 5.2, 3.6)
+    _plot_allan(ax, found, fmt="o-", lw=1.2, label="readings")
+    return _label_allan(ax, found.unit, [])
 
 
 def noise(found: SensorNoise) -> Figure:
-    """Plot the Allan deviation of a record with its 95 % intervals; the law's posterior band, and that of such records.
+    """Plot the Allan deviation of a record with 95 % intervals, and posterior and predictive bands of its noise model.
 
     Args:
         found: the result of `bc.noise`.
@@ -302,7 +302,7 @@ def noise(found: SensorNoise) -> Figure:
         for f in found.figures
         if f.symbol and not f.bound
     ]
-    ax, tau = axes_of(None, 5.2, 3.6), found.measured.tau
+    ax, tau = open_axes(None, 5.2, 3.6), found.measured.tau
     fits = all(claim.severity == "note" for claim in found.claims)
     law = found.law + " (does not fit)" * (not fits)
     bands = (
@@ -312,17 +312,17 @@ def noise(found: SensorNoise) -> Figure:
     for low, high, colour, alpha, label in bands:
         ax.fill_between(tau, low, high, color=colour, alpha=alpha, lw=0, label=label)
     ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=f"noise law: {law}")
-    _measured(ax, found.measured, fmt="o", lw=1, label="readings, 95 %")
-    return _labelled(ax, found.unit, terms)
+    _plot_allan(ax, found.measured, fmt="o", lw=1, label="readings, 95 %")
+    return _label_allan(ax, found.unit, terms)
 
 
-def _measured(ax: Any, m: AllanDeviation, **how: Any) -> None:
+def _plot_allan(ax: Any, m: AllanDeviation, **options: Any) -> None:
     error = np.array([m.deviation - m.low, m.high - m.deviation])
-    ax.errorbar(m.tau, m.deviation, yerr=error, ms=4, capsize=2, color=BLUE, **how)
+    ax.errorbar(m.tau, m.deviation, yerr=error, ms=4, capsize=2, color=BLUE, **options)
 
 
-def _labelled(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
-    """Label the figure of an Allan deviation in `unit`, with terms of noise in the title."""
+def _label_allan(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
+    """Label the axes of an Allan deviation in `unit`, with noise parameters in the title."""
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(axis_label("averaging time τ", "s"))

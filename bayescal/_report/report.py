@@ -1,7 +1,7 @@
 """The report for sign-off: one self-contained HTML file.
 
-Everything that comes from files (names of files, devices, effects) is escaped; no script runs in the page. Figures are
-SVG within the page: in the colour of its text, with ids of their own and no external reference.
+All text from files (names of files, devices, effects) is escaped; the page has no script. Figures are inline SVG, in
+the colour of the text, with unique ids and without external references.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
 class Picture:
     """A figure of the page."""
 
-    body: Markup  # as HTML
-    caption: str  # below it
+    body: Markup  # the figure as HTML
+    caption: str  # text below the figure
 
 
 class Pictures:
@@ -60,11 +60,11 @@ class Pictures:
         try:
             with plots.own_style(**SVG):
                 return Picture(
-                    inline(as_svg(make()), f"f{self.count}-", caption + ELSEWHERE), caption
+                    embed(render_svg(make()), f"f{self.count}-", caption + ELSEWHERE), caption
                 )
         except self.refused:
             raise
-        except Exception as error:  # whatever it is, the rest of the page can be read
+        except Exception as error:  # the page is written without the figure
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
             return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
@@ -89,7 +89,7 @@ class Pictures:
 ELSEWHERE = ". The tables of this report hold the same."
 
 
-def as_svg(figure: Figure) -> str:
+def render_svg(figure: Figure) -> str:
     """Render a figure as an SVG without a background."""
     for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
         patch.set_visible(False)
@@ -99,11 +99,11 @@ def as_svg(figure: Figure) -> str:
     return out.getvalue()
 
 
-def inline(svg: str, prefix: str, alt: str) -> Markup:
-    """Convert an SVG, as Matplotlib writes it with labels escaped, to a part of a page.
+def embed(svg: str, prefix: str, alt: str) -> Markup:
+    """Convert an SVG of Matplotlib, with escaped labels, to inline SVG of the page.
 
-    Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and external references (document
-    type, metadata) are removed, and the comments, which repeat the labels.
+    Black becomes the page's text colour, fonts become the page's, ids get a prefix; external references (document type,
+    metadata) and comments, which repeat the labels, are removed.
     """
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
@@ -119,7 +119,7 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
     return Markup(f"{head} {view[0] if view else ''}>{content}")
 
 
-# Exceptions of the layout for a damaged result.json, beside errors of its template.
+# Exceptions of rendering a damaged result.json, besides errors of the template.
 DAMAGE_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 NO_STIMULUS = (
     "There is no budget: nothing is measured with this instrument in use, so that the uncertainties are those of its "
@@ -140,22 +140,22 @@ def report(
     """Write the report for sign-off.
 
     Args:
-        given: a calibration or a trail, or several, a chapter each. Missing effects of a calibration are searched,
-            which takes a few seconds; a trail includes them.
-        path: of the file, ending in .html.
-        title: of the report.
-        effects: of your own, further candidates in that search.
-        certificate: TOML file of a certificate's statements beside the numbers: device, serial number, place,
-            operator, ambient conditions, standards, dates.
-        decisions: about limits, as `bc.decide` made them: they stand before everything else, with their rule.
+        given: a calibration or a search path, or several, with a chapter each. For a calibration, missing effects are
+            searched, which takes a few seconds; a search path includes them.
+        path: file to write, ending in .html.
+        title: title of the report.
+        effects: user-defined effects, additional candidates of the search for missing effects.
+        certificate: TOML file of a certificate's statements: device, serial number, place, operator, ambient
+            conditions, standards, dates.
+        decisions: decisions about limits, made by `bc.decide`, for the first section, with their rule.
 
     Returns:
         The path.
 
     Raises:
-        InputError: no calibration, another suffix, a place that cannot be written to, or a certificate with an
-            unknown entry; a folder's result that is damaged.
-        NotDrawn: a picture could not be drawn; the page is written, with a note in its place.
+        InputError: no calibration, another suffix, a file that cannot be written, a certificate with an unknown entry,
+            or a damaged result folder.
+        NotDrawn: a figure could not be drawn; the page is written with a note instead.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -168,13 +168,13 @@ def report(
 
     if isinstance(certificate, str | Path):
         certificate = first_offered("certificate", "certificate=")(certificate)
-    several = given if isinstance(given, list | tuple) else [given]
-    parts = chapters(several, effects)
-    before = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
+    results = given if isinstance(given, list | tuple) else [given]
+    parts = chapters(results, effects)
+    forewords = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
     folders = [str(c.folder) for c in parts if c.folder is not None]
     pictures = Pictures(DAMAGE_ERRORS if folders else ())
     try:
-        text = page(parts, pictures, title, before)
+        text = render_page(parts, pictures, title, forewords)
     except (TemplateError, *DAMAGE_ERRORS) as e:
         if not folders:
             raise
@@ -188,11 +188,11 @@ def report(
     return written
 
 
-def page(
+def render_page(
     parts: list[Chapter],
     pictures: Pictures,
     title: str = "",
-    before: Sequence[Foreword] = (),
+    forewords: Sequence[Foreword] = (),
 ) -> str:
     """Render the report as HTML."""
     filters = {
@@ -201,25 +201,25 @@ def page(
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
-        "measured": report_text.measured,
+        "measured": report_text.with_unit,
     }
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        chapters=[_chapter(c, pictures) for c in parts],
+        chapters=[_chapter_variables(c, pictures) for c in parts],
         k=report_text.K,
-        before=before,
+        before=forewords,
     )
 
 
-def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
+def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     """Collect the template's variables for one set of readings."""
     c, data = chapter.calibration, chapter.data
     rows = report_text.coefficients(chapter)
-    signed = report_text.signed(rows, c.model)
+    signed_rows = report_text.signed(rows, c.model)
     total, no_budget = _budget(chapter)
-    ends = sorted({0, len(data["steps"]) - 1})
-    checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in ends]
+    shown_steps = sorted({0, len(data["steps"]) - 1})
+    checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in shown_steps]
     names, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
     return {
         **{name: getattr(report_text, name)(chapter) for name in names},
@@ -233,29 +233,29 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "of_the_model": None if chapter.average is None else identity(c),
         "averaged": averaged_over(chapter.used),
         "sources": sources_of(readings),
-        "groups": _groups(data),
-        "signed": signed,
-        "further": len(rows.rows) - len(signed.rows) + len(c.model.fixed),
+        "groups": _format_groups(data),
+        "signed": signed_rows,
+        "further": len(rows.rows) - len(signed_rows.rows) + len(c.model.fixed),
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "noise": c.model.noise.in_words,
         "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MAX_ROWS]),
         "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
         "check": chapter.check,
-        "checks": [*zip(ends, checks, strict=True)],
+        "checks": [*zip(shown_steps, checks, strict=True)],
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": total,
         "budget_tables": total and [replace(t, rows=t.rows[:MAX_ROWS]) for t in total.tables()],
         "no_budget": no_budget,
-        "pictures": _pictures(chapter, pictures),
+        "pictures": _chapter_pictures(chapter, pictures),
     }
 
 
-def _groups(data: dict[str, Any]) -> str:
-    """Format the numbers of runs, cells, axes and devices, where there are several."""
-    counted = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
+def _format_groups(data: dict[str, Any]) -> str:
+    """Format the numbers of runs, cells, axes and devices that are above one."""
+    counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     plural = {"axis": "axes"}
-    return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
+    return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counts if n > 1)
 
 
 def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:
@@ -280,7 +280,7 @@ def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures
 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
-    """Compute the budget at the middle of the covered ranges; or the reason why there is none."""
+    """Compute the uncertainty budget at mid-range of all inputs; or return the reason why there is none."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no budget of a result that is not reliable."
     if chapter.used.model.instrument.use is None:
@@ -291,11 +291,11 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
         return None, f"There is no budget: {error}"
 
 
-def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
+def _chapter_pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c = chapter.calibration
-    of_last = pictures.residuals(c, chapter.check)
+    residual_pictures = pictures.residuals(c, chapter.check)
     return {
-        "last": of_last[1:],
-        "front": next(iter(of_last), None),  # on the page that is signed
+        "last": residual_pictures[1:],
+        "front": next(iter(residual_pictures), None),  # on the page that is signed
         "error": pictures.error(chapter.data["steps"]),
     }

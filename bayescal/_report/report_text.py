@@ -1,7 +1,4 @@
-"""The text of a report: its tables as plain data, which a template lays out, and its sentences.
-
-The sentences are the result in one paragraph.
-"""
+"""The tables of a report as plain data, which a template formats, and its conclusion in one paragraph."""
 
 from __future__ import annotations
 
@@ -32,20 +29,20 @@ from bayescal._search.search_path import in_forms, rises, steps_table
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED = 14  # coefficients on the page that is signed
 UNUSED = "recorded; the model does not use it"
-READ = "what was read"
-FOLLOWS = "follows from the above"
+OUTPUT_PART = "what was read"
+DERIVED_PART = "follows from the above"
 
 
-def measured(value: float, unit: str, digits: int = 4) -> str:
+def with_unit(value: float, unit: str, digits: int = 4) -> str:
     return f"{number(value, digits)} {unit_label(unit)}".strip()
 
 
 def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     """Return the covered range of each numeric covariate and each rate of a temperature, with its role."""
     readings, model = calibration.readings, calibration.model
-    used = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
-    used |= find_response_columns(model.instrument, calibration.frame)
-    about, rows = {c.name: c.meaning for c in model.instrument.columns}, []
+    used_columns = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
+    used_columns |= find_response_columns(model.instrument, calibration.frame)
+    meanings, rows = {c.name: c.meaning for c in model.instrument.columns}, []
 
     def add(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> None:
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -53,23 +50,23 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
         role = {"unit": unit_label(unit), "part": part, "constant": low == high}
         rows.append({"name": name, "meaning": meaning, **ends, **role})
 
-    parts = {"output": READ}
+    roles = {"output": OUTPUT_PART}
     if model.instrument.use is not None:
-        acts = "the input, what the instrument is to measure"
-        parts = {model.instrument.use.stimulus: acts} | parts
+        stimulus_role = "the input, what the instrument is to measure"
+        roles = {model.instrument.use.stimulus: stimulus_role} | roles
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is None or name in ("output_uncertainty", "temperature_point"):
             continue
-        part = parts.get(name) or ("the model depends on it" if name in used else UNUSED)
-        add(name, about.get(name, ""), readings[name], unit, part)
+        part = roles.get(name) or ("the model depends on it" if name in used_columns else UNUSED)
+        add(name, meanings.get(name, ""), readings[name], unit, part)
     for name, values in calibration.frame.rates.items():
         rate = np.asarray(values) * 60
         if np.ptp(rate) > 0:
-            add(f"{name} rate", "speed of the change", rate, "degC/min", FOLLOWS)
+            add(f"{name} rate", "speed of the change", rate, "degC/min", DERIVED_PART)
     if readings.has("time"):
-        span = np.asarray(calibration.frame.columns["elapsed"])
-        add("elapsed", "time since the start of a run", span, "s", FOLLOWS)
+        elapsed = np.asarray(calibration.frame.columns["elapsed"])
+        add("elapsed", "time since the start of a run", elapsed, "s", DERIVED_PART)
     return rows
 
 
@@ -87,33 +84,33 @@ def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
 def files(chapter: Chapter) -> ResultTable:
     """List the files that were read, and the hold-out data."""
 
-    def listed_(names: str | list[str]) -> str:
+    def join_names(names: str | list[str]) -> str:
         return names if isinstance(names, str) else ", ".join(names)
 
     rows = [[s.file, str(s.rows), s.sha256] for s in sources_of(chapter.calibration.readings)]
     if holdout := chapter.data["holdout"]:
-        names = f"hold-out: {listed_(holdout['file']) or 'arrays'}"
-        rows.append([names, str(holdout["rows"]), listed_(holdout["sha256"])])
+        names = f"hold-out: {join_names(holdout['file']) or 'arrays'}"
+        rows.append([names, str(holdout["rows"]), join_names(holdout["sha256"])])
     return plain_table(["file", "readings", "SHA-256"], rows, fold=1)
 
 
 def coefficients(chapter: Chapter) -> ResultTable:
     """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
-    untold = coefficients_not_measured(chapter.used)
+    not_measured = coefficients_not_measured(chapter.used)
     summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
-        none = dict.fromkeys(("u", "k2", "credible"), "–")
+        empty = dict.fromkeys(("u", "k2", "credible"), "–")
         if (r := summaries.get(key)) is None:  # a curve or a large group
             value = f"{value} {unit}".rstrip()
-            rows.append({"name": name, "unit": "", "value": value, "contraction": None, **none})
+            rows.append({"name": name, "unit": "", "value": value, "contraction": None, **empty})
             continue
-        mean, sd, likely, condition = r["mean"], r["sd"], r["probability"], given_text(r, K)
+        mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], given_text(r, K)
         is_held = not sd > 1e-9 * abs(mean)
-        note = " (held)" * is_held + " (mostly its prior)" * (name in untold)
-        note += f" (if it is there {condition})" if condition else ""
-        note += f" (probability {probability(likely)})" * (likely < 1 and not condition)
-        ends = (mean - K * sd, mean + K * sd), r["interval95"]
-        k2, credible = ("–" if is_held else interval(*pair, mean, sd) for pair in ends)
+        note = " (held)" * is_held + " (mostly its prior)" * (name in not_measured)
+        note += f" (if it is there {conditional})" if conditional else ""
+        note += f" (probability {probability(inclusion)})" * (inclusion < 1 and not conditional)
+        intervals = (mean - K * sd, mean + K * sd), r["interval95"]
+        k2, credible = ("–" if is_held else interval(*bounds, mean, sd) for bounds in intervals)
         uncertainty = {"u": "held" if is_held else number(sd, 2), "k2": k2, "credible": credible}
         rows.append({**r, "value": with_error(mean, K * sd), "note": note, **uncertainty})
     columns = (
@@ -129,11 +126,11 @@ def coefficients(chapter: Chapter) -> ResultTable:
 
 
 def signed(table: ResultTable, model: Model) -> ResultTable:
-    """Tabulate the unknowns on the page that is signed, with time constants and other shapes, and fixed unknowns."""
+    """Tabulate the unknowns on the signed page, with nonlinear parameters (shapes) last, and fixed values."""
     chosen = [r for r in table.rows if "(" not in r["name"]]
     shapes = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
-    last = [r for r in chosen if r["name"] in shapes][:MAX_SIGNED]
-    chosen = [r for r in chosen if r["name"] not in shapes][: MAX_SIGNED - len(last)] + last
+    shaped = [r for r in chosen if r["name"] in shapes][:MAX_SIGNED]
+    chosen = [r for r in chosen if r["name"] not in shapes][: MAX_SIGNED - len(shaped)] + shaped
     rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in chosen]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
     return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
@@ -147,16 +144,16 @@ def _percent(share: float | None) -> str:
 
 def steps(chapter: Chapter) -> ResultTable:
     """Tabulate the errors of every step, as `SearchPath` prints them."""
-    of = chapter.data["steps"]
+    steps_data = chapter.data["steps"]
     complete = {m["step"]: m["nothing_missing_probability"] for m in chapter.data["missing"]}
     rows = [
         {
             **step,
             "number": i,
-            "rises": i > 0 and rises(step["holdout_rmse"], of[i - 1]["holdout_rmse"]),
+            "rises": i > 0 and rises(step["holdout_rmse"], steps_data[i - 1]["holdout_rmse"]),
             "nothing_missing": complete.get(i),
         }
-        for i, step in enumerate(of)
+        for i, step in enumerate(steps_data)
     ]
     return steps_table(rows)
 
@@ -164,39 +161,39 @@ def steps(chapter: Chapter) -> ResultTable:
 def convergence(chapter: Chapter) -> ResultTable:
     """Tabulate the convergence of each fit."""
 
-    def of(key: str) -> Callable[[Any], Any]:
+    def entry(key: str) -> Callable[[Any], Any]:
         return lambda row: row[1]["verdict"][key]
 
     columns = (
         TableColumn("step", lambda row: f"{row[0]} {row[1]['title']}"),
-        TableColumn("converged", of("ok"), lambda ok: "yes" if ok else "no", left=True),
-        TableColumn("sampler", of("sampler"), left=True),
-        TableColumn("Pareto k̂", of("pareto_k"), number),
-        TableColumn("ESS", of("ess"), lambda v: number(v, 4)),
-        TableColumn("R-hat", of("r_hat"), lambda v: number(v, 4)),
-        TableColumn("divergences", of("divergences"), lambda v: "–" if v is None else str(v)),
+        TableColumn("converged", entry("ok"), lambda ok: "yes" if ok else "no", left=True),
+        TableColumn("sampler", entry("sampler"), left=True),
+        TableColumn("Pareto k̂", entry("pareto_k"), number),
+        TableColumn("ESS", entry("ess"), lambda v: number(v, 4)),
+        TableColumn("R-hat", entry("r_hat"), lambda v: number(v, 4)),
+        TableColumn("divergences", entry("divergences"), lambda v: "–" if v is None else str(v)),
     )
     return ResultTable(columns, [*enumerate(chapter.data["steps"])])
 
 
 def effects(chapter: Chapter) -> ResultTable:
-    """Tabulate the effects of the model: equation, unknowns with their priors, source, the step that added it."""
-    since = dict[str, str]()
+    """Tabulate the effects of the model: equation, unknowns with priors, source, the step that added the effect."""
+    added_at = dict[str, str]()
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
-            since.setdefault(name, f"step {i}" if i else "the start")
+            added_at.setdefault(name, f"step {i}" if i else "the start")
     columns = (
         TableColumn("effect", lambda e: e.name),
         TableColumn("slot", lambda e: e.slot, left=True),
         TableColumn("equation", lambda e: e.equation or "–", left=True),
-        TableColumn("unknowns and their priors", lambda e: "\n".join(_unknowns(e)), left=True),
-        TableColumn("since", lambda e: since.get(e.name, "averaged over"), left=True),
+        TableColumn("unknowns and their priors", lambda e: "\n".join(_prior_lines(e)), left=True),
+        TableColumn("since", lambda e: added_at.get(e.name, "averaged over"), left=True),
         TableColumn("source", lambda e: e.source, left=True),
     )
     return ResultTable(columns, chapter.used.model.effects)
 
 
-def _unknowns(effect: Effect) -> list[str]:
+def _prior_lines(effect: Effect) -> list[str]:
     lines = []
     for i, c in ((i, c) for i, c in enumerate(effect.coefficients) if not c.known):
         prior = c.prior if c.group_sd is None else c.group_sd
@@ -206,15 +203,15 @@ def _unknowns(effect: Effect) -> list[str]:
         if effect.weights is not None:
             sizes = [effect.measure] if effect.measure else effect.weight_shapes
             prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
-        per = f", one for each {c.per}" if c.per else ""
+        group = f", one for each {c.per}" if c.per else ""
         if effect.is_placeholder and len(effect.coefficients) > 1:
-            lines.append(f"{len(effect.coefficients)} weights of a curve: {prior}{per}")
+            lines.append(f"{len(effect.coefficients)} weights of a curve: {prior}{group}")
             break
-        lines.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
+        lines.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{group}")
     for s in effect.shapes:
-        share = "between" if s.scale == "bounded" else "95 % between"
-        ends = f"{number(s.low)} and {number(s.high)}"
-        lines.append(f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {ends}")
+        coverage = "between" if s.scale == "bounded" else "95 % between"
+        limits = f"{number(s.low)} and {number(s.high)}"
+        lines.append(f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {coverage} {limits}")
     return lines
 
 
@@ -229,12 +226,12 @@ PRIORS: dict[type, Callable[[Any], str]] = {
 }
 
 
-MAX_NAMED = 4  # effects of the first model, unknowns of an effect found, that are named
+MAX_NAMED = 4  # named effects of the first model, and named unknowns of an added effect
 
 
 def conclusion(chapter: Chapter) -> str:
     """Summarise the effects found, the error before and after, the residuals, and open questions, in one paragraph."""
-    parts = [*_failed_checks(chapter), _effects(chapter), _error(chapter), _residuals(chapter)]
+    parts = [*_failed_checks(chapter), _additions(chapter), _error(chapter), _residuals(chapter)]
     return " ".join([*parts, *_not_looked_at(chapter), *_not_decided(chapter)])
 
 
@@ -245,30 +242,30 @@ def _failed_checks(chapter: Chapter) -> Iterator[str]:
         yield f"Not to be used as it is: {reasons[0]}"  # the others stand in the verdict
 
 
-def _effects(chapter: Chapter) -> str:
-    """Format the effects that the last model has more than the first, with the sizes that are signed for."""
+def _additions(chapter: Chapter) -> str:
+    """Describe the effects of the last model that the first lacks, with their coefficients."""
     c, data = chapter.calibration, chapter.data
     latent = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
     first = set(data["steps"][0]["effects"]) | latent[0] & latent[-1]
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
-        weighed = "Nothing was found missing from"
+        statement = "Nothing was found missing from"
         if (data["search"] or {}).get("stopped"):
-            weighed = "When the search was ended, nothing had been found missing from"
+            statement = "When the search was ended, nothing had been found missing from"
         if not data["missing"]:
-            weighed = "Nothing was looked for beside"
+            statement = "Nothing was looked for beside"
         names = [n for n in c.model.names if n not in latent[-1]]
-        many = len(names) > MAX_NAMED
-        model = f"{len(names)} effects" if many else ", ".join(names) or "no effect"
-        return f"{weighed} the first model ({model})."
+        is_long = len(names) > MAX_NAMED
+        model = f"{len(names)} effects" if is_long else ", ".join(names) or "no effect"
+        return f"{statement} the first model ({model})."
     texts = []
     for effect in added:
-        likely, how = _probability(chapter, effect), ""
-        if likely is not None and likely < settings().found_probability:
-            how = f"probably ({likely:.2f}) "
+        inclusion, qualifier = _probability(chapter, effect), ""
+        if inclusion is not None and inclusion < settings().found_probability:
+            qualifier = f"probably ({inclusion:.2f}) "
         averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
         name = in_forms(effect.name, effect.reported, averaged)
-        texts.append(how + _describe_effect(chapter.used, effect, name))
+        texts.append(qualifier + _describe_effect(chapter.used, effect, name))
     return f"Found in addition to the first model: {'; '.join(texts)}."
 
 
@@ -290,20 +287,20 @@ PHYSICS = {  # description of an effect by the form of its dependence
 
 
 def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
-    """Describe an effect with its name and size: of a curve its extent, else its unknowns, given that it is present."""
-    of = c.model.instrument.known.get(effect.reported, effect)  # a form is what its family is
-    along = effect.covariate if effect.is_placeholder else of.columns[-1] if of.columns else ""
-    what = f"{PHYSICS[of.kind]} {along.replace('_', ' ')}, " if of.kind in PHYSICS else ""
+    """Describe an effect by name and by the range of a curve or its unknowns, conditional on inclusion."""
+    base = c.model.instrument.known.get(effect.reported, effect)  # forms share their family's text
+    along = effect.covariate if effect.is_placeholder else base.columns[-1] if base.columns else ""
+    text = f"{PHYSICS[base.kind]} {along.replace('_', ' ')}, " if base.kind in PHYSICS else ""
     if (per := effect.coefficients[0].per) and not effect.shapes:
-        what = f"differences from {per} to {per}, "
-    return what + _numbers(c, effect, name)
+        text = f"differences from {per} to {per}, "
+    return text + _describe_size(c, effect, name)
 
 
-def _numbers(c: Calibration, effect: Effect, effect_name: str) -> str:
+def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
-        _, largest, covariate, at = curve_range(c, effect.name)
-        place = point_text(c, covariate, at)
-        return f"{effect.name}, up to {measured(abs(largest), c.unit, 2)}, most at {place}"
+        _, largest, covariate, worst_value = curve_range(c, effect.name)
+        location = point_text(c, covariate, worst_value)
+        return f"{effect.name}, up to {with_unit(abs(largest), c.unit, 2)}, most at {location}"
     texts = list[str]()
     for row in chain(*summary(c)):
         name = row["name"].removeprefix(effect.name).removeprefix(".")
@@ -363,7 +360,7 @@ def _residuals(chapter: Chapter) -> str:
     if depends:
         return f"The residuals still depend on {listed(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
-    noise = measured(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
+    noise = with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
     if first in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."

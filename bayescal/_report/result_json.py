@@ -45,13 +45,13 @@ from bayescal._search.search_path import SearchPath, Step
 RESULT = "result.json"
 SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
-OF_NOISE = {
+NOISE_KEYS = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
     **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature"},
     **{"proportional": "proportional", "freedom": "freedom"},
 }
-OVER_STRUCTURES = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, averaged
-FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
+AVERAGED_KEYS = ("mean", "sd", "interval95", "probability", "given")  # of an averaged unknown
+FORMER_SCHEMA = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     *("bayescal", "jax", "numpyro", "optimistix"),
     *("arviz-base", "arviz-stats", "numpy", "scipy"),
@@ -61,14 +61,14 @@ PACKAGES = (
 def result(trail: SearchPath) -> dict[str, Any]:
     """Convert all results of a calibration to plain data."""
     final = trail.final.calibration
-    further = {*trail.calibration.model.names} - {*final.model.names}
+    absent = {*trail.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"] not in further] for rows in summary(trail.calibration)
+        [row for row in rows if row["effect"] not in absent] for rows in summary(trail.calibration)
     )
     for row in (*coefficients, *hyperparameters):
-        averaged = {k: row[k] for k in OVER_STRUCTURES}
+        averaged = {k: row[k] for k in AVERAGED_KEYS}
         row["averaged"] = None if trail.average is None else averaged
-        del row["probability"], row["given"]  # of a single structure: one, and the same
+        del row["probability"], row["given"]  # trivial for a single structure
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(trail.steps):
         tables["check"] += [{"step": i, **row} for row in step.check.data()]
@@ -89,8 +89,8 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
             "settings": unusual(),
-            "readings": {**_source(final.readings), "groups": _groups(final.readings)},
-            "holdout": None if trail.holdout is None else _source(trail.holdout),
+            "readings": {**_source_data(final.readings), "groups": _group_data(final.readings)},
+            "holdout": None if trail.holdout is None else _source_data(trail.holdout),
             "flags": list(final.readings.flags),
             "gate": {
                 "ok": trail.gate.ok,
@@ -120,7 +120,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
 
 
 def search_data(trail: SearchPath) -> dict[str, Any] | None:
-    """Convert the structures that were compared, and the end of the search, to plain data."""
+    """Convert the compared structures and the reason of the search's end to plain data."""
     search = trail.search
     if search is None:
         return None
@@ -152,25 +152,25 @@ def versions(*further: str) -> dict[str, str]:
     return numbers
 
 
-def _source(readings: Measurements) -> dict[str, Any]:
-    """Return the files of readings and the hashes of their bytes: one each, or lists where there are several."""
+def _source_data(readings: Measurements) -> dict[str, Any]:
+    """Return the files of readings and their SHA-256: a string each, or lists for several files."""
     files, sums = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
     file, sha256 = (names[0] if len(names) == 1 else names for names in (files, sums))
     return {"file": file, "sha256": sha256, "rows": len(readings)}
 
 
-def _groups(readings: Measurements) -> dict[str, Any]:
+def _group_data(readings: Measurements) -> dict[str, Any]:
     kind, members, _ = choose_groups(readings)
-    counted = {g: len(readings.groups(g)[0]) for g in GROUPS}
-    several = {k: n for k, n in counted.items() if n}
-    return {**several, "left_out": kind, "left_out_count": len(members)}
+    counts = {g: len(readings.groups(g)[0]) for g in GROUPS}
+    nonzero = {k: n for k, n in counts.items() if n}
+    return {**nonzero, "left_out": kind, "left_out_count": len(members)}
 
 
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    law = set(calibration.model.noise.parameters())
-    fixed = {k: np.asarray(v) for k, v in calibration.model.fixed if k in law}
+    noise_parameters = set(calibration.model.noise.parameters())
+    fixed = {k: np.asarray(v) for k, v in calibration.model.fixed if k in noise_parameters}
     names = (u.name for u in calibration.unknowns if u.kind == "noise")
     noise = {**{n: calibration.samples(n) for n in names}, **fixed}
     noise |= calibration.model.noise.derived(noise)
@@ -183,7 +183,7 @@ def step_data(step: Step) -> dict[str, Any]:
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {
             "law": calibration.model.noise.name,
-            **{key: mean.get(f"noise.{name}") for key, name in OF_NOISE.items()},
+            **{key: mean.get(f"noise.{name}") for key, name in NOISE_KEYS.items()},
         },
         "verdict": calibration.verdict,
     }
@@ -216,7 +216,7 @@ def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any
 
 
 def experiment_data(ranking: NextExperiment) -> dict[str, Any]:
-    def expected(e: Any) -> list[dict[str, Any]]:
+    def expected_rows(e: Any) -> list[dict[str, Any]]:
         pairs = e.expected.items()
         return [{"truth": truth, "rival": rival, "value": value} for (truth, rival), value in pairs]
 
@@ -226,7 +226,7 @@ def experiment_data(ranking: NextExperiment) -> dict[str, Any]:
             {
                 "name": e.name,
                 "least_expected_log_bayes_factor": e.worst,
-                "expected_log_bayes_factors": expected(e),
+                "expected_log_bayes_factors": expected_rows(e),
             }
             for e in ranking.experiments
         ],
@@ -240,12 +240,12 @@ PICTURE = "loop.png"
 class Foreword:
     """A section before all chapters."""
 
-    name: str  # its id in the page
-    title: str  # above it
-    note: str  # in small print below it
-    verdict: str = ""  # its conclusion, in a box; empty for none
-    bad: bool = False  # whether that is negative
-    why: str = ""  # the reason of the verdict
+    name: str  # id of the section in the page
+    title: str  # heading
+    note: str  # small print below the section
+    verdict: str = ""  # conclusion, in a box; empty for none
+    bad: bool = False  # whether the verdict is negative
+    why: str = ""  # reason of the verdict
     # headings, with labels and texts below each
     lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
     table: tuple[str, ResultTable] | None = None  # with its caption
@@ -259,38 +259,38 @@ class Foreworded(Protocol):
 
 @dataclass(frozen=True)
 class Chapter:
-    """One set of readings."""
+    """The results of one set of readings."""
 
-    calibration: Calibration  # the last model's
-    check: Check  # of its residuals
+    calibration: Calibration  # of the last model
+    check: Check  # residual checks of the last model
     data: dict[str, Any]  # all results, as in result.json
-    folder: Path | None = None  # that it was read from; None for a result in memory
-    # the last model's calibration averaged over structures; None where one has nearly all probability
+    folder: Path | None = None  # the folder it was read from; None for a result in memory
+    # the last model's calibration averaged over structures; None if one has nearly all probability
     average: Calibration | None = None
 
     @property
     def used(self) -> Calibration:
-        """Return calibration of all numbers of the report: the average over structures, where several are probable."""
+        """Return the calibration whose numbers the report states: the average over structures, if there is one."""
         return self.calibration if self.average is None else self.average
 
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Make a report's chapters of calibrations, trails, chapters or failed fits; raise InputError for others."""
-    own_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
-    ended = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in results)
-    several = [g if calibration is None else calibration for g, calibration in ended]
-    wrong = [type(g).__name__ for g in several if not isinstance(g, accepted)]
-    if wrong or not several:
+    """Build report chapters from calibrations, search paths, chapters or failed fits; raise InputError for others."""
+    user_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
+    failed_fits = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in results)
+    several = [g if calibration is None else calibration for g, calibration in failed_fits]
+    wrong_types = [type(g).__name__ for g in several if not isinstance(g, accepted)]
+    if wrong_types or not several:
         raise InputError(
-            f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
+            f"a report is of calibrations or trails, not of {', '.join(wrong_types) or 'nothing'}: give what bc.fit, "
             "bc.calibrate or bc.load returned"
         )
-    trails = (trail_of(g, own_effects) if isinstance(g, Calibration) else g for g in several)
-    return [t if isinstance(t, Chapter) else of_trail(t) for t in trails]
+    trails = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in several)
+    return [t if isinstance(t, Chapter) else chapter_of(t) for t in trails]
 
 
-def of_trail(trail: SearchPath) -> Chapter:
-    """Make the chapter of a trail in memory."""
+def chapter_of(trail: SearchPath) -> Chapter:
+    """Build the chapter of a search path in memory."""
     final = trail.final
     return Chapter(final.calibration, final.check, result(trail), average=trail.average)
 
@@ -307,12 +307,12 @@ def of_folder(
         )
     data = _read_result(folder / RESULT)
     refuse_mixed(folder)
-    parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
-    calibration = load(folder / CALIBRATION, **parts)
-    fitted, stated, listed = identity(calibration), data.get("calibration"), files_of(folder)
-    if not {RESULT, CALIBRATION} <= listed.keys() and stated != fitted:  # no manifest of one run
+    user_parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
+    calibration = load(folder / CALIBRATION, **user_parts)
+    fitted, saved, files = identity(calibration), data.get("calibration"), files_of(folder)
+    if not {RESULT, CALIBRATION} <= files.keys() and saved != fitted:  # no manifest of one run
         raise InputError(
-            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {stated} and {fitted}. Calibrate "
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {saved} and {fitted}. Calibrate "
             f"again, or give {CALIBRATION} alone"
         )
     return Chapter(
@@ -320,7 +320,7 @@ def of_folder(
         check(calibration),
         data,
         folder=folder,
-        average=load(folder / AVERAGED, **parts) if AVERAGED in listed else None,
+        average=load(folder / AVERAGED, **user_parts) if AVERAGED in files else None,
     )
 
 
@@ -328,7 +328,7 @@ def _read_result(path: Path) -> dict[str, Any]:
     try:
         data = read_json(path)
         schema = data.get("schema")
-        if schema == FORMER:
+        if schema == FORMER_SCHEMA:
             rows = [{**r, "name": current_name(r["name"])} for r in data.pop("spreads", [])]
             schema, data = SCHEMA, {**data, "hyperparameters": rows}
         if schema != SCHEMA:
@@ -343,10 +343,10 @@ def _read_result(path: Path) -> dict[str, Any]:
     return data
 
 
-def trail_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
-    """Make the trail of one calibration, with its check and missing effects; the user's own effects are candidates."""
-    own_names = calibration.model.instrument.known
-    candidates = (*(e for e in calibration.model.effects if e.name not in own_names), *effects)
+def path_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
+    """Build a search path of one step from a calibration, its checks and missing effects (also `effects`)."""
+    catalogue = calibration.model.instrument.known
+    candidates = (*(e for e in calibration.model.effects if e.name not in catalogue), *effects)
     discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None
     step = replace(step_of(calibration), discovery=discovery)
     return SearchPath((step,), gate([step]), None)

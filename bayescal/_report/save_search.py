@@ -1,7 +1,7 @@
-"""Saving of a search to a folder: result.json, the last calibration, the picture of the loop: `trail.save(folder)`.
+"""Saving of a search to a folder: result.json, the last calibration and a figure: `SearchPath.save(folder)`.
 
-For a unit's channels a folder each, and channels.json with their shared effects. Trails and channels are defined in
-rooms below this one, so the methods are attached here, and `bayescal` takes them from this module.
+Channels of a unit have a folder each, and channels.json their shared effects. The classes are defined in packages that
+this one depends on: their method `save` is attached here, and `bayescal` imports them from this module.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._report.report_text import conclusion
-from bayescal._report.result_json import PICTURE, RESULT, of_trail, result
+from bayescal._report.result_json import PICTURE, RESULT, chapter_of, result
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
@@ -36,56 +36,56 @@ CHANNELS_SCHEMA = "bayescal.channels/1"
 def save_search(self: SearchPath | Channels, folder: Path) -> None:
     """Write result.json, calibration.nc, loop.png, manifest.json to an existing folder; of channels to a folder each.
 
-    calibration.nc is of the last step; averaged.nc, where several structures share the probability, is the one to
-    use: predictions, compensation, budgets and exports of the folder are made with it. Beside the folders of channels
-    is channels.json; results of another unit's channels, of a run before, are removed, unless they were changed.
+    calibration.nc is that of the last step; averaged.nc, if several structures are probable, is the average over them,
+    which predictions, compensation, budgets and exports of the folder use. channels.json is written beside the folders
+    of channels; unmodified results of other channels from an earlier run are removed.
 
-    All files are replaced in one step; other files in the folder stay. Pictures are drawn after that, and left out
-    after a time limit or Ctrl-C.
+    All files are replaced atomically; other files in the folder are kept. Figures are drawn afterwards, unless a time
+    limit has passed or Ctrl-C was pressed.
 
     Raises:
-        InputError: there is no such folder, or it cannot be written; its files are unchanged.
-        NotDrawn: a picture could not be drawn; all other files are written.
+        InputError: the folder does not exist, or cannot be written; its files are unchanged.
+        NotDrawn: a figure could not be drawn; all other files are written.
     """
     folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
     if isinstance(self, Channels):
         paths = self.search_paths
-        searches = {inner: paths[name] for name, inner in folders_of(paths).items()}
+        searches = {subfolder: paths[name] for name, subfolder in folders_of(paths).items()}
     else:
         searches[""] = self
     with whole_folder(folder) as hidden:
-        for inner, trail in searches.items():
-            write_search(trail, hidden / inner)
+        for subfolder, trail in searches.items():
+            write_search(trail, hidden / subfolder)
         if isinstance(self, Channels):
             write_json(channels_data(self), hidden / CHANNELS)
-            with suppress(InputError):  # none were there, or none that can be read
-                for inner in channel_folders(folder):
-                    if (folder / inner).is_dir() and not (folder / inner).is_symlink():
-                        (hidden / inner).mkdir(exist_ok=True)
+            with suppress(InputError):  # no readable channels.json from an earlier run
+                for subfolder in channel_folders(folder):
+                    if (folder / subfolder).is_dir() and not (folder / subfolder).is_symlink():
+                        (hidden / subfolder).mkdir(exist_ok=True)
     draw_search(searches, folder)
 
 
 def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
-    """Draw the picture of each search (subfolder → search), unless time is up.
+    """Draw the figure of each search (subfolder → search), unless time is up.
 
     Raises:
-        NotDrawn: one could not be drawn.
+        NotDrawn: a figure could not be drawn.
     """
     if deadline.current().over:
         return
     with drawing(PICTURE), whole_folder(folder, leaving=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
-        for place, trail in searches.items():
+        for subfolder, trail in searches.items():
             with own_style():
-                save(loop(trail), hidden / place / PICTURE)
+                save(loop(trail), hidden / subfolder / PICTURE)
 
 
 def write_search(trail: SearchPath, folder: Path) -> None:
-    """Write the files of `SearchPath.save`, except the picture, to a hidden folder.
+    """Write the files of `SearchPath.save`, except the figure, to a hidden folder.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: a file cannot be written.
     """
     calibration = trail.final.calibration
     folder.mkdir(exist_ok=True)
@@ -97,7 +97,7 @@ def write_search(trail: SearchPath, folder: Path) -> None:
 
 SearchPath.save = Channels.save = save_search
 SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
-    lambda self: conclusion(of_trail(self))
+    lambda self: conclusion(chapter_of(self))
 )
 
 

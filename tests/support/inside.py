@@ -84,9 +84,9 @@ def result_of(trail: bc.SearchPath) -> dict[str, Any]:
 
 def screen_of(path: bc.SearchPath, verbose: bool = False) -> str:
     """What `bayescal calibrate` prints of a search."""
-    from bayescal._cli.output import loop_text
+    from bayescal._cli.output import format_loop
 
-    return loop_text(path, verbose=verbose)
+    return format_loop(path, verbose=verbose)
 
 
 def text_of(correction: Any, format: str, **how: Any) -> str:

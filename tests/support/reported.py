@@ -16,7 +16,7 @@ VOID = {"meta", "link", "img", "br", "input", "hr"}
 
 def unpaint(patch: pytest.MonkeyPatch) -> None:
     """Leave a report's pictures white, as long as the patch holds."""
-    patch.setattr("bayescal._report.report.as_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
+    patch.setattr("bayescal._report.report.render_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
 
 
 class Page(HTMLParser):
