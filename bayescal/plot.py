@@ -1,6 +1,6 @@
-"""Pictures, as functions that return Matplotlib figures: `bc.plot.residuals(calibration)`, ….
+"""Plots, as functions that return Matplotlib figures: `bc.plot.residuals(calibration)`, ….
 
-Colours that the colour-blind can tell apart (Okabe and Ito), a unit on every axis.
+The palette is distinguishable with colour vision deficiency (Okabe and Ito); every axis has a unit.
 """
 
 import lazy_loader

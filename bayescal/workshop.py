@@ -8,7 +8,7 @@ They may change with a version.
 import lazy_loader
 
 from bayescal._core import (
-    deadline as deadline,  # modules, which `lazy_loader` hands on from one place only
+    deadline as deadline,  # modules: the stub of `lazy_loader` can re-export names only
 )
 from bayescal._report import plot_colours as plot_colours
 

@@ -53,16 +53,16 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """Return unidentified directions, the verdict, conflicts and failed checks, one per line."""
-        stated = {(claim.code, claim.subjects) for claim in self.conflicts}
+        reported = {(claim.code, claim.subjects) for claim in self.conflicts}
         failures = self.verdict.against
-        others = (
-            f for f in failures if not isinstance(f, Flag) or (f.code, f.subjects) not in stated
+        other_failures = (
+            f for f in failures if not isinstance(f, Flag) or (f.code, f.subjects) not in reported
         )
         lines = [
             *(f"not measured: {direction}" for direction in null_directions(self)),
             str(self.verdict),
             *(f"conflict: {conflict}" for conflict in self.conflicts),
-            *(f"not reliable: {conflict}" for conflict in others),
+            *(f"not reliable: {conflict}" for conflict in other_failures),
         ]
         return "\n".join(folded(line, "") for line in lines)
 

@@ -196,7 +196,7 @@ def _sum_error(differences: np.ndarray) -> float:
 
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Yield claims where the ranking is undecided, or another measure is unreliable or disagrees."""
+    """Yield claims where the by is undecided, or another measure is unreliable or disagrees."""
     best, second = rows[:2]
     if fold and fold.count < FEWEST_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)

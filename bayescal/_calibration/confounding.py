@@ -139,8 +139,8 @@ def unmodelled(model: Model, readings: Measurements) -> dict[str, Float[np.ndarr
     for name, values in list_covariates(readings).items():
         column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None
-        same = any(unit and same_dimension(unit, str(u)) for u in units)
-        if np.ptp(values) > 0 and name not in modelled and column not in modelled and not same:
+        is_same = any(unit and same_dimension(unit, str(u)) for u in units)
+        if np.ptp(values) > 0 and name not in modelled and column not in modelled and not is_same:
             columns[name] = values
     return columns
 

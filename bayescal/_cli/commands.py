@@ -253,10 +253,10 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
                 files = (n for n in possible_files if n in (*files_of(folder), MANIFEST))
                 listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(files)
                 written = f"{folder}/{listed}"
-            trails = searched.search_paths if isinstance(searched, bc.Channels) else {"": searched}
-            fitted = {n: t.final.calibration.readings for n, t in trails.items()}
-            before = request.flags_of(readings)
-            print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
+            paths = searched.search_paths if isinstance(searched, bc.Channels) else {"": searched}
+            fitted = {n: t.final.calibration.readings for n, t in paths.items()}
+            first_flags = request.flags_of(readings)
+            print_notes(flag for flag in request.flags_of(fitted) if flag not in first_flags)
             text_options = {"started": reporter.begun, "verbose": self.verbose}
             content = format_search(searched, self.json_, **text_options)
             why = searched.reason if isinstance(searched, bc.Channels) else searched.gate.reason
@@ -464,7 +464,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                 from bayescal._report.plots import own_style
 
                 folders = folders_of(results).items()
-                pictures = {f"noise_{place}.png": name for name, place in folders}
+                pictures = {f"noise_{folder_name}.png": name for name, folder_name in folders}
                 with drawing("The Allan deviation"), whole_folder(folder) as hidden:
                     for picture, name in pictures.items():
                         with own_style():

@@ -39,7 +39,7 @@ OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory"
 
 
 def application(name: str | None = None) -> typer.Typer:
-    """Return every command, with the options of `name` alone, if given: parsing those of all takes as long as typer."""
+    """Build the application of all commands; parse the options of command `name` only, if given, to save time."""
     app = typer.Typer(
         name="bayescal",
         help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
@@ -52,28 +52,28 @@ def application(name: str | None = None) -> typer.Typer:
     )
     for group in (commands.COMMANDS, *offered("commands")):
         for command in group:
-            called, words = command.called(), inspect.getdoc(command)
-            for p in inspect.signature(command).parameters.values():
-                kind = re.search("Path|float|int|str|Texts", str(p.annotation))
-                is_option = hasattr(p.default, "count")
-                if kind and is_option and p.default.metavar is None:
-                    p.default.metavar = METAVARS[kind[0]]
-            parsed = command if name in (None, called) else lambda: None
-            app.command(called, help=words, epilog=f"Example: {command.example}")(parsed)
+            command_name, help_text = command.called(), inspect.getdoc(command)
+            for parameter in inspect.signature(command).parameters.values():
+                kind = re.search("Path|float|int|str|Texts", str(parameter.annotation))
+                is_option = hasattr(parameter.default, "count")
+                if kind and is_option and parameter.default.metavar is None:
+                    parameter.default.metavar = METAVARS[kind[0]]
+            target = command if name in (None, command_name) else lambda: None
+            app.command(command_name, help=help_text, epilog=f"Example: {command.example}")(target)
     return app
 
 
 def main() -> NoReturn:
-    """Run the command line and end the process at once.
+    """Run the command line and exit without Python's clean-up.
 
-    Files are closed and workers ended by now. The clean-up of Python and JAX, of a hundred programs and a thousand
-    modules, would only free memory that is freed with the process: it took 0.9 s of each command.
+    Files are closed and workers have ended. The clean-up of Python and JAX would take 0.9 s and only free memory, which
+    the end of the process frees too.
     """
     status = command()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
-    if not (sys.getprofile() or sys.gettrace()):  # who watches has still to tell what was seen
+    if not (sys.getprofile() or sys.gettrace()):  # a profiler writes its result at exit
         os._exit(status)
     sys.exit(status)
 
@@ -82,7 +82,7 @@ def command() -> int:
     """Run the requested command and return its exit status. Every error is a sentence on stderr, never a traceback."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # where ° or µ cannot be shown, ? is
+            stream.reconfigure(errors="replace")  # for encodings without ° or µ
     obey_no_folder()
     gc.set_threshold(COLLECTION_OBJECTS)
     try:

@@ -104,9 +104,9 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def format_first_model(trail: SearchPath, verbose: bool = False) -> str:
+def format_first_model(path: SearchPath, verbose: bool = False) -> str:
     """Format the output of `calibrate` after the fit of the first model."""
-    parts = check_parts(trail.steps[0].check, None if verbose else MAX_CHECKS)
+    parts = check_parts(path.steps[0].check, None if verbose else MAX_CHECKS)
     return _section("RESIDUALS OF THE FIRST MODEL", *parts)
 
 
@@ -121,14 +121,14 @@ class ConsoleReporter:
         self.begun, self.verbose, self.channels = started, verbose, [*channels]
         self._printed = dict[str, tuple[int, str]]()
 
-    def follow(self, name: str, trail: SearchPath) -> None:
+    def follow(self, name: str, path: SearchPath) -> None:
         """Print the progress of a channel's search; `name` is "" for a single output."""
         if not self.begun:
-            print(format_first_model(trail, self.verbose), flush=True)
+            print(format_first_model(path, self.verbose), flush=True)
             self.begun = True
-        if line := trail.progress:
-            assert trail.search is not None  # where it has a line
-            state = (len(trail.steps), str(trail.search.structures[0]))
+        if line := path.progress:
+            assert path.search is not None  # where it has a line
+            state = (len(path.steps), str(path.search.structures[0]))
             if state != self._printed.get(name) or progress.quiet() >= progress.INTERVAL_SECONDS:
                 number_of = self.channels.index(name) + 1 if name else 0
                 prefix = f"{name}, channel {number_of} of {len(self.channels)}: " * bool(name)
@@ -140,36 +140,36 @@ def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> A
     """Return the output of `calibrate`: JSON data, or text."""
     if isinstance(search, SearchPath):
         return result(search) if as_data else format_loop(search, **how)
-    texts = (folded(f"{name}: {trail.in_short}") for name, trail in search.search_paths.items())
+    texts = (folded(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
     return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
-def format_loop(trail: SearchPath, started: bool = False, verbose: bool = False) -> str:
+def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) -> str:
     """Format the output of `calibrate` from its first model to its last.
 
     Args:
-        trail: result of the search.
+        path: result of the search.
         started: whether the first table has been printed.
         verbose: include all candidates of every step, and drafts of effects.
     """
-    final = trail.final
-    parts = [""] if started else [format_first_model(trail, verbose)]
+    final = path.final
+    parts = [""] if started else [format_first_model(path, verbose)]
     if final.discovery and (rows := final.discovery.equivalent):
         lines = [f"{claim.subjects[0]} and {' + '.join(claim.numbers['beside'])}" for claim in rows]
         parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
-    for i, step in enumerate(trail.steps if verbose else ()):
+    for i, step in enumerate(path.steps if verbose else ()):
         heading = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_section(heading, step.discovery or _reason_not_tested(step)))
     unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
     for name in unknown if verbose else ():
         heading = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
         parts.append(_section(heading, draft_effect(final.calibration, name)))
-    notes = [] if verbose else _missing_lines(trail)
-    notes += [folded(f"end: {trail.ending}")] if trail.ending else []
-    parts.append(_section("THE ERROR, STEP BY STEP", trail, *notes))
-    notes = [format_average(trail, verbose), folded(f"verdict: {trail.gate}")]
-    parts.append(_section("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, notes)))
-    parts.append(_section("IN SHORT", folded(trail.in_short, "")))
+    notes = [] if verbose else _missing_lines(path)
+    notes += [folded(f"end: {path.ending}")] if path.ending else []
+    parts.append(_section("THE ERROR, STEP BY STEP", path, *notes))
+    notes = [format_average(path, verbose), folded(f"verdict: {path.gate}")]
+    parts.append(_section("COEFFICIENTS", coefficients_text(path, verbose), *filter(None, notes)))
+    parts.append(_section("IN SHORT", folded(path.in_short, "")))
     return "\n\n".join(parts).removeprefix("\n")
 
 
@@ -180,11 +180,11 @@ def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
     return "\n".join([*map(str, tables), final.remarks])
 
 
-def format_average(trail: SearchPath, verbose: bool = False) -> str:
+def format_average(path: SearchPath, verbose: bool = False) -> str:
     """Format the structures of the model average and their probabilities; "" without an average."""
-    if trail.average is None:
+    if path.average is None:
         return ""
-    shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in trail.shares]
+    shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in path.shares]
     if verbose:
         rows = [(name, probability(p)) for name, p in shares]
         return _section("STRUCTURES", plain_table(["effects added", "probability"], rows, fold=60))
@@ -199,14 +199,14 @@ def _reason_not_tested(step: Step) -> str:
     return f"no probabilities: {reasons or 'the search was ended before'}"
 
 
-def _missing_lines(trail: SearchPath) -> list[str]:
+def _missing_lines(path: SearchPath) -> list[str]:
     """Format the effects missing from each step, with probabilities, unless added alone; doubts about units once."""
     lines, questions = list[str](), dict[Claim, None]()
-    model, threshold = trail.final.calibration.model, settings().found_probability
+    model, threshold = path.final.calibration.model, settings().found_probability
     added_alone = {
-        (model.effect(n).reported,) for n, p in trail.added.items() if (p or 0.0) >= threshold
+        (model.effect(n).reported,) for n, p in path.added.items() if (p or 0.0) >= threshold
     }
-    for i, step in enumerate(trail.steps):
+    for i, step in enumerate(path.steps):
         if (discovery := step.discovery) is None:
             lines.append(f"missing from step {i}: {_reason_not_tested(step)}")
             continue

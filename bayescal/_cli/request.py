@@ -152,8 +152,8 @@ def searched(
     instrument, models, readings = open_channels(names, request)
     holdout = {}
     if request.holdout:
-        of = instrument if names else models[""].instrument
-        records = _read(request.holdout, of, request, names, allow_one_temperature=True)
+        kind = instrument if names else models[""].instrument
+        records = _read(request.holdout, kind, request, names, allow_one_temperature=True)
         holdout = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
     print_notes(flags_of(readings))
     return models, readings, holdout

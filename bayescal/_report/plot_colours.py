@@ -1,4 +1,4 @@
-"""Colours that the colour-blind can tell apart, for every picture and for the workbench.
+"""A palette distinguishable with colour vision deficiency, for all plots and the workbench.
 
 Source: M. Okabe and K. Ito, "Color universal design" (2008).
 """

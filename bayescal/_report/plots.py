@@ -263,24 +263,24 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
 
 def loop(found: SearchPath) -> Figure:
     """Plot a search in one figure: residuals before and after, missing effects, the error of each step."""
-    lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
-    figure = new_figure(11.0, 3.7 + lower)
-    (upper, bars), (after, falls) = figure.subplots(2, 2, height_ratios=(3.7, lower))
-    first, final = found.steps[0], found.final
-    entry = next((e for e in first.check.entries if not e.by_group), None)
-    if entry is not None:
+    height = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
+    figure = new_figure(11.0, 3.7 + height)
+    (first_ax, bars), (last_ax, error_ax) = figure.subplots(2, 2, height_ratios=(3.7, height))
+    first_step, last_step = found.steps[0], found.final
+    first_entry = next((e for e in first_step.check.entries if not e.by_group), None)
+    if first_entry is not None:
         title = "1  residuals of the first model"
-        residual_panel(upper, first.calibration, first.check, entry, title)
-        last = next(e for e in final.check.entries if e.against == entry.against)
+        residual_panel(first_ax, first_step.calibration, first_step.check, first_entry, title)
+        last_entry = next(e for e in last_step.check.entries if e.against == first_entry.against)
         title = "3  the same, with what was found"
-        residual_panel(after, final.calibration, final.check, last, title)
-        after.set_ylabel(axis_label("residual, on a scale of its own", final.check.unit))
-    if first.discovery is not None:
-        missing(first.discovery, bars)
+        residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
+        last_ax.set_ylabel(axis_label("residual, on a scale of its own", last_step.check.unit))
+    if first_step.discovery is not None:
+        missing(first_step.discovery, bars)
     bars.set_title("2  what is missing: one added to the first model", fontsize=10, loc="left")
-    trail(found, falls)
-    change = "falls" if final.rmse_fitted <= first.rmse_fitted else "rises"
-    falls.set_title(f"4  the error {change}", fontsize=10, loc="left")
+    trail(found, error_ax)
+    change = "falls" if last_step.rmse_fitted <= first_step.rmse_fitted else "rises"
+    error_ax.set_title(f"4  the error {change}", fontsize=10, loc="left")
     return figure
 
 
@@ -304,14 +304,14 @@ def noise(found: SensorNoise) -> Figure:
     ]
     ax, tau = open_axes(None, 5.2, 3.6), found.measured.tau
     fits = all(claim.severity == "note" for claim in found.claims)
-    law = found.law + " (does not fit)" * (not fits)
+    noise_text = found.law + " (does not fit)" * (not fits)
     bands = (
         (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of records of that law"),
         (found.low, found.high, ORANGE, 0.4, "noise law, 95 % credible"),
     )
     for low, high, colour, alpha, label in bands:
         ax.fill_between(tau, low, high, color=colour, alpha=alpha, lw=0, label=label)
-    ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=f"noise law: {law}")
+    ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=f"noise law: {noise_text}")
     _plot_allan(ax, found.measured, fmt="o", lw=1, label="readings, 95 %")
     return _label_allan(ax, found.unit, terms)
 

@@ -327,13 +327,13 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
 def _error(chapter: Chapter) -> str:
     """Format the errors of the first and the last model: on hold-out data, else left-out groups, else as fitted."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
-    first, last = steps[0], steps[-1]
-    outs = [s["leave_one_group_out"] for s in (first, last)]
-    # A group may be predicted worse because it lacks its past, or where readings weigh little: no failure.
-    rose = all(outs) and outs[1]["rmse"] > outs[0]["rmse"]
+    first_step, last_step = steps[0], steps[-1]
+    left_out_errors = [s["leave_one_group_out"] for s in (first_step, last_step)]
+    # A group may be predicted rose because it lacks its past, or where readings weigh little: no failure.
+    rose = all(left_out_errors) and left_out_errors[1]["rmse"] > left_out_errors[0]["rmse"]
     comparable = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
 
-    def of(step: dict[str, Any]) -> tuple[str, float | None]:
+    def select_error(step: dict[str, Any]) -> tuple[str, float | None]:
         left_out = step["leave_one_group_out"]
         if step["holdout_rmse"] is not None:
             return "on the hold-out data", step["holdout_rmse"]
@@ -342,14 +342,14 @@ def _error(chapter: Chapter) -> str:
             return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]
 
-    (where, before), (_, after) = of(first), of(last)
-    if len(steps) == 1 or before is None or after is None:
-        return f"The rms error {where} is {number(after or last['rmse_fitted'], 2)} {unit}."
-    then, now = number(before, 2), number(after, 2)
-    if then == now:
-        return f"The rms error {where} stayed at {now} {unit}."
-    change = "fell" if after < before else "rose"
-    return f"The rms error {where} {change} from {then} to {now} {unit}."
+    (where, initial), (_, final) = select_error(first_step), select_error(last_step)
+    if len(steps) == 1 or initial is None or final is None:
+        return f"The rms error {where} is {number(final or last_step['rmse_fitted'], 2)} {unit}."
+    first_text, last_text = number(initial, 2), number(final, 2)
+    if first_text == last_text:
+        return f"The rms error {where} stayed at {last_text} {unit}."
+    change = "fell" if final < initial else "rose"
+    return f"The rms error {where} {change} from {first_text} to {last_text} {unit}."
 
 
 def _residuals(chapter: Chapter) -> str:
@@ -359,14 +359,14 @@ def _residuals(chapter: Chapter) -> str:
     depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
     if depends:
         return f"The residuals still depend on {listed(depends[:3])}."
-    law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
+    noise_text = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
-    first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
-    if first in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
+    first_code = next(iter(gate.get("claims", ())), {"code": ""})["code"]
+    if first_code in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
     if not gate["ok"]:
         return f"What is left is {noise} rms."
-    return f"What is left, {noise} rms, looks like {law}."
+    return f"What is left, {noise} rms, looks like {noise_text}."
 
 
 def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
@@ -387,14 +387,14 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
     """Yield sentences on alternatives that these readings do not decide between."""
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
-    open_ = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
+    questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
     leads = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
-    open_ += [f"whether there is {name} as well" for name in leads if name not in in_model]
+    questions += [f"whether there is {name} as well" for name in leads if name not in in_model]
     parts = [(c, listed(c.coefficients)) for c in confounders if not c.step]
-    open_ += [f"how much of {names} is {c.column}'s" for c, names in parts]
-    open_ += [f"whether {c.column} was rounded or cut off" for c in confounders if c.step]
-    if open_:
-        yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
+    questions += [f"how much of {names} is {c.column}'s" for c, names in parts]
+    questions += [f"whether {c.column} was rounded or cut off" for c in confounders if c.step]
+    if questions:
+        yield f"Not decided: {'; '.join(dict.fromkeys(questions))}."
     if chapter.data["other_path"] is not None:
         rival = chapter.data["other_path"]
         what = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"

@@ -58,29 +58,29 @@ PACKAGES = (
 )
 
 
-def result(trail: SearchPath) -> dict[str, Any]:
+def result(path: SearchPath) -> dict[str, Any]:
     """Convert all results of a calibration to plain data."""
-    final = trail.final.calibration
-    absent = {*trail.calibration.model.names} - {*final.model.names}
+    final = path.final.calibration
+    absent = {*path.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"] not in absent] for rows in summary(trail.calibration)
+        [row for row in rows if row["effect"] not in absent] for rows in summary(path.calibration)
     )
     for row in (*coefficients, *hyperparameters):
         averaged = {k: row[k] for k in AVERAGED_KEYS}
-        row["averaged"] = None if trail.average is None else averaged
+        row["averaged"] = None if path.average is None else averaged
         del row["probability"], row["given"]  # trivial for a single structure
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
-    for i, step in enumerate(trail.steps):
+    for i, step in enumerate(path.steps):
         tables["check"] += [{"step": i, **row} for row in step.check.data()]
         tables["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
         if step.discovery is not None:
             tables["missing"].append(missing_data(step.discovery, i, step.check))
     verdict = final.verdict
-    reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
+    reasons = [*verdict.reasons, *([] if path.gate.ok else [path.gate.reason])]
     return as_json(
         {
             "schema": SCHEMA,
-            "complete": trail.complete,
+            "complete": path.complete,
             "calibration": identity(final),
             "instrument": final.model.instrument.name,
             "method": final.method,
@@ -90,28 +90,28 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "fixed": dict(final.model.fixed),
             "settings": unusual(),
             "readings": {**_source_data(final.readings), "groups": _group_data(final.readings)},
-            "holdout": None if trail.holdout is None else _source_data(trail.holdout),
+            "holdout": None if path.holdout is None else _source_data(path.holdout),
             "flags": list(final.readings.flags),
             "gate": {
-                "ok": trail.gate.ok,
-                "reason": trail.gate.reason,
-                "claims": [claim.data() for claim in trail.gate.claims],
+                "ok": path.gate.ok,
+                "reason": path.gate.reason,
+                "claims": [claim.data() for claim in path.gate.claims],
             },
             "other_path": None
-            if trail.other_path is None
+            if path.other_path is None
             else {
-                **{k: v for k, v in as_json(trail.other_path).items() if k != "correlated"},
-                "in_words": str(trail.other_path),
+                **{k: v for k, v in as_json(path.other_path).items() if k != "correlated"},
+                "in_words": str(path.other_path),
             },
-            "search": search_data(trail),
-            "steps": [step_data(s) for s in trail.steps],
+            "search": search_data(path),
+            "steps": [step_data(s) for s in path.steps],
             **tables,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            **{k: v for add in offered("result") for k, v in add(final, trail.average).items()},
+            **{k: v for add in offered("result") for k, v in add(final, path.average).items()},
             "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
-                "ok": trail.ok,
+                "ok": path.ok,
                 "reasons": list(dict.fromkeys(reasons)),
                 "notes": list(verdict.notes),
             },
@@ -119,14 +119,14 @@ def result(trail: SearchPath) -> dict[str, Any]:
     )
 
 
-def search_data(trail: SearchPath) -> dict[str, Any] | None:
+def search_data(path: SearchPath) -> dict[str, Any] | None:
     """Convert the compared structures and the reason of the search's end to plain data."""
-    search = trail.search
+    search = path.search
     if search is None:
         return None
     return {
         **{k: getattr(search, k) for k in ("weighed", "complete", "stopped")},
-        "ending": trail.ending,
+        "ending": path.ending,
         "seconds": search.seconds,
         "structures": [
             {
@@ -136,7 +136,7 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
             for s in search.structures
         ],
         "averaged_over": [
-            {"effects": list(s.effects), "probability": s.probability} for s in trail.shares
+            {"effects": list(s.effects), "probability": s.probability} for s in path.shares
         ],
     }
 
@@ -285,8 +285,8 @@ def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Cha
             f"a report is of calibrations or trails, not of {', '.join(wrong_types) or 'nothing'}: give what bc.fit, "
             "bc.calibrate or bc.load returned"
         )
-    trails = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in several)
-    return [t if isinstance(t, Chapter) else chapter_of(t) for t in trails]
+    search_paths = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in several)
+    return [t if isinstance(t, Chapter) else chapter_of(t) for t in search_paths]
 
 
 def chapter_of(trail: SearchPath) -> Chapter:

@@ -54,8 +54,8 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
     else:
         searches[""] = self
     with whole_folder(folder) as hidden:
-        for subfolder, trail in searches.items():
-            write_search(trail, hidden / subfolder)
+        for subfolder, path in searches.items():
+            write_search(path, hidden / subfolder)
         if isinstance(self, Channels):
             write_json(channels_data(self), hidden / CHANNELS)
             with suppress(InputError):  # no readable channels.json from an earlier run
@@ -76,9 +76,9 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     with drawing(PICTURE), whole_folder(folder, leaving=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
-        for subfolder, trail in searches.items():
+        for subfolder, path in searches.items():
             with own_style():
-                save(loop(trail), hidden / subfolder / PICTURE)
+                save(loop(path), hidden / subfolder / PICTURE)
 
 
 def write_search(trail: SearchPath, folder: Path) -> None:
@@ -110,15 +110,15 @@ def channels_data(channels: Channels) -> dict[str, Any]:
             "channels": {
                 name: {
                     "folder": folders[name],
-                    "calibration": identity(trail.final.calibration),
-                    "effects": list(trail.final.calibration.model.names),
-                    "noise": trail.final.calibration.model.noise.law,
-                    **{k: v for k, v in trail.final.errors().items() if k != "title"},
-                    "stopped": trail.search.stopped if trail.search else "",
-                    "ok": trail.ok,
-                    "reason": trail.gate.reason,
+                    "calibration": identity(path.final.calibration),
+                    "effects": list(path.final.calibration.model.names),
+                    "noise": path.final.calibration.model.noise.law,
+                    **{k: v for k, v in path.final.errors().items() if k != "title"},
+                    "stopped": path.search.stopped if path.search else "",
+                    "ok": path.ok,
+                    "reason": path.gate.reason,
                 }
-                for name, trail in channels.search_paths.items()
+                for name, path in channels.search_paths.items()
             },
             "shared": [
                 {

@@ -265,8 +265,8 @@ def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float
     names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
-            why = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
-            raise InputError(why)
+            message = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
+            raise InputError(message)
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
     return {n: float(at.get(n, v)) for n, v in used.middle.items() if n in names}
@@ -274,12 +274,12 @@ def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float
 
 def _linearise(used: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
     """Return expected output, its derivative by the stimulus, and ∂value/∂θ at a point; missing inputs are zero."""
-    places = {name: np.full(1, value) for name, value in point.items()}
-    at = used._moments.mean, places[used.stimulus], places
-    expected, slope, gradient = used.equation.linearised(*at)
+    values = {name: np.full(1, value) for name, value in point.items()}
+    arguments = used._moments.mean, values[used.stimulus], values
+    expected, slope, gradient = used.equation.linearised(*arguments)
     if slope[0] == 0:
-        where = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-        why = f"at {where} the output does not follow {used.stimulus}: choose another point"
+        point_text = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+        why = f"at {point_text} the output does not follow {used.stimulus}: choose another point"
         raise InputError(why)
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
@@ -317,8 +317,8 @@ def _split_by_source(
                 shift += float(derivative) * part[index.index[u.name] - index.by_key[u.key].start]
         parts[f"{confounder.label}, not told from the model's own", "B"] = shift**2
     not_found = 0.0
-    for name, (i, size) in used.equation.unfound_spreads.items():
-        part = float(gradient[i] * size) ** 2
+    for name, (i, root) in used.equation.unfound_spreads.items():
+        part = float(gradient[i] * root) ** 2
         parts[f"{name} of a new run, neither found nor excluded", "B"] = part
         not_found += part
     if (extra := 1 - calibration.form_factor**-2) > 0:
@@ -328,8 +328,8 @@ def _split_by_source(
     remainder = total - sum(parts.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
-    sizes = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
-    return tuple(SourceShare(*label, size, v / (variance or np.inf)) for label, v, size in sizes)
+    roots = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
+    return tuple(SourceShare(*label, root, v / (variance or np.inf)) for label, v, root in roots)
 
 
 def _estimated_group_sds(equation: OperatingEquation) -> set[str]:

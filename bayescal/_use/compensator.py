@@ -266,8 +266,8 @@ class Compensator:
             ModelError: an effect cannot be exported.
             InputError: another format, an invalid C name, or a file that cannot be written.
         """
-        chosen = format_of(path, format)
-        return write_text(as_text(self.program, chosen, name=name, uncertainty=uncertainty), path)
+        form = format_of(path, format)
+        return write_text(as_text(self.program, form, name=name, uncertainty=uncertainty), path)
 
     @cached_property
     def _moments(self) -> PosteriorMoments:

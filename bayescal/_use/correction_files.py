@@ -222,11 +222,11 @@ def format_of(path: str | Path | None, format: str | None) -> str:
         InputError: no format is given, and the suffix is unknown.
     """
     suffix = Path(path or "").suffix.lower()
-    chosen = format or next((k.suffixes[suffix] for k in kinds() if suffix in k.suffixes), None)
-    if chosen is None:
+    form = format or next((k.suffixes[suffix] for k in kinds() if suffix in k.suffixes), None)
+    if form is None:
         suffixes = ", ".join(dict.fromkeys(suffix for kind in kinds() for suffix in kind.suffixes))
         raise InputError(f"{path}: suffix {suffix!r}, expected {suffixes}, or give the format")
-    return chosen
+    return form
 
 
 def as_text(

@@ -474,16 +474,16 @@ def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np
 
 
 def _draw_uncorrelated(
-    others: Float[np.ndarray, "d p"],
+    regressor_draws: Float[np.ndarray, "d p"],
     sd: Float[np.ndarray, "d"],
     variance: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
-    """Draw zero-mean values with given standard deviations and total variance, uncorrelated with `others`."""
-    size = others.std(axis=0)
-    others = others[:, size > 0] / size[size > 0]
-    others = others[:, : len(sd) // 2]  # fewer for few draws
-    regressors = sd[:, None] * np.column_stack([np.ones(len(sd)), others])
+    """Draw zero-mean values with given sd (d,) and total variance, uncorrelated with `regressor_draws`."""
+    regressor_sd = regressor_draws.std(axis=0)
+    regressor_draws = regressor_draws[:, regressor_sd > 0] / regressor_sd[regressor_sd > 0]
+    regressor_draws = regressor_draws[:, : len(sd) // 2]  # fewer for few draws
+    regressors = sd[:, None] * np.column_stack([np.ones(len(sd)), regressor_draws])
     normal = random.standard_normal(len(sd))
     values = sd * (normal - regressors @ np.linalg.lstsq(regressors, normal, rcond=None)[0])
     variance_of_values = float(values @ values) / (len(values) - 1)
