@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.special import expit, ndtri
 
 from bayescal._calibration.claim import Claim, limit
+from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
@@ -34,6 +35,7 @@ TIME_COLUMNS = ("time", "elapsed")
 AMPLITUDE_SHARE = 0.5  # prior sd of a column's effect over the rms of the model's own terms
 
 
+@renamed(of_column="label")
 class Confounder(NamedTuple):
     """A column collinear with coefficients, or off by part of its rounding step."""
 
@@ -64,8 +66,7 @@ def find_confounders(
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Find unmodelled `columns`, and rounded ones (`steps`: step, derivative of the output), that increase the standard
-    uncertainty of a coefficient by a fifth or more."""
+    """Find unmodelled columns and rounded ones (step, ∂output/∂column), that widen a coefficient by a fifth or more."""
     layout, sd = linear.problem.layout, linear.sd
     single = np.flatnonzero(is_single_coefficient(layout))
     if not len(single):

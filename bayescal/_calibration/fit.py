@@ -168,9 +168,9 @@ def load(
     """Read a saved calibration.
 
     Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`, its noise
-    law against the classes that are loaded; nothing in the file is evaluated.
+    model among the loaded classes; nothing in the file is evaluated.
 
     Raises:
-        InputError: not a calibration, another version, an effect that is not installed, or a noise law not loaded.
+        InputError: no calibration, another version, an effect that is not installed, or a noise model not loaded.
     """
     return Calibration(**load_calibration(Path(path), effects, instruments))

@@ -40,8 +40,7 @@ class LeaveOneGroupOut:
     members: tuple[str, ...]  # names of the groups
     log_score: np.ndarray  # joint log predictive density of each group (g,)
     residual: np.ndarray  # of each reading, predicted from the other groups, output unit
-    # Rms of each group's whitened prediction errors over its expectation, which includes model uncertainty and the
-    # deviations of an unseen group (g,): about 1 if the model is right, NaN for fewer than 5 readings.
+    # Rms of each group's whitened prediction errors over its expectation (g,): about 1, NaN for fewer than 5 readings.
     surprise: np.ndarray
     by_chance: np.ndarray  # p-value of the surprise (g,)
     variance: np.ndarray  # of each reading given the other groups: noise plus expected output

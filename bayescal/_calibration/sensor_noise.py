@@ -52,8 +52,7 @@ from bayescal._model.summed_noise import SummedNoise
 
 # Ratio to the largest probability of a sum, above which another sum's parameters are drawn.
 SAMPLED_SHARE = 0.1
-# z of the correlation of neighbours beyond that of readings farther apart, above which quantisation or averaging noise
-# is a candidate, or means are analysed.
+# z of neighbours' excess correlation, above which quantisation or averaging noise is tried, or means are analysed.
 NEIGHBOURS_SD = 2.0
 # z of a spectral line against its neighbours, above which a tone is a candidate.
 LINE_SD = 4.5

@@ -73,10 +73,7 @@ def given_text(row: dict[str, Any], times: float = 1.0) -> str:
 def unknown_rows(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> dict[str, list[str]]:
-    """Return printed rows (name, value, unit, interval, contraction) by name.
-
-    A curve (an unknown dependence) has one row, and so has a large group.
-    """
+    """Return printed rows (name, value, unit, interval, contraction) by name; one per curve and per large group."""
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
     curve_effects = curve_names(calibration)
