@@ -162,7 +162,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
     """Format residual checks, the worst covariate first; cut to `max_rows`, without autocorrelation and PIT."""
     unit, rows = unit_label(check.unit), check.data()[:max_rows]
-    noise = f"judged against noise of {check.noise:.3g} {unit}"
+    noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
         lines += [_fixed_text(check.fixed, check.residuals, unit), ""]

@@ -14,7 +14,7 @@ from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_parameters import si_of
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-# Terms that correlate neighbouring readings only.
+# terms that correlate neighbours only
 SHORT_TERMS = {"quantisation": "quantisation", "averaging": "what the sensor has averaged"}
 TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
 STEP_TOLERANCE = 0.05  # relative difference of the sampling steps of one unit's channels
@@ -50,14 +50,15 @@ def kalibr_yaml(
     ]
     for name, noise in channels.items():
         lines.append(f"# {ws.c_comment(name)}: {noise.law}. {_left_out(noise)}")
+        doubts = (ws.c_comment(str(claim)) for claim in noise.claims if claim.severity != "note")
+        lines += [f"#   Not to be used as they are: {doubt}" for doubt in doubts]
         for n in (figure for figure in noise.figures if figure.symbol == "N"):
             middle, low, high = (f"{value:.4e}" for value in n.si)
-            density_text = "unknown" if n.bound else f"{middle} {n.si_unit} ({low} to {high})"
-            lines.append(f"#   N: {density_text}")
+            density = f"{middle} {n.si_unit} ({low} to {high})"
+            lines.append(f"#   N: {'not determined, below an upper bound' if n.bound else density}")
     for kind, unit in KINDS.items():
-        group = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")
-        if not group:
+        if not (group := [noise for name, noise in channels.items() if kinds[name] == kind]):
             lines.append(f"#   no {kind} was given: its two numbers are missing")
             continue
         pairs = [[v * si_of(c.unit)[0] for v in c.for_filter(quantile)] for c in group]
@@ -70,9 +71,8 @@ def kalibr_yaml(
 
 def _left_out(noise: bc.SensorNoise) -> str:
     horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - SHORT_TERMS.keys()
-    brief = "".join(
-        f"White noise stands for {w} too. " for t, w in SHORT_TERMS.items() if t in noise.terms
-    )
+    short = [w for t, w in SHORT_TERMS.items() if t in noise.terms]
+    brief = "".join(f"White noise stands for {w} too. " for w in short)
     if not lasting:
         term = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
         return brief + term
