@@ -114,7 +114,7 @@ def plain_table(
 
 
 def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
-    """Format a table; one wider than the page has its heads and then its names folded."""
+    """Format a table; one wider than the page has its heads and then its widest column of texts folded."""
     split_rows = [[cell.split("\n") for cell in row] for row in (head, *rows)]
     split_head, *body = split_rows
     widths = [max(map(_width, chain(*column))) for column in zip(*split_rows, strict=True)]
@@ -132,9 +132,10 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
             split_head[i] = next(fold for fold in folds if len(fold) <= lines)
             widths[i] = max(least[i], *map(_width, split_head[i]))
     if sum(widths) > room:
+        i = max(range(max(1, len(head) - 1)), key=lambda i: flush_left[i] * widths[i])
         for row in split_rows:
-            row[0] = [*chain(*(_folded_name(t, widths[0] + room - sum(widths)) for t in row[0]))]
-        widths[0] = max(_width(t) for row in split_rows for t in row[0])
+            row[i] = [*chain(*(_folded_name(t, widths[i] + room - sum(widths)) for t in row[i]))]
+        widths[i] = max(_width(t) for row in split_rows for t in row[i])
     height = max(map(len, split_head))
     split_rows[0] = [[""] * (height - len(texts)) + texts for texts in split_head]
     lines = []
@@ -157,8 +158,7 @@ def _folded_name(text: str, width: int) -> list[str]:
 
 
 def _width(text: str) -> int:
-    """Return the columns that a text takes: the mark over a letter takes none."""
-    return sum(not unicodedata.combining(c) for c in text)
+    return sum(not unicodedata.combining(c) for c in text)  # the mark over a letter takes none
 
 
 class Printed:
