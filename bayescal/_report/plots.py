@@ -28,7 +28,7 @@ from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
-from bayescal._search.search_path import SearchPath
+from bayescal._search.search_path import SearchPath, new_run_differs
 
 MAX_LABEL = 32  # characters; longer labels leave no room for the axes
 DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread draws at a time
@@ -187,7 +187,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
     ax = open_axes(ax, 5.6, 0.75 + 1.0 * len(steps))
     # Without an effect of a run there is no second bar.
-    runs = any(number(s["rmse"]) != number(s["rmse_fitted"]) for s in steps)
+    runs = new_run_differs(steps)
     series = [
         ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
         ("new run", [s["rmse"] if runs else None for s in steps], PALE),

@@ -113,8 +113,10 @@ class Posterior:
     def inclusion(self, *names: str) -> float:
         """Return the probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
-        families = self.space.families(names)
-        return self._of_any([not families.isdisjoint(reported) for reported in self.reported])
+        return self._of_any(self._has_any(self.space.families(names)))
+
+    def _has_any(self, families: frozenset[str]) -> list[bool]:
+        return [not families.isdisjoint(reported) for reported in self.reported]
 
     def probability_of_names(self, *names: str) -> float:
         """Return the probability that at least one of these effects is missing, and is what its name says.
@@ -122,9 +124,9 @@ class Posterior:
         Of one alone only its share among equivalents counts: readings cannot tell which of them it is.
         """
         families = self.space.families(names)
-        parts = np.array([float(not families.isdisjoint(reported)) for reported in self.reported])
-        if len(families) == 1:
-            parts = np.array([sum(map(s.get, families, [0.0])) for s in self.shares])
+        family, *others = families
+        alone = (shares.get(family, 0.0) for shares in self.shares)
+        parts = np.array(self._has_any(families) if others else [*alone], dtype=float)
         if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
             parts = np.where(self.described, NAME_BESIDE_DESCRIPTION, 1.0) * parts
         return float(min(1.0, self.probability @ parts))

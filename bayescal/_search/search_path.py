@@ -253,12 +253,17 @@ def rises(now: float | None, then: float | None) -> bool:
     return now is not None and then is not None and now > WORSE_RATIO * then
 
 
+def new_run_differs(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether the error of a new run is printed otherwise than that as fitted, at any step."""
+    return any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)
+
+
 def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the table of errors by step, of `Step.row` or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
-    runs = any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)  # else one is the other
+    runs = new_run_differs(rows)
 
     def held_out(row: Mapping[str, Any]) -> str:
         return f"{number(row['holdout_rmse'])}{RISES * row['rises']}"

@@ -273,29 +273,24 @@ def _beside_another(structures: Structures, to: Structure, structure: Structure)
     come, gone = to.effects - structure.effects, structure.effects - to.effects
     own_families = structures.families(structure.effects)
     of_form = come and structures.families(to.effects) == own_families
-
-    def near(s: Structure) -> bool:
+    for s, gain in _known_gains(structures, gone, come, to.noise):
         families = structures.families(s.effects)
         is_similar = families == own_families or (of_form and families < own_families)
-        return s.noise == structure.noise and is_similar
-
-    return next(_known_gains(structures, gone, come, near, to.noise), None)
+        if s.noise == structure.noise and is_similar:
+            return gain
+    return None
 
 
 def _known_gains(
-    structures: Structures,
-    gone: frozenset[str],
-    come: frozenset[str],
-    near: Callable[[Structure], bool],
-    noise: str | None = None,
-) -> Iterator[float]:
-    """Yield what an exchange of effects, and of the noise law if given, gained in structures that are near."""
+    structures: Structures, gone: frozenset[str], come: frozenset[str], noise: str | None = None
+) -> Iterator[tuple[Structure, float]]:
+    """Yield evaluated structures with what an exchange of effects, and of the noise law if given, gained in each."""
     for s, evaluated in structures.visited.items():
-        if gone <= s.effects and not come & s.effects and near(s):
+        if gone <= s.effects and not come & s.effects:
             to = Structure(s.effects - gone | come, s.noise if noise is None else noise)
             exchanged = structures.visited.get(to)
             if exchanged is not None and math.isfinite(exchanged.total - evaluated.total):
-                yield exchanged.total - evaluated.total
+                yield s, exchanged.total - evaluated.total
 
 
 def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluated:
@@ -310,25 +305,22 @@ def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluate
 def _weigh_forms(structures: Structures, at: Weighed, last: bool = False) -> Evaluated:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
-    Where the structure is so improbable that no form could make it anything else they are left alone; but when this
-    is the `last` look around, so are forms of several shapes, which take ten times as long, and one that lost so much
-    wherever it was tried that as much would put it out of sight.
+    None, where the structure is so improbable that no form could make it anything else. Forms of several shapes, which
+    take ten times as long, and one that lost so much wherever it was tried that as much would put it out of sight,
+    wait for the `last` look around.
     """
     behind = structures.near if structures.thrifty else OTHER_LAW_NATS
     if not at.total > structures.best.total - behind:
         return
     independent = structures.noise(at.structure).independent
-
-    def near(s: Structure) -> bool:
-        return structures.noise(s).independent == independent
-
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = come = to.effects - at.structure.effects
             shapes = structures.candidates[other].column_shapes
             if not structures.moves_a_column(other) or (len(shapes) > 1 and not last):
                 continue
-            gains = () if last else _known_gains(structures, frozenset({name}), come, near)
+            known = () if last else _known_gains(structures, frozenset({name}), come)
+            gains = (gain for s, gain in known if structures.noise(s).independent == independent)
             expected = at.total + max(gains, default=math.inf)
             if to not in structures.visited and expected < structures.best.total - NEAR_NATS:
                 structures.expect(to, expected)
