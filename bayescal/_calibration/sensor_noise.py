@@ -441,7 +441,8 @@ def _sample_sums(
     channel: _RestRecord, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], np.ndarray, dict[Terms, float]]:
     """Draw the parameters of the probable sums; return them, draws of a random walk's K in the most probable sum (with
-    a random walk added if it has none), and the probabilities of all sums."""
+    a random walk added if it has none), and the probabilities of all sums.
+    """
     sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> float:
@@ -608,7 +609,8 @@ def _run_columns(
     readings: Measurements, runs: EvenRuns
 ) -> tuple[list[Float[np.ndarray, "n r"]], float, list[Claim]]:
     """Return each run's columns (temperature polynomial, if it varies, and output; NaN for lost readings), a robust
-    standard deviation from differences of neighbours, output unit, and claims about the processing."""
+    standard deviation from differences of neighbours, output unit, and claims about the processing.
+    """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
     changes = _differences(output, runs)
     scale = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)

@@ -111,7 +111,7 @@ class Options:
         """Convert a command to a data class: its own options first, then those of its base classes."""
         if hasattr(cls, "answer"):
             pairs = [p for base in cls.__mro__ for p in inspect.get_annotations(base).items()]
-            types = {**dict(pairs), **dict(reversed(pairs))}  # in this order, of its own the kinds
+            types = {**dict(pairs), **dict(reversed(pairs))}  # own options first, and theirs count
             for name in (n for n, kind in types.items() if kind in (bool, "bool")):
                 getattr(cls, name).param_decls = (f"--{name.strip('_').replace('_', '-')}",)
             cls.__annotations__ = types

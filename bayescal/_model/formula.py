@@ -158,7 +158,8 @@ def effect(
             shape ("100 to 2000 s", or one value for a tenth to ten times that); columns under other names.
 
     Raises:
-        InputError: the formula is none, its units do not go together, or a size is missing; ▸ marks the place."""
+        InputError: the formula is none, its units do not go together, or a size is missing; ▸ marks the place.
+    """
     return _TypedLine(name, formula, stated, readings, instrument).effect(source)
 
 
@@ -269,9 +270,7 @@ class _TypedLine:
         return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
 
     def apply(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
-        """Apply a function to parts; if all are literals, evaluate it.
-
-        InputError: it has none: a division by zero, the root of a negative number, a number too large or too small."""
+        """Apply a function to parts; evaluate it if all are literals, or raise InputError where it has no value."""
         at, trees = parts[0].at, [part.tree for part in parts]
         if not all(isinstance(tree, float) for tree in trees):
             return FormulaPart((function, *trees), unit, at)
@@ -396,9 +395,7 @@ class _TypedLine:
         return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {available})"
 
     def _match_columns(self) -> dict[str, tuple[str, str]]:
-        """Match names of the formula to columns: name → (column, unit).
-
-        InputError: the readings have no such column of numbers, or its unit is not known."""
+        """Match names to columns: name → (column, unit); raise InputError for no column of numbers of known unit."""
         readings, texts = self.readings, self.stated
         columns = self.instrument.columns if self.instrument else ()
         declared = {c.name: c.unit for c in columns if c.name != "output"}

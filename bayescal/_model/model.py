@@ -86,9 +86,7 @@ class Model(Printed):
         return frozenset(n for e in self.effects for n in (*e.columns, *e.varies))
 
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
-        """Add an effect (or several), given as such or by canonical name.
-
-        ModelError: the effect is there already, or its slot or name is unknown."""
+        """Add effects, as such or by canonical name; raise ModelError if one is there, or its slot or name unknown."""
         if not isinstance(other, (Effect, str)):
             model = self
             for item in other:
@@ -130,7 +128,8 @@ class Model(Printed):
         the known uncertainty of each reading, its column `output_uncertainty`, is all the noise that there is.
 
         Raises:
-            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be."""
+            ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
+        """
         self._refuse_unknown(values)
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
@@ -146,10 +145,7 @@ class Model(Printed):
         return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
 
     def free(self, *names: str) -> Model:
-        """Free these unknowns (all, if none is named), so that they are estimated again.
-
-        Raises:
-            ModelError: no unknown has that name."""
+        """Free these unknowns (all, if none is named) for estimation; raise ModelError if no unknown has that name."""
         self._refuse_unknown(names)
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
@@ -157,7 +153,8 @@ class Model(Printed):
         """Change the plausible size of an effect's first coefficient, in its unit; others in proportion.
 
         Raises:
-            ModelError: the effect is not in the model, states no plausible size, or this one is not positive."""
+            ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
+        """
         effect, first = self.effect(name), self.effect(name).coefficients[0]
         if effect.is_placeholder or first.flat or not 0 < size < math.inf:
             stated = "; its own is taken from the readings, or flat" * (size > 0)

@@ -207,7 +207,8 @@ class Noise(abc.ABC):
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
         """Return starting points of an optimisation of the parameters; parameters that are absent are free to choose.
 
-        Readings and residuals (output unit) are sorted by time if the law is correlated."""
+        Readings and residuals (output unit) are sorted by time if the law is correlated.
+        """
         return [{}]
 
     # time series ------------------------------------------------------------------------------------------------
@@ -217,7 +218,8 @@ class Noise(abc.ABC):
     ) -> Float[np.ndarray, "... k"]:
         """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
-        `variance` is a reading's about the expected output; `factors` readings, `step` s apart, are averaged."""
+        `variance` is a reading's about the expected output; `factors` readings, `step` s apart, are averaged.
+        """
         return np.asarray(variance)[..., None] / factors
 
     def slow_variance(self, values: Parameters) -> Any:
@@ -240,7 +242,8 @@ class Noise(abc.ABC):
         """Return the smoothed mean and variance of the correlated noise at times of a run, given its residuals.
 
         The mean is linear in residuals, output unit, one column per set of coefficients. `white` is the variance of
-        each reading's white noise; `along`: covariate of the correlated part, at the readings and at times `at`."""
+        each reading's white noise; `along`: covariate of the correlated part, at the readings and at times `at`.
+        """
         return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
 
 

@@ -204,9 +204,11 @@ def deviation(prior: Any) -> float | None:
 
 
 def converted(prior: Any, of_shape: bool = False) -> Any:
-    """Return a prior of these for a distribution of NumPyro's, which is not imported for it; others as they are.
+    """Convert a distribution of NumPyro's, which is not imported for it, to a prior of ours; return others unchanged.
 
-    ModelError: it is none of one normal or positive number with cdf and icdf, or none that a shape takes."""
+    Raises:
+        ModelError: it is not of one normal or positive number with cdf and icdf, or not one that a shape takes.
+    """
     name, reason = type(prior).__name__, "a shape does not take it"
     if not type(prior).__module__.startswith("numpyro."):
         if not of_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):

@@ -231,7 +231,7 @@ def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[t
 Ends = tuple[float, float] | None  # of a 95 % interval
 
 
-def real(value: float, unit: str | None, gravity: float, sd=0.0, ends: Ends = None) -> Real:
+def real(value: float, unit: str | None, gravity: float, sd: float = 0, ends: Ends = None) -> Real:
     """Return a number with its unit, and its expanded uncertainty or the ends of its 95 % interval, if it has one.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).

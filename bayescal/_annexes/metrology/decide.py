@@ -62,9 +62,8 @@ class Recalibration:
     """When the probability of conformity falls below a stated one."""
 
     stated: float  # the probability
-    after: (
-        float | None
-    )  # s after the last reading; None beyond the horizon, or where that cannot be said
+    # s after the last reading; None beyond the horizon, or where that cannot be said
+    after: float | None
     date: str | None = None  # of that time, ISO 8601, where the readings have dates
     why_not: str = ""  # why there is no time; empty where there is one
     notes: tuple[str, ...] = ()  # what to know, each a sentence
