@@ -195,7 +195,7 @@ def calibrate_channels(
             follow(name, loop.trail())
         unit = _Unit(channels)
         for i, c in enumerate(channels):
-            with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (2 * count - i)):
+            with stage(c.name), deadline.sooner(1 / (2 * count - i)):
                 c.begin(unit.from_others(c))
                 c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
                 with suppress(deadline.TimeIsUp):
@@ -206,7 +206,7 @@ def calibrate_channels(
                 follow(name, unit.channels[name].loop.trail())
                 shared = unit.shared()
         for i, c in enumerate(channels):
-            with stage(f"channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
+            with stage(f"{c.name}, channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
                 trails[c.name] = c.loop.to_best(partial(follow, c.name))
             memory.trim()
     return Channels(trails, tuple(shared.values()))
@@ -249,8 +249,6 @@ class _Channel:
         """
         if self.loop.library is None:
             return False
-        if not self.says:  # there was no time yet
-            self.evaluate_shapes()
         before, searched, news = self.loop.library.structures, False, set[str]()
         for n, shape in self.shared.items():
             now, then = (self.says[n].conclude(o, shape) for o in (others[n], self.heard[n]))
@@ -338,6 +336,9 @@ class _Unit:
 
     def exchange_evidence(self) -> Iterator[str]:
         """Have the channels hear each other until nothing new is said; yield the name of each that changed."""
+        for c in self.channels.values():
+            if not c.says:  # there was no time yet
+                c.evaluate_shapes()
         # Coordinate ascent on a joint posterior, one by one: told all at once, they would swap opinions.
         for _ in range(MAX_ROUNDS):
             changed = False
