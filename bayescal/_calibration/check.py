@@ -187,7 +187,7 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
         listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
     if max_rows is None:
-        lines.append(f"leave-one-out probabilities: test of uniformity p = {check.pit_p:.2g}")
+        lines.append(f"test of the noise law (uniform leave-one-out PIT): p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     return lines

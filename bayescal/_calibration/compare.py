@@ -29,6 +29,7 @@ from bayescal._inference.trust import K_HAT
 FEWEST_GROUPS = limit("compare.few_groups", "groups")
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
+TERMS = "elpd: expected log predictive density; stacking weight: share in the mixture of models with the largest elpd."
 
 
 @dataclass(frozen=True)
@@ -75,24 +76,22 @@ class Comparison(Printed):
         unit = unit_label(self.unit)
         by_group = (
             TableColumn(f"{scheme(self.group)} rmse", "group_rmse", number, unit),
-            TableColumn("log score", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn("elpd", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
             TableColumn("model", "name"),
             TableColumn("rmse", "rmse", number, unit),
             *(by_group if grouped else ()),
-            TableColumn("leave-one-out log score", "loo", "{:.1f}".format),
+            TableColumn("leave-one-out elpd", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
-            TableColumn(
-                "log evidence", "log_evidence", lambda v: "null" if v is None else f"{v:.1f}"
-            ),
+            TableColumn("log evidence", "log_evidence", lambda v: "–" if v is None else f"{v:.1f}"),
             TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
-        heading = [f"best first, by {self.chosen_by}{count}; differences are from the best score"]
-        return [table, *heading, *(folded(w, "") for w in self.warnings)]
+        heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {TERMS}"
+        return [table, *(folded(line, "") for line in (heading, *self.warnings))]
 
     def _brief(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"

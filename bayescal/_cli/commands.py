@@ -131,6 +131,8 @@ class SimulateCommand(AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
+        from bayescal._data.unit_conversion import unit_label
+
         chosen = instrument_named(self.instrument)
         if chosen.simulator is None:
             raise InputError(f"instrument {chosen.name!r} has no simulator")
@@ -144,7 +146,9 @@ class SimulateCommand(AsJson, Command):
         except ValueError as error:
             raise InputError(str(error)) from None
         readings.write(self.out)
-        listing = ", ".join(f"{name} = {size:g}" for name, size in hidden.items()) or "nothing"
+        units = {n: unit_label(e.coefficients[0].unit) for n, e in chosen.known.items()}
+        sizes = (f"{n} = {size:g} {units.get(n, '')}".rstrip() for n, size in hidden.items())
+        listing = ", ".join(sizes) or "nothing"
         text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
         return Answer(text, {**data, "noise_law": self.noise_law, "effects": hidden})
@@ -190,13 +194,9 @@ class DemoCommand(AsJson, Command):
             for seed, file in enumerate(files, self.seed + 1):
                 simulation = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
                 print_notes([simulation.answer().shown])
-            arguments = {
-                "files": [files[0]],
-                "holdout": [files[1]],
-                "out": self.out,
-                "json_": self.json_,
-            }
-            calibrated = CalibrateCommand(instrument=gyro, seed=self.seed, **arguments).answer()
+            arguments = {"files": [files[0]], "holdout": [files[1]], "out": self.out}
+            how = {"instrument": gyro, "seed": self.seed, "json_": self.json_}
+            calibrated = CalibrateCommand(**arguments, **how).answer()
         program = sys.argv[0]
         command = "bayescal" if shutil.which("bayescal") == program else program
         line = f"{command} calibrate FILE.csv --instrument mems_gyro --out result"

@@ -351,8 +351,7 @@ _QUANTITY = re.compile(r"([+\-−]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d
 
 def quantity(text: str) -> tuple[float, str]:
     """Parse the number and the unit of a text such as "48.2 uT" or "2min"; raise InputError for any other."""
-    match = _QUANTITY.fullmatch(text.strip())
-    if not match:
+    if not (match := _QUANTITY.fullmatch(text.strip())):
         raise InputError("it is no number with a unit")
     parse(match[2])
     return float(match[1].replace("−", "-")), match[2]
@@ -502,19 +501,24 @@ def base_unit(unit: str) -> str:
 
 def _in_base(powers: Mapping[str, float]) -> str:
     """Format powers of base units as a unit; a temperature's is that of a difference."""
-    above, below = list[str](), list[str]()
-    for name, power in sorted(("degC" if n == "K" else n, p) for n, p in powers.items()):
-        part = name if abs(power) == 1 else f"{name}^{abs(power):g}"
-        (above if power > 0 else below).append(part)
-    return "/".join(["*".join(above) or "1", *below])
+    ranked = sorted(("degC" if n == "K" else n, p) for n, p in powers.items())
+    parts = [(n if abs(p) == 1 else f"{n}^{abs(p):g}", p > 0) for n, p in ranked]
+    above = "*".join(part for part, is_above in parts if is_above)
+    return "/".join([above or "1", *(part for part, is_above in parts if not is_above)])
+
+
+def quotient(unit: str, by: str) -> str:
+    """Return a unit over another, the names of both cancelled: "degC" of "deg/s" by "deg/s/degC"."""
+    signed = (*parse(unit).names, *((name, -power) for name, power in parse(by).names))
+    powers = {name: sum(p for n, p in signed if n == name) for name, _ in signed}
+    return _in_base({name: power for name, power in powers.items() if power})
 
 
 def fixed_unit(unit: str) -> str:
     """Return the unit in which a quantity is kept: µg, °/s, rad, °C, s; a ratio in its own; else base units."""
     if not parse(unit).powers and parse(unit).factor != 1:
         return normalised(unit)  # ppm, ppb, %: as a plain number it would be shown as 3e-07
-    base = base_unit(unit)
-    return "deg/s" if base == "rad/s" else base
+    return "deg/s" if (base := base_unit(unit)) == "rad/s" else base
 
 
 def pretty(unit: str) -> str:

@@ -254,8 +254,7 @@ def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
 def _format_groups(data: dict[str, Any]) -> str:
     """Format the numbers of runs, cells, axes and devices that are above one."""
     counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
-    plural = {"axis": "axes"}
-    return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counts if n > 1)
+    return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
 
 
 def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from bayescal._search.search_path import in_forms, rises, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED = 14  # coefficients on the page that is signed
+BASIC = " (basic form)"  # of an effect beside others of its forms
 UNUSED = "recorded; the model does not use it"
 OUTPUT_PART = "what was read"
 DERIVED_PART = "follows from the above"
@@ -97,6 +98,7 @@ def files(chapter: Chapter) -> ResultTable:
 def coefficients(chapter: Chapter) -> ResultTable:
     """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
     not_measured = coefficients_not_measured(chapter.used)
+    families = {e.family for e in chapter.used.model.effects}
     summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
         empty = dict.fromkeys(("u", "k2", "credible"), "–")
@@ -106,7 +108,8 @@ def coefficients(chapter: Chapter) -> ResultTable:
             continue
         mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], given_text(r, K)
         is_held = not sd > 1e-9 * abs(mean)
-        note = " (held)" * is_held + " (mostly its prior)" * (name in not_measured)
+        note = BASIC * (r["effect"] in families) + " (held)" * is_held
+        note += " (mostly its prior)" * (name in not_measured)
         note += f" (if it is there {conditional})" if conditional else ""
         note += f" (probability {probability(inclusion)})" * (inclusion < 1 and not conditional)
         intervals = (mean - K * sd, mean + K * sd), r["interval95"]
@@ -178,12 +181,12 @@ def convergence(chapter: Chapter) -> ResultTable:
 
 def effects(chapter: Chapter) -> ResultTable:
     """Tabulate the effects of the model: equation, unknowns with priors, source, the step that added the effect."""
-    added_at = dict[str, str]()
+    added_at, families = dict[str, str](), {e.family for e in chapter.used.model.effects}
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
             added_at.setdefault(name, f"step {i}" if i else "the start")
     columns = (
-        TableColumn("effect", lambda e: e.name),
+        TableColumn("effect", lambda e: e.name + BASIC * (e.name in families)),
         TableColumn("slot", lambda e: e.slot, left=True),
         TableColumn("equation", lambda e: e.equation or "–", left=True),
         TableColumn("unknowns and their priors", lambda e: "\n".join(_prior_lines(e)), left=True),
@@ -266,7 +269,8 @@ def _additions(chapter: Chapter) -> str:
         averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
         name = in_forms(effect.name, effect.reported, averaged)
         texts.append(qualifier + _describe_effect(chapter.used, effect, name))
-    return f"Found in addition to the first model: {'; '.join(texts)}."
+    stated = " (± standard uncertainty)" * any("±" in text for text in texts)
+    return f"Found in addition to the first model{stated}: {'; '.join(texts)}."
 
 
 PHYSICS = {  # description of an effect by the form of its dependence

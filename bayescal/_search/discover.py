@@ -142,7 +142,7 @@ class Discovery(Printed):
         text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
             return text
-        return f"{text}, as far as this experiment can see; effects that could not be tested: {len(self.unseen)}"
+        return f"{text}, as far as this experiment can see; effects not testable or not detectable: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -429,7 +429,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
     def size(c: Mapping[str, Any]) -> str:
         value = with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
         name = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
-        return f"{name}{value} {unit_label(c['unit'])}".rstrip()
+        return f"{name}{value}"
 
     def detectable(c: Mapping[str, Any]) -> str:
         return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
@@ -443,6 +443,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("log BF", factor),
         TableColumn("expected size", size),
         TableColumn("detectable size", detectable),
+        TableColumn("unit", "unit", unit_label, left=True),
         TableColumn("remark", "kind", remark),
     )
     tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]

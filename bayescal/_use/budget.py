@@ -30,6 +30,8 @@ from bayescal._data.unit_conversion import (
     coefficient_factor,
     convert,
     needs_gravity,
+    pretty,
+    quotient,
     same_dimension,
     unit_label,
 )
@@ -176,17 +178,15 @@ class Budget(Printed):
     @property
     def place(self) -> str:
         """Format the operating point as text; equal lags of a column are named once."""
-        values: dict[tuple[str, str], str] = {}
-        for name, v in self.at.items():
-            value = f"{number(v, 4)} {unit_label(self.at_units[name])}".strip()
-            values.setdefault((re.sub(r"_lag_\d+$", "_lag", name), value), name)
-        return ", ".join(f"{name} = {value}" for (_, value), name in values.items())
+        names = {n: re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", n) for n in self.at}
+        rows = ((names[n], number(v, 4), unit_label(self.at_units[n])) for n, v in self.at.items())
+        return ", ".join(dict.fromkeys(f"{n} = {v} {unit}".strip() for n, v, unit in rows))
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """Return the tables by coefficient and by source, without the smallest shares."""
         rows = (self.coefficients, self.sources)
         printed = ([r for r in table if abs(r.share) >= LEAST_VARIANCE_SHARE] for table in rows)
-        title = f"contribution {unit_label(self.unit)}".strip()
+        title = f"contribution u [{unit_label(self.unit) or 1}]"
         common = (
             TableColumn(title, lambda r: number(r.contribution) if r.contribution > 0 else "–"),
             TableColumn("share", lambda row: f"{100 * row.share:z.1f} %"),
@@ -197,13 +197,14 @@ class Budget(Printed):
 
         by_coefficient = (
             TableColumn("coefficient", lambda c: c.name),
-            TableColumn("estimate", estimate),
-            TableColumn("sensitivity", lambda c: number(c.sensitivity)),
+            TableColumn("estimate ± standard uncertainty", estimate),
+            TableColumn("sensitivity c", lambda c: number(c.sensitivity)),
+            TableColumn("unit of c", lambda c: pretty(quotient(self.unit, c.unit)), left=True),
             *common,
         )
         by_source = (
             TableColumn("the same uncertainty by source", lambda s: s.name),
-            TableColumn("type", lambda s: s.kind),
+            TableColumn("type", lambda s: s.kind or "A, B"),
             *common,
         )
         return ResultTable(by_coefficient, next(printed)), ResultTable(by_source, next(printed))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -110,14 +110,13 @@ def compensate_file(
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
-    # Reading options without effect on compensation.
-    ignored = ("ignore", "local_field")
-    given_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
+    ignored = ("ignore", "local_field")  # options without effect on compensation
+    read_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
     if not compensator.loaded:
-        given_options["remembered"] = compensator.calibration.readings.sources
-    given_options["epoch"] = compensator.about.epoch
+        read_options["remembered"] = compensator.calibration.readings.sources
+    read_options["epoch"] = about.epoch
     options = ReadOptions.of(
-        expected, local_gravity=local_gravity, missing=missing, only=True, **given_options
+        expected, local_gravity=local_gravity, missing=missing, only=True, **read_options
     )
     with replacing_for_user(out) as partial:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
@@ -136,8 +135,8 @@ def compensate_file(
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             problems_of_whole(converted, expected, True).refuse()
             flags = assemble(converted, expected, (source,)).flags
-        readings = Measurements(converted.values, converted.units, (source,))
-        readings = replace(readings, since=converted.origin)
+        since, columns = converted.origin, (converted.values, converted.units)
+        readings = Measurements(*columns, (source,), since=since)
         _refuse_overlap(compensator, readings, bool(options.begin))
         compensated = compensator(readings, noise=noise, method=method, warn=False)
         values = np.full((2, table.rows), np.nan)
@@ -221,8 +220,7 @@ def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
 def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
     with pq.ParquetFile(path) as opened:
         schema, row_count = opened.schema_arrow, 0
-        has_unit = raw != raw.partition(" [")[0]  # the header names the unit
-        for name in added.headers if has_unit else added.names:
+        for name in added.headers if " [" in raw else added.names:  # the header names the unit
             schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
         with pq.ParquetWriter(partial, schema) as writer:
             for batch in opened.iter_batches(batch_size=ROWS_PER_BATCH):

@@ -89,8 +89,7 @@ class Input:
     # of a lag, the longest gap over which the column is interpolated, s: in a longer one it steps at the start; None:
     # always interpolated, as in exports before 0.3.0
     silence: float | None = None
-    # of an elapsed time, whether its effects have decayed at `high`, so that later times need no extrapolation
-    settled: bool = False
+    settled: bool = False  # of an elapsed time: at `high` its effects have decayed
     held: bool = False  # of a lag, whether the column is constant between readings
 
     @property
@@ -227,15 +226,12 @@ class Provenance:
     effects: tuple[tuple[str, str], ...]  # (name, equation) of each
     reference: dict[str, float]  # constants of the bases, such as T0
     sources: tuple[tuple[str, str], ...]  # (file, sha256) of the readings
-    # how a raw output becomes the reading: unit, gain, offset; None if it is the reading
-    raw: tuple[str, float, float] | None
+    raw: tuple[str, float, float] | None  # unit, gain, offset of raw output; None: the reading
     notes: tuple[str, ...]  # warnings, one sentence each
     made_by: str  # program and version
     calibration: str = ""  # its identity; empty in exports that do not state one
-    # why the result must not be used, also among the notes; empty if it may
-    why_not: str = ""
-    # seconds since 1970 at time zero; None where the calibration's times have no dates
-    epoch: float | None = None
+    why_not: str = ""  # why the result must not be used, also among the notes; empty if it may
+    epoch: float | None = None  # seconds since 1970 at time zero; None for times without dates
 
 
 def provenance_of(equation: OperatingEquation) -> Provenance:
@@ -283,8 +279,9 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
 def averaged_over(calibration: Calibration) -> list[Claim]:
     """Return a claim that values average over structures, with inclusion probabilities; empty otherwise."""
     shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
-    probabilities = tuple(f"{name} {share:.2f}" for name, share in shares.items())
-    return [Claim("use.averaged", *shares, named=probabilities)] if shares else []
+    families = {e.family for e in calibration.model.effects}
+    named = (f"{n}{' (basic form)' * (n in families)} {p:.2f}" for n, p in shares.items())
+    return [Claim("use.averaged", *shares, named=tuple(named))] if shares else []
 
 
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
@@ -299,15 +296,14 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
     lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
     if lags:
-        multiples = (lag.tau / equation.shapes[lag.shape] for lag in lags)
+        multiples = (lag.tau / equation.shapes[lag.shape][0] for lag in lags)
         lag_factors = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
         times = tuple(f"{lag.name} ({m}{lag.shape} = {lag.tau:.4g} s)" for lag, m in lag_factors)
         notes.append(Claim("use.lags", *(lag.name for lag in lags), times=times))
-    stimulus = equation.use.stimulus
     if not equation.slope_calibrated:
-        notes.append(Claim("use.bias_only", stimulus))
+        notes.append(Claim("use.bias_only", equation.use.stimulus))
     elif not has_range:
-        notes.append(Claim("use.no_range", stimulus))
+        notes.append(Claim("use.no_range", equation.use.stimulus))
     return tuple(notes)
 
 
@@ -324,6 +320,7 @@ class ProgramUnknown:
     name: str
     unit: str
     mean: float
+    given: tuple[float, float] | None = None  # of a shape: u given its effect; its probability
 
 
 @dataclass(frozen=True)
@@ -493,7 +490,8 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
     graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, noise | means)
     variance = graph.apply("mul", graph.constant(noise_level), variance)
     nonzero = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
-    nonzero_means = ((unknowns[i], float(moments.mean[i])) for i in nonzero)
+    conditional = {name: m[1:] for name, m in equation.shapes.items() if m[2] < 1}
+    pairs = ((unknowns[i], float(moments.mean[i])) for i in nonzero)
     outputs = [expected, slope, variance, *(gradient[i] for i in nonzero)]
     subgraph, (expected, slope, variance, *gradient) = graph.subgraph(outputs, {})
     stimulus_range = None
@@ -504,7 +502,7 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
         about=provenance_of(equation),
         inputs=tuple(inputs),
         stimulus_range=stimulus_range,
-        unknowns=tuple(ProgramUnknown(u.name, u.unit, mean) for u, mean in nonzero_means),
+        unknowns=tuple(ProgramUnknown(u.name, u.unit, m, conditional.get(u.key)) for u, m in pairs),
         covariance=moments.covariance[np.ix_(nonzero, nonzero)].tolist(),
         affine=STIMULUS not in subgraph.inputs([slope]),
         equation=TracedEquation(subgraph.data(), expected, slope, tuple(gradient), variance),

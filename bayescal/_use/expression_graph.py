@@ -92,9 +92,8 @@ PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
     "pow": (lambda d, x, y: d * y * x ** (y - 1), lambda d, x, y: d * np.log(x) * x**y),
     "atan2": (lambda d, y, x: d * x / (x * x + y * y), lambda d, y, x: -(d * y / (x * x + y * y))),
     "rem": (lambda d, x, y: d, lambda d, x, y: d * (np.fmod(x, y) - x) / y),
-    "exp": (lambda d, x: d * np.exp(x),),
+    **dict.fromkeys(("exp", "expm1"), (lambda d, x: d * np.exp(x),)),
     "log": (lambda d, x: d / x,),
-    "expm1": (lambda d, x: d * np.exp(x),),
     "log1p": (lambda d, x: d / (1 + x),),
     "sqrt": (lambda d, x: 0.5 * d / np.sqrt(x),),
     "sin": (lambda d, x: d * np.cos(x),),
@@ -133,8 +132,7 @@ class Graph:
         return self.index[text]
 
     def constant(self, value: float | bool) -> int:
-        is_boolean = isinstance(value, bool | np.bool_)
-        return self.add(("const", bool(value) if is_boolean else float(value)))
+        return self.add(("const", (bool if isinstance(value, bool | np.bool_) else float)(value)))
 
     def input(self, name: str) -> int:
         return self.add(("input", name))

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import solve_newton
 from bayescal._model.composition import TracedColumns, compose
@@ -79,6 +80,7 @@ class UnknownInUse(NamedTuple):
     key: str  # in the equation
     unit: str  # in which it is reported
     kind: str  # "coefficient", "shape", or "new" for a new member's deviation
+    effect: str  # its name
 
 
 def input_name(unknown: str) -> str:
@@ -123,8 +125,7 @@ class OperatingEquation:
     """The measurement equation of a calibrated model for one reading in use."""
 
     calibration: Calibration  # a fit, or an average over structures
-    # (group, member) chosen by name, such as ("device", "A17"); members of other groups are unseen
-    members: tuple[tuple[str, str], ...] = ()
+    members: tuple[tuple[str, str], ...] = ()  # (group, member) in use; all others are unseen
     # (name, value, unit) of inputs that only improbable effects need: fixed at one value
     held_inputs: tuple[tuple[str, float, str], ...] = ()
 
@@ -147,10 +148,11 @@ class OperatingEquation:
         return tuple((f"{n}_rate", n) for n in self.calibration.frame.rates)
 
     @cached_property
-    def shapes(self) -> dict[str, float]:
-        """Return posterior means of the shapes, by name."""
-        keys = (u.key for u in self.unknowns if u.kind == "shape")
-        return {name: float(self.calibration.samples(name).mean()) for name in keys}
+    def shapes(self) -> dict[str, tuple[float, float, float]]:
+        """Return each shape's mean and standard deviation, given its effect, and the effect's probability."""
+        keys = {u.key for u in self.unknowns if u.kind == "shape"}
+        rows = (row for row in summary(self.calibration)[1] if row["name"] in keys)
+        return {row["name"]: (*row["given"].values(), row["probability"]) for row in rows}
 
     @property
     def use(self) -> Use:
@@ -172,15 +174,16 @@ class OperatingEquation:
         fixed, members = dict(self.layout.model.fixed), dict(self.members)
         unknowns = dict[str, UnknownInUse]()
         for b in self.blocks:
+            effect = b.effect.name
             names = {b.effect.shape_name(shape): shape.unit for shape in b.effect.shapes}
             for name in (n for n in names if n not in fixed):
-                unknowns.setdefault(name, UnknownInUse(name, name, names[name], "shape"))
+                unknowns.setdefault(name, UnknownInUse(name, name, names[name], "shape", effect))
             name, kind, per = b.name, "coefficient", b.coefficient.per
             if per is not None:
                 kind = kind if per in members else "new"
                 name = member_name(b.name, members.get(per, f"new {per}"))
             if b.place != "fixed":
-                unknowns[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind)
+                unknowns[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind, effect)
         return tuple(unknowns.values())
 
     @cached_property
@@ -206,7 +209,7 @@ class OperatingEquation:
 
     def _lagged(self, column: str, tau: Any) -> Symbols:
         """Return a lag: an input at the mean time constant, plus its first-order change with τ."""
-        node, means = self.graph.node_of(tau), {input_name(n): v for n, v in self.shapes.items()}
+        node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
         (mean,) = self.graph.evaluate([node], means)
         if (column, mean) not in self._lags:
             count = sum(lag.column == column for lag in self._lags.values())
@@ -375,6 +378,8 @@ class OperatingEquation:
         new_members = [i for i, u in enumerate(unknowns) if u.kind == "new"]
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
+            if u.kind == "shape":  # absent, it has no value: its mean is neutral
+                values[~calibration.having[u.effect], i] = self.shapes[u.key][0]
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
         scaled = calibration.form_factor * (values - mean)

@@ -272,6 +272,6 @@ def render() -> pages.Texts:
     readme, marks = ROOT / "README.md", ("<!-- the bank in short -->", "<!-- end of it -->")
     before, _, tail = readme.read_text("utf-8").partition(marks[0])
     six = [row for name in bank.INSTRUMENTS for row in groups[name]]
-    short = pages.claims_table({"count": six}, SHORT)
+    short = pages.claims_table({"count": six}, SHORT, "campaigns of all kinds")
     text = f"{before}{marks[0]}\n\n{short}\n{marks[1]}{tail.partition(marks[1])[2]}"
     return {**page, readme: text}

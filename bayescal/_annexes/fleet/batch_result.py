@@ -60,9 +60,10 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str 
 
 
 # Heads of printed tables.
-HEADS = {"between devices": "sd between devices", "typical sd": "standard uncertainty (median)"}
-EFFECT_HEADS = {"devices": "devices with it", "possible": "it or another", "low": "95 % from"}
-EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices", "high": "95 % to"}
+HEADS = {"between devices": "sd of estimates", "typical sd": "standard uncertainty (median)"}
+EFFECT_HEADS = {"devices": "devices with it", "possible": "devices with it or a rival"}
+EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
+EFFECT_HEADS |= {"share": "expected share", "low": "share, if any: 2.5 %", "high": "97.5 %"}
 
 
 def printed(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> str:
@@ -289,11 +290,11 @@ class BatchResult:
     def coefficients(self) -> pd.DataFrame:
         """Return one row a coefficient, over the devices that are fitted.
 
-        Columns: its median, the standard deviation between devices, the median standard uncertainty, unit, devices.
+        Columns: median, experimental standard deviation between devices, median standard uncertainty, unit, devices.
         """
         good = self.table().query("ok")
         rows = [
-            [name, np.median(g["mean"]), g["mean"].std(ddof=0), np.median(g["sd"]), unit, len(g)]
+            [name, np.median(g["mean"]), g["mean"].std(ddof=1), np.median(g["sd"]), unit, len(g)]
             for (name, unit), g in good.groupby(["coefficient", "unit"], sort=False)
         ]
         columns = ["coefficient", "median", "between devices", "typical sd", "unit", "devices"]
@@ -346,9 +347,8 @@ class BatchResult:
         bad, odd = self.unreliable, {n: "; ".join(why) for n, why in self.odd.items()}
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
         lines += first_few(bad, len(bad))
-        lines.append(
-            f"{self.checked} searched for missing effects" if self.checked else NOT_CHECKED
-        )
+        searched = f"{self.checked} searched for missing effects"
+        lines.append(searched if self.checked else NOT_CHECKED)
         if odd:
             chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
             lines.append(f"{len(odd)} of {len(self)} devices are not like the others ({chance}):")
@@ -358,7 +358,7 @@ class BatchResult:
         lines += [printed(self.coefficients(), 4, HEADS)] * bool(self.fitted)
         if len(self.effects):
             table = printed(self.effects.head(SHOWN_DEVICES), 3, EFFECT_HEADS)
-            lines.append(f"missing from the devices' models:\n{table}")
+            lines.append(f"effects in addition to the model given:\n{table}")
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 
 

@@ -74,10 +74,10 @@ class Population:
         return {**vars(self), "table": self.table.to_dict("records")}
 
     def __str__(self) -> str:
-        head = f"population of {self.devices} devices"
+        head = f"population that {self.devices} devices are drawn from"
         pairs = {
-            "mean ± u": ("mean", "mean_sd"),
-            "sd between devices ± u": ("group_sd", "group_sd_sd"),
+            "mean ± standard uncertainty": ("mean", "mean_sd"),
+            "sd between devices ± standard uncertainty": ("group_sd", "group_sd_sd"),
         }
         columns = {h: map(ws.with_error, *(self.table[n] for n in p)) for h, p in pairs.items()}
         columns |= {"unit": map(ws.unit_label, self.table["unit"])}

@@ -55,8 +55,7 @@ CURE = "It has sections such as [device], and [[standards]], once for each; text
 class Certificate:
     """Data that a certificate states."""
 
-    # section → key → value; `standards`: a list of such; `conditions`: ambient condition → its value
-    stated: dict[str, Any]
+    stated: dict[str, Any]  # section → key → value; `standards`: a list; `conditions`: by name
     file: str = "the certificate"  # where it was read, for messages
 
     def get(self, section: str, key: str) -> str:

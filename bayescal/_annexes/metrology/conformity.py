@@ -201,10 +201,8 @@ class DrawnQuantity:
     """Posterior draws of a limited quantity."""
 
     values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
-    # standard deviation of single readings about it at each place; zeros where it does not scatter
-    scatter: Float[np.ndarray, "g"]
-    # normal scores of readings `DEVIATIONS` standard deviations above it, at each place; None if they are normal
-    scores: Float[np.ndarray, "g m"] | None = None
+    scatter: Float[np.ndarray, "g"]  # standard deviation of single readings at each place, or 0
+    scores: Float[np.ndarray, "g m"] | None = None  # normal, `DEVIATIONS` sd above; None: normal
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -329,12 +327,10 @@ class LimitedQuantity:
     limits: Limits  # in `unit`
     unit: str  # of the quantity, fixed
     notes: tuple[str, ...] = ()  # what to know, each a sentence
-    # what the limit asks for and the calibration does not know, each a clause; then nothing is decided
-    not_covered: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()  # clauses on what is not known; then nothing is decided
     draws: np.ndarray | None = None  # of an unknown (d,)
     chosen: bc.Compensator | None = None  # with all draws, of what is in use
-    # the stimulus and every input by name, (g,) each
-    places: Mapping[str, np.ndarray] = field(default_factory=dict)
+    places: Mapping[str, np.ndarray] = field(default_factory=dict)  # stimulus and inputs, (g,)
 
     @property
     def place(self) -> dict[str, tuple[float, float, str]]:

@@ -43,8 +43,7 @@ from bayescal._annexes.metrology.conformity import (
 
 DAY = 86400.0  # s
 YEAR = 365.25 * DAY
-# Where the search ends: a horizon and no claim; beyond it only "not within 10 years" is said.
-HORIZON = 10 * YEAR
+HORIZON = 10 * YEAR  # end of the search; beyond it only "not within 10 years" is said
 FIRST_SECONDS = 60.0  # s, the first time looked at, shorter than any interval between calibrations
 TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
 TIME_RTOL = 1e-6  # of the time found
@@ -62,8 +61,7 @@ class Recalibration:
     """When the probability of conformity falls below a stated one."""
 
     stated: float  # the probability
-    # s after the last reading; None beyond the horizon, or where that cannot be said
-    after: float | None
+    after: float | None  # s after the last reading; None beyond the horizon, or not known
     date: str | None = None  # of that time, ISO 8601, where the readings have dates
     why_not: str = ""  # why there is no time; empty where there is one
     notes: tuple[str, ...] = ()  # what to know, each a sentence
@@ -103,9 +101,8 @@ def recalibration(
     if after is None:
         why = f"not within {HORIZON / YEAR:g} years by the drift that the model holds"
         return Recalibration(stated, None, why_not=why)
-    time = calibration.readings["time"]
+    time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))
-    notes = []
     if after > FAR_SPANS * span:
         notes.append(
             f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, as if it "
@@ -178,6 +175,9 @@ class Decision:
     why: str  # in words
     risk: float | None  # the specific risk: that the decision is wrong; None where none was made
     at: dict[str, tuple[float, float, str]]  # operating point: name → lowest, highest value, unit
+    worst_at: dict[
+        str, tuple[float, float, str]
+    ]  # that of them with the end of a k = 2 interval nearest a limit
     population: tuple[float, float] | None  # mean, sd of the devices; None if not given or a range
     global_risks: GlobalRisks | None  # over the devices of a population; None where none is given
     recalibration: Recalibration
@@ -242,11 +242,12 @@ class Decisions(ws.Printed):
         """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def estimate(d: Decision) -> str:
-            return f"{ws.with_error(worst(d), d.uncertainty)} {ws.unit_label(d.unit)}".strip()
+            u = math.hypot(d.uncertainty, d.scatter)  # of what p is of
+            return f"{ws.with_error(worst(d), u)} {ws.unit_label(d.unit)}".strip()
 
         columns = (
             ws.TableColumn("limit", lambda d: d.limit),
-            ws.TableColumn("estimate", estimate, name=""),
+            ws.TableColumn("estimate ± u (k = 1)", estimate, name=""),
             ws.TableColumn("estimate", worst, None),
             ws.TableColumn("uncertainty", lambda d: d.uncertainty, None),
             ws.TableColumn("unit", lambda d: d.unit, None),
@@ -291,27 +292,30 @@ def statement_lines(d: Decision) -> list[str]:
     """Return lines: the decision and its risk, the operating point, the population's risks, the next calibration."""
     lines = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
-        scatter = f"; single readings scatter by {ws.number(d.scatter)} {ws.unit_label(d.unit)}"
-        places = dict[tuple[str, str], str]()  # lags of one value are named once, as in a budget
-        for name, place in d.at.items():
-            value = _place("", *place)
-            places.setdefault((re.sub(r"_lag_\d+$", "_lag", name), value), f"{name} {value}")
-        lines.append(f"  at {', '.join(places.values())}{scatter * (d.scatter > 0)}")
+        worst_at = _places({n: place for n, place in d.worst_at.items() if place != d.at[n]})
+        worst_at = f", the least favourable at {worst_at}" * bool(worst_at)
+        scatter = f"{ws.number(d.scatter)} {ws.unit_label(d.unit)}"
+        of_one = f"; single readings scatter by {scatter}: u and p are of one reading"
+        lines.append(f"  at {_places(d.at)}{of_one * (d.scatter > 0)}{worst_at}")
     if (g := d.global_risks) is not None:
         which = f" {ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(
-            f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
+            f"  of devices{which or ' calibrated so, whatever their spread'}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
     return [*lines, f"  next calibration: {d.recalibration}"]
 
 
-def _place(name: str, low: float, high: float, unit: str) -> str:
-    if unit == "rad":
-        low, high, unit = math.degrees(low), math.degrees(high), "deg"
-    values = ws.number(low, 4) if low == high else f"{ws.number(low, 4)} to {ws.number(high, 4)}"
-    return f"{name} = {values} {ws.unit_label(unit)}".strip()
+def _places(at: Mapping[str, tuple[float, float, str]]) -> str:
+    """Format values or ranges by name; equal lags of a column are named once, as in a budget."""
+    texts = dict[str, None]()
+    for name, (*ends, unit) in at.items():
+        ends, unit = ([*map(math.degrees, ends)], "deg") if unit == "rad" else (ends, unit)
+        value = " to ".join(dict.fromkeys(ws.number(end, 4) for end in ends))
+        name = re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", name)
+        texts[f"{name} = {value} {ws.unit_label(unit)}".strip()] = None
+    return ", ".join(texts)
 
 
 def percent(p: float, error: float = 0.0) -> str:
@@ -368,11 +372,10 @@ def decide(
         raise bc.InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
     several = [population] if isinstance(population, str) else population or []
     devices = [spread_of_devices(text) for text in several]
+    where: dict[str, Any] = {"members": members, "local_gravity": local_gravity}
     decisions, used = [], set[int]()
     for text in stated:
-        quantity = limited_quantity(
-            calibration, stated_limit(text), members=members, local_gravity=local_gravity
-        )
+        quantity = limited_quantity(calibration, stated_limit(text), **where)
         spread = None
         for i, group in enumerate(devices):
             if (spread := with_population(quantity, group)) is not None or quantity.is_error:
@@ -444,8 +447,10 @@ def _decision_on(
     guarded = acceptance(drawn, limits, how.false_accept)
     accepted = guarded if how.rule == "guarded" else limits
     decision, why = _decide_limit(calibration, quantity, drawn, p, how)
-    uncertainty = drawn.uncertainty
-    notes = list(quantity.notes)
+    uncertainty, notes = drawn.uncertainty, list(quantity.notes)
+    mean, u = drawn.values.mean(axis=0), np.hypot(drawn.values.std(axis=0), drawn.scatter)
+    i = int(np.argmin(np.minimum(limits.high - mean, mean - limits.low) - 2 * u))
+    worst_places = {name: values[i : i + 1] for name, values in quantity.places.items()}
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
     if devices is not None:
@@ -475,6 +480,7 @@ def _decision_on(
         why=why,
         risk={ACCEPT: 1 - p, REJECT: p}.get(decision),
         at=quantity.place,
+        worst_at=replace(quantity, places=worst_places).place,
         population=devices,
         global_risks=risks,
         recalibration=recalibration(quantity, limits, calibration, how.conformity),
