@@ -427,9 +427,8 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         return text + ("*" if c["source"] == "refit" else " ")
 
     def size(c: Mapping[str, Any]) -> str:
-        value = with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
         name = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
-        return f"{name}{value}"
+        return name + with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
 
     def detectable(c: Mapping[str, Any]) -> str:
         return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
