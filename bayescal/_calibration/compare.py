@@ -72,8 +72,7 @@ class Comparison(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
-        grouped = self.chosen_by != BY_READINGS
-        unit = unit_label(self.unit)
+        grouped, unit = self.chosen_by != BY_READINGS, unit_label(self.unit)
         by_group = (
             TableColumn(f"{scheme(self.group)} rmse", "group_rmse", number, unit),
             TableColumn("elpd", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),

@@ -48,6 +48,8 @@ def unknowns_parts(
             f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (as much or more by chance in "
             f"{p:.2g} of cases)"
         )
+    if any(row[-1].startswith("-") for row in rows.values()):
+        lines.append("contraction below 0: the posterior is wider than the prior")
     if constants := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("coefficients refer to " + ", ".join(constants))
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))

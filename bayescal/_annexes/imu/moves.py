@@ -144,8 +144,8 @@ def moves(
     columns[ws.UNCERTAINTY] = np.sqrt(squares - squares.min())
     readings = as_readings(columns, instrument, log)
     summary = (
-        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter "
-        f"the surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
+        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; their "
+        f"smallest standard uncertainty, by scatter, is {surest:.2g} {instrument.unit}: noise.white refers to it"
     )
     notes = [f"{log.file}: set aside, as it disagrees with all others: {o}" for o in outliers]
     return replace(readings, sources=log.sources, flags=(summary, *notes))  # of the log

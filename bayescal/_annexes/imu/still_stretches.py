@@ -218,7 +218,7 @@ def poses(
     ratio = np.mean([stretches.ratio for stretches in runs])
     note = (
         f"{len(readings['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of "
-        f"blocks scatter {ratio:.1f} times as much as those of independent samples would"
+        f"blocks scatter {ratio:.1f} times as much as for independent samples"
     )
     left_out = [seconds for stretches in runs for seconds in stretches.left_out]
     short = (f"{log.file}: {shorter_stretches_note(left_out)}",) if left_out else ()

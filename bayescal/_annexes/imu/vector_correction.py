@@ -29,7 +29,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST, SECOND = np.array(PAIRS).T
 UNKNOWN_DIRECTIONS = (
     "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane of "
-    "sensors y and z), and its uncertainty is none."
+    "sensors y and z), without an uncertainty."
 )
 RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error

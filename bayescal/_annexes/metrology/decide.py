@@ -218,7 +218,7 @@ class Decisions(ws.Printed):
             if not chapter.data["verdict"]["ok"] and self.calibration == ws.identity(chapter.used):
                 return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
         table = self.table()
-        why = ws.TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
+        why = ws.TableColumn("why", lambda d: "\n".join((d.why, *statement_lines(d)[1:])))
         met = "Every limit is met, by the rule below."
         return ws.Foreword(
             "decisions",
