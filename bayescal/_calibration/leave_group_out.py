@@ -168,12 +168,12 @@ def _predict_fold(
     expectation, whitened residual sum of squares and the eigenvalues of its covariance; None if either fails."""
     subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
     problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
-    near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
+    near, kinds = Nearby(mode.v, np.linalg.pinv(mode.covariance), True), np.array(problem.kinds)
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
-    v = climb(fitted, mode.v, ftol=1e-3)  # φ to 0.05 standard deviations
-    kinds = np.array(problem.kinds)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
-    v = np.where((kinds == "noise") & bool(problem.noise.covariates), mode.v, v)
+    free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
+    within = fitted if free.all() else fitted.conditional(near, free)
+    v[free] = climb(within, mode.v[free], ftol=1e-3)  # φ to 0.05 standard deviations
     predicted_moments = _held_out_moments(fitted, predicted, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
     between = kinds == "group_sd"

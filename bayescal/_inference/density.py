@@ -151,13 +151,11 @@ class Density(ByValues):
         noise, by_noise = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
             by_noise.setdefault(i if self.problem.noisy else tuple(v[noise]), []).append(i)
-        batch_size, groups = (
-            max(1, MAX_FILTER_COLUMNS // (self.problem.size + 1)),
-            list[list[int]](),
-        )
+        batch_size = max(1, MAX_FILTER_COLUMNS // (self.problem.size + 1))
+        groups = list[list[int]]()
         for members in sorted(by_noise.values(), key=len):
             groups += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
-        column_sets = list[list[list[int]]]()
+        hypers, column_sets = self.problem.hyper_of_each(vs), list[list[list[int]]]()
 
         def tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
             lines = self._linearise_many(vs[[i for group in groups for i in group]])
@@ -173,7 +171,7 @@ class Density(ByValues):
                         group_columns[-1][j] = len(columns)
                         columns.append(table[:, j])
                 column_sets.append(group_columns)
-                white = self._whitening(line, self.problem.hyper(vs[group[0]]))
+                white = self._whitening(line, hypers[group[0]])
                 yield white, first_table if len(group) == 1 else np.column_stack(columns)
 
         grams: dict[int, Gram] = {}

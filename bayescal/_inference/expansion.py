@@ -26,10 +26,8 @@ COUNT = 9  # Chebyshev nodes of a box
 BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
 HALVINGS = 7  # of the box width, at most
 FAILURES = 2  # failed fits of a box, after which no further one is attempted
-TERM_TOLERANCE, TOLERANCE = (
-    1e-9,
-    1e-8,
-)  # smallest term, largest error; relative to the largest element
+TERM_TOLERANCE = 1e-9  # smallest term, relative to the largest element
+TOLERANCE = 1e-8  # largest error, relative to the largest element
 DIFFERENCE = 2e-3  # step of a coordinate, for Taylor series by central differences
 TEST_DRAWS = 12  # draws at which fitted polynomials are tested
 RANK_TOLERANCE = (

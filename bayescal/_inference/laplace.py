@@ -25,9 +25,7 @@ from bayescal._inference.record import Record
 XTOL_SD = 1e-4  # convergence: largest change per round, posterior standard deviations
 MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ from which the start is selected
-SCAN_GRID = np.arange(
-    -3.5, 3.5, 0.02
-)  # coordinates scanned along a shape with a multimodal density
+SCAN_GRID = np.arange(-3.5, 3.5, 0.02)  # coordinates scanned along a shape with many modes
 HALVINGS = 8  # of a rejected step, at most
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 MIN_GAIN_NATS = 1e-8  # convergence: smallest increase of the log density per round

@@ -27,9 +27,7 @@ STEPS = 100  # Newton steps at most
 BACKTRACKS, SHORTER = 8, 0.3  # of a line search at most; factor of each
 CONVERGED_NATS = 1e-6  # default tolerance: predicted increase, about the error of differences
 COARSE_NATS = 0.01  # tolerance below `coarse_below`
-SPREAD_SHARE = (
-    0.1  # squared length outside group deviations, below which an eigenvector belongs to these
-)
+SPREAD_SHARE = 0.1  # squared length outside group deviations, below which an eigenvector is theirs
 MIN_SHRINK = 0.1  # smallest factor by which a difference step is shortened at once
 NOWHERE = -1e300  # log density where it is undefined
 
@@ -140,16 +138,22 @@ class ByValues:
     similar density where these are small or the point is close.
     """
 
-    def __init__(self, values: Values, scale: Float[np.ndarray, "d"] | float = 1.0) -> None:
+    def __init__(self, values: Values, scale: Any = 1.0, like: Nearby | None = None) -> None:
         self.values = values
         self.scale = scale
-        self._begin()
+        self._begin(like)
 
     def _begin(self, like: Nearby | None = None) -> None:
         """Reset the state, with the curvature of a similar density if given."""
         self._like, self._last = like, None
         self._exact = False  # whether the latest curvature is by differences throughout
         self._axes: Any = None  # the latest point, steps along the axes, and densities there
+
+    def conditional(self, near: Nearby, free: Bool[np.ndarray, "d"]) -> ByValues:
+        """Return the density of the free coordinates, the others held as in `near`."""
+        held, embedding = np.where(free, 0.0, near.v), np.eye(len(free))[free]
+        like = Nearby(near.v[free], near.curvature[np.ix_(free, free)], True)
+        return ByValues(lambda vs: self.values(held + vs @ embedding), like=like)
 
     @property
     def nearby(self) -> Nearby | None:

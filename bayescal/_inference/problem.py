@@ -96,6 +96,11 @@ class Problem:
         free = {name: value(coordinate) for (name, value, _), coordinate in pairs}
         return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
 
+    def hyper_of_each(self, vs: Float[np.ndarray, "b d"]) -> list[dict[str, float]]:
+        """Return `hyper` at each of several coordinates."""
+        columns = {n: np.broadcast_to(v, len(vs)) for n, v in self.hyper(vs.T).items()}
+        return [{n: float(c[i]) for n, c in columns.items()} for i in range(len(vs))]
+
     def log_prior(self, v: np.ndarray) -> float:
         """Return the log prior density of φ in its coordinates."""
         pairs = zip(self._coordinates, v, strict=True)

@@ -40,15 +40,11 @@ from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import expand_members
 from bayescal._model.terms import Term
 
-DIFFERENCE = (
-    1e-3  # difference step of a coordinate, for priors, weights of Gaussian processes, and noise
-)
+DIFFERENCE = 1e-3  # difference step of a coordinate, for priors, weights of processes, and noise
 FAR_SD = 1e3  # prior deviations beyond which a least-squares coefficient is not used as origin
 CLOSE_NATS = 0.02  # tolerated error of the log density by polynomial columns
 NUMBERS_AT_ONCE = 2_000_000  # array elements per batch, which bounds memory
-MAX_PAIRS_PER_READING = (
-    40  # pairs of table columns per reading, above which direct evaluation is cheaper
-)
+MAX_PAIRS_PER_READING = 40  # pairs of table columns, above which direct evaluation is cheaper
 CACHED_TABLES = 3  # latest row tables of a structure
 
 
