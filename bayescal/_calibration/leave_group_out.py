@@ -172,7 +172,7 @@ def _predict_fold(
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
     free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
-    within = fitted if free.all() else fitted.conditional(near, free)
+    within = fitted if free.all() else fitted.hold_others(near, free)
     v[free] = climb(within, mode.v[free], ftol=1e-3)  # φ to 0.05 standard deviations
     predicted_moments = _held_out_moments(fitted, predicted, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.

@@ -149,11 +149,11 @@ class ByValues:
         self._exact = False  # whether the latest curvature is by differences throughout
         self._axes: Any = None  # the latest point, steps along the axes, and densities there
 
-    def conditional(self, near: Nearby, free: Bool[np.ndarray, "d"]) -> ByValues:
-        """Return the density of the free coordinates, the others held as in `near`."""
-        held, embedding = np.where(free, 0.0, near.v), np.eye(len(free))[free]
+    def hold_others(self, near: Nearby, free: Bool[np.ndarray, "d"]) -> ByValues:
+        """Return the density of the free coordinates, with the others fixed as in `near`."""
+        fixed, embedding = np.where(free, 0.0, near.v), np.eye(len(free))[free]
         like = Nearby(near.v[free], near.curvature[np.ix_(free, free)], True)
-        return ByValues(lambda vs: self.values(held + vs @ embedding), like=like)
+        return ByValues(lambda vs: self.values(fixed + vs @ embedding), like=like)
 
     @property
     def nearby(self) -> Nearby | None:
