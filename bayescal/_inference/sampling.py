@@ -505,12 +505,12 @@ def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None
         return None
 
     def draw(random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
-        return np.stack([_draw_prior(p, random, count) for p in priors], axis=1)
+        return np.stack([draw_prior(p, random, count) for p in priors], axis=1)
 
     return PriorShare(draw, log_density)
 
 
-def _draw_prior(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
+def draw_prior(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
     """Draw coordinates from a proper prior."""
     if isinstance(prior, HalfCauchy):
         return np.log(np.abs(random.standard_cauchy(count)))

@@ -3,7 +3,7 @@
 What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
 
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+    MCMC(nuts, num_warmup=1000, num_samples=8000).run(key, **data(readings))
 
 In each pose gravity points in a latent direction, a unit vector f of which nothing is known:
 

@@ -13,7 +13,7 @@ Output of device k at time t, a the acceleration outward, s = +1 outer and −1 
     w_k = Σ c_kn·P_n,     c_kn ~ N(λ_k·u_n, s_n²),     P_n Legendre polynomials of unit rms over the record
 
 w_k is λ_k·u(t), a share in the common environment, and the device's own departure from it, whose size and
-spectrum s_n are learned.
+spectrum s_n are learned. Orders above the fifth are u_n in all devices.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ import bayescal as bc
 from bayescal_models.differential_pair import reference_problem
 
 SENSITIVITY = "environment.shared[sensitivity]"
-CENTRED = ("w", "scale.device", SENSITIVITY)  # the readings tell them far better than their priors
-ORDERS = np.arange(6)
+CENTRED = ("u", "w", "scale.device", SENSITIVITY)  # far better known by readings than by priors
+ORDERS, DIFFERING = np.arange(9), np.arange(6)  # of u, and those in which devices differ
 DISTURBANCE = 1000.0  # µg rms over the record
 FALLING = 0.6**ORDERS  # of the orders of u
 
 
 def model(acceleration, sign, device, devices, orders, output=None) -> None:
-    """Define the model of acceleration µg, sign and device index (n,), P_n (n, 6); output µg, or None to simulate."""
+    """Define the model of acceleration µg, sign and device index (n,), P_n (n, 9); output µg, or None to simulate."""
     spread = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
         for name, size in (("scale.device", 5000.0), (SENSITIVITY, 0.2))
@@ -47,14 +47,18 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     )
     share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))  # of v in u
     falling = numpyro.sample("departure.device.falling", LogNormal(np.log(0.4873), 0.3406))
-    powers = falling**ORDERS
+    powers = falling**DIFFERING
     with numpyro.plate("devices", devices):
         kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, spread["scale.device"]))
         sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, spread[SENSITIVITY]))
         departure_sd = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
-        w = numpyro.sample("w", Normal(sensitivity[:, None] * u, departure_sd).to_event(1))
+        mean = sensitivity[:, None] * u[: len(DIFFERING)]
+        w = numpyro.sample("w", Normal(mean, departure_sd).to_event(1))
     noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg
-    mean = sign * (1 + kappa[device]) * acceleration + jnp.sum(orders * w[device], axis=1)
+    mean = sign * (1 + kappa[device]) * acceleration + jnp.sum(
+        orders[:, : len(DIFFERING)] * w[device], axis=1
+    )
+    mean = mean + orders[:, len(DIFFERING) :] @ u[len(DIFFERING) :]
     numpyro.sample("output", Normal(mean, noise), obs=output)
 
 
@@ -65,13 +69,8 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     progress = 2 * (time - time.mean()) / np.ptp(time)
     orders = np.stack([np.sqrt(2 * n + 1) * eval_legendre(n, progress) for n in ORDERS], axis=1)
     sign = np.where(np.array(groups)[group] == "outer", 1.0, -1.0)
-    columns = {
-        "acceleration": readings["acceleration"],
-        "sign": sign,
-        "device": device,
-        "devices": len(devices),
-    }
-    return {**columns, "orders": orders, "output": readings["output"]}
+    columns = {n: readings[n] for n in ("acceleration", "output")}
+    return {**columns, "sign": sign, "device": device, "devices": len(devices), "orders": orders}
 
 
 def equal() -> bc.Model:

@@ -14,10 +14,8 @@ GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
 LEVEL = 5.0  # g, of a single plateau
 DISTURBANCE = 1000.0  # µg rms, of u over the record
-SENSITIVITY_SPREAD, SCALE_SPREAD = (
-    0.2,
-    2000.0,
-)  # standard deviations over devices, of λd and, ppm, of scale factors
+SENSITIVITY_SPREAD = 0.2  # standard deviation over devices, of λd
+SCALE_SPREAD = 2000.0  # the same of scale factors, ppm
 DEPARTURE = 0.05  # rms of a device's own environment, in parts of the disturbance
 
 

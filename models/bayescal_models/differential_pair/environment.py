@@ -1,7 +1,8 @@
 """The shared environment u(t), each device's sensitivity to it, and each device's own departure v(t).
 
-env_k(t) = λd_k·u(t) + v_k(t). Both u and v are random polynomials: Legendre polynomials over the record, of unit rms,
-whose prior standard deviations fall by a constant ratio from order to order. For v both the size and the ratio are
+env_k(t) = λd_k·u(t) + v_k(t). Both u and v are smooth random functions: Legendre polynomials over the record, of unit
+rms, whose prior standard deviations fall by a constant ratio from order to order. Of u's orders above the fifth, which
+are small, every device has λd = 1. For v both the size and the ratio are
 learned: what a slow v hides behind scale and sensitivity is judged by the orders that show. The scale of u is fixed by
 the population of λd, whose mean is 1; without v exact differencing would leave nothing for any pair (source 3 has
 u1 = u2, hence v = 0; the departures are ours).
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 import bayescal as bc
 from bayescal import xp
 
-ORDERS = 6  # of u and v: 0 … 5
+ORDERS = 6  # of v, and of u where devices differ in their sensitivity to it
+SHARED_ORDERS = 9  # of u; of a transient or a wave as long as the record they leave 0.1 µg at most
 RATIO = 0.6  # of the prior standard deviations of neighbouring orders of u
 FALLING = (0.25, 0.95)  # 95 % of the prior of the same ratio for v
 DISTURBANCE = 1000.0  # µg rms, of u
@@ -31,35 +33,35 @@ DEPARTURE_SHARE = "departure.device.share"
 
 def order_sizes() -> NDArray[np.float64]:
     """Return prior standard deviations of the orders of u, µg; their squares add up to 1 mg²."""
-    falling = RATIO ** np.arange(ORDERS)
+    falling = RATIO ** np.arange(SHARED_ORDERS)
     return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
 
-def polynomials(progress: Any) -> list[Any]:
-    """Return Legendre polynomials of unit rms over the record, orders 0 to 5.
+def polynomials(progress: Any, count: int) -> list[Any]:
+    """Return the first Legendre polynomials of unit rms over the record, orders 0 to count − 1.
 
     Args:
         progress: (t − t̄)/(tmax − tmin), −½ … ½ on an even record; NumPy or JAX.
     """
     z = 2.0 * progress
     legendre = [1.0 + 0.0 * z, z]
-    for n in range(1, ORDERS - 1):
+    for n in range(1, count - 1):
         legendre.append(((2 * n + 1) * z * legendre[n] - n * legendre[n - 1]) / (n + 1))
     return [np.sqrt(2 * n + 1) * p for n, p in enumerate(legendre)]
 
 
-def order_names(effect: str) -> list[str]:
+def order_names(effect: bc.Effect) -> list[str]:
     """Return names of an effect's orders."""
-    return [f"{effect}[order {n}]" for n in range(ORDERS)]
+    return [f"{effect.name}[{c.part}]" for c in effect.coefficients if "order" in c.part]
 
 
 def _shared(r: bc.Frame) -> Any:
-    parts = polynomials(r.progress)
+    parts = polynomials(r.progress, SHARED_ORDERS)
     return xp.stack([1.0 + 0.0 * parts[0], *parts], axis=-1)
 
 
 def _departure(r: bc.Frame) -> Any:
-    return xp.stack(polynomials(r.progress), axis=-1)
+    return xp.stack(polynomials(r.progress, ORDERS), axis=-1)
 
 
 def _departure_sizes(share: Any, falling: Any) -> Any:
@@ -82,7 +84,9 @@ SHARED = bc.Effect(
             group_sd=bc.HalfNormal(SENSITIVITY_SPREAD),
         ),
         *(
-            bc.Coefficient("ug", bc.Normal(0.0, float(sd)), part=f"order {n}")
+            bc.Coefficient(
+                "ug", bc.Normal(0.0, float(sd)), f"order {n}", "departure" * (n >= ORDERS) or None
+            )
             for n, sd in enumerate(order_sizes())
         ),
     ),

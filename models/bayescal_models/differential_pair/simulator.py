@@ -36,14 +36,8 @@ from bayescal_models.simulated import (
 FINE = 10  # steps of the world in each reading
 WARMING = 0.45  # time constant of the fixture's heating by windage, in records
 HIDDEN = (
-    "environment.temperature",
-    "scale.second_order",
-    "misalignment.device",
-    "input.radius",
-    "timing.skew",
-    "bias.drift",
-    "bias.device",
-    "bias.supply",
+    *("environment.temperature", "scale.second_order", "misalignment.device"),
+    *("input.radius", "timing.skew", "bias.drift", "bias.device", "bias.supply"),
 )
 
 

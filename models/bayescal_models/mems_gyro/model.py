@@ -70,9 +70,7 @@ LAG = catalogue.thermal_lag(MINUTE, 20 * MINUTE, 0.1, "deg/s", rate=(0.1, "deg/s
 BOARD = effect(_board, "c·(T_board − T_board,0)", "board_temperature")
 ON_RATE = effect(one, "c", "rate_input", kind="constant")
 ON_RATE_OVER_TEMPERATURE = effect(centred, "c·(T − T0)", "temperature", "rate_input")
-ELECTRONICS = (
-    "source 1 names the reference voltage and the electronics as possible causes; size ours"
-)
+ELECTRONICS = "source 1 names reference voltage and electronics as possible causes; size ours"
 RESONANT = "source 1; values of K_ET, r and Q ours"
 
 EFFECTS = EffectTable.of(

@@ -26,7 +26,7 @@ from bayescal_models.simulated import Array, Clock, Simulated, correlated, refus
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 SILICON_TEMPERATURE = (
-    500.0  # K, characteristic temperature of the modulus in Varshni's law; ours, about silicon's
+    500.0  # K, characteristic, of the modulus in Varshni's law; ours, as silicon's
 )
 SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
 PACKAGE_TIME = 20.0  # s, of the package, through which heat flows

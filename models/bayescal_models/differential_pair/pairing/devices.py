@@ -14,8 +14,10 @@ from bayescal_models.differential_pair.environment import (
     DEPARTURE,
     DEPARTURE_SHARE,
     DISTURBANCE,
+    ORDERS,
     SENSITIVITY,
     SHARED,
+    SHARED_ORDERS,
     order_names,
     polynomials,
 )
@@ -99,13 +101,15 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     readings, reference = calibration.readings, cast("dict[str, float]", calibration.reference)
     table = _table(readings)
     sensitivity = np.asarray(samples[SENSITIVITY])[:, table.order]
-    basis = np.stack(polynomials((table.time - reference["time_mean"]) / reference["time_span"]))
-    u = (np.stack([samples[n] for n in order_names(SHARED.name)], axis=1) @ basis)[:, None, :]
+    progress = (table.time - reference["time_mean"]) / reference["time_span"]
+    basis = np.stack(polynomials(progress, SHARED_ORDERS))
+    parts = np.stack([samples[n] for n in order_names(SHARED)], axis=1)[:, :, None] * basis
+    u, fine = parts[:, :ORDERS].sum(axis=1)[:, None], parts[:, ORDERS:].sum(axis=1)[:, None]
     if "environment.temperature" in samples:
         warmth = readings["temperature"][table.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
     departures, departure = _departures(samples, table, basis)
-    environment = sensitivity[:, :, None] * u + departures
+    environment = sensitivity[:, :, None] * u + fine + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
@@ -114,7 +118,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
         table.time,
         scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order],
         sensitivity=sensitivity,
-        shared=u.mean(axis=1),
+        shared=(u + fine).mean(axis=1),
         environment=environment,
         departure=departure,
         bias=np.asarray(samples.get("bias.device", zero))[..., table.order],
@@ -132,8 +136,8 @@ def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tu
         zero = np.zeros(len(samples[SENSITIVITY]))
         return zero[:, None, None], zero
     share = np.asarray(samples[DEPARTURE_SHARE])
-    orders = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
-    return orders @ basis, share * DISTURBANCE
+    orders = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE)], axis=-1)
+    return orders @ basis[:ORDERS], share * DISTURBANCE
 
 
 @dataclass(frozen=True)
