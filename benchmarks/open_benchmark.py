@@ -22,10 +22,7 @@ ENTRIES = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic", "mbic", "susie")
 # The others in this process: quick, and a start counted for each task.
 ISOLATED = ("bayescal", "exhaustive")
 REAL = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic")
-PACKAGES = (
-    ROOT / "benchmarks" / "missing_effect",
-    ROOT / "benchmarks" / "missing_effect" / "maker",
-)
+PACKAGES = tuple(ROOT / "benchmarks" / p for p in ("missing_effect", "missing_effect/maker"))
 OUTPUT = ROOT / "benchmarks" / "output" / "missing_effect"
 
 ABOUT = """

@@ -126,10 +126,8 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
         yield title, {"known": record.known, "unit": record.output_unit, **row}
     path = REFERENCE_DATA / RAMP
     for axis, unit in AXES.items() if path.is_file() else ():
-        columns, units = (
-            {"output": axis, "time": "t_s"},
-            {axis: unit, "t_s": "s", "temperature": "degC"},
-        )
+        columns = {"output": axis, "time": "t_s"}
+        units = {axis: unit, "t_s": "s", "temperature": "degC"}
         whole = bc.set_aside(bc.read(path, still_sensor.INSTRUMENT, columns=columns, units=units))
         holdout = (whole["time"] // BLOCK).astype(int) % 2 == 1
         row = calibrated(still_sensor.INSTRUMENT.for_readings(whole), whole, holdout)

@@ -140,8 +140,8 @@ def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str,
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
 
 
-def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, list[str], bool]:
-    """Draw readings from the search's own prior; return them, the hidden effects, and whether noise wanders."""
+def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, dict[str, float], bool]:
+    """Draw readings from the search's own prior; return them, what is hidden adds, and whether noise wanders."""
     readings = simulated(instrument, case)
     return drawn_by_law(instrument.for_readings(readings).baseline(), readings, case.seed)
 

@@ -9,10 +9,10 @@ import numpy as np
 import bayescal as bc
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
+from bayescal._inference.sampling import draw_prior
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
-from bayescal._model.parameters import Layout, Unknown
-from bayescal._model.prior import HalfCauchy, HalfNormal
+from bayescal._model.parameters import Layout
 from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
@@ -22,8 +22,10 @@ WANDER = OrnsteinUhlenbeck.law
 
 def by_law(
     model: bc.Model, readings: bc.Measurements, seed: int
-) -> tuple[bc.Measurements, list[str], bool]:
+) -> tuple[bc.Measurements, dict[str, float], bool]:
     """Add a draw of the prior to an empty campaign's readings; return them, the truth, whether noise wanders.
+
+    The truth are the effects and what each adds that the baseline cannot hold: rms, over the noise.
 
     Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
     columns, its size times 1, 3 or 10 by their probabilities. The noise is white or wanders, by the odds of these two
@@ -41,20 +43,20 @@ def by_law(
         total = odds_ratios.sum()
         if open_ and rng.random() < total / (1 + total):
             names.append(str(rng.choice(open_, p=odds_ratios / total)))
-    added = np.zeros(len(readings))
-    if names:
-        added += _effects(structures, names, rng)
+    added, adds = _effects(structures, names, rng) if names else (np.zeros(len(readings)), {})
     if wanders:
         added += _wander(structures, rng)
-    return readings.with_column("output", readings["output"] + added), names, wanders
+    return readings.with_column("output", readings["output"] + added), adds, wanders
 
 
 def _with(names: list[str]) -> Structure:
     return Structure(frozenset(names))
 
 
-def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> np.ndarray:
-    """Return the effects' contribution to the expected output at the fitted baseline."""
+def _effects(
+    structures: Structures, names: list[str], rng: np.random.Generator
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Return the effects' contribution to the expected output at the fitted baseline, and what each adds."""
     base = structures.weigh(Structure())
     model = structures.model(Structure(frozenset(names)))
     sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
@@ -62,7 +64,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
     problem = Problem(Layout(model, structures.layout.counts), structures.record, spread)
     same_effect = {h.name: v for h, v in zip(base.problem.hypers, base.mode.v, strict=True)}
-    v = np.array([same_effect.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
+    v = np.array([same_effect.get(h.name, draw_prior(h.prior, rng, 1)[0]) for h in problem.hypers])
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, np.ones(problem.size))
     positions = {t.effect.name: t.x_slice for t in base.problem.in_x}
@@ -80,16 +82,14 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     baseline = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
     changed = problem.linearise(x, hyper)
     moved = np.sqrt(problem.extra(changed)) * rng.standard_normal(structures.record.size)
-    return changed.mean - baseline.mean + moved
-
-
-def _coordinate(h: Unknown, rng: np.random.Generator) -> float:
-    """Draw one entry of φ from its prior."""
-    if isinstance(h.prior, HalfNormal):
-        return float(np.log(np.abs(rng.standard_normal())))
-    if isinstance(h.prior, HalfCauchy):
-        return float(np.log(np.abs(rng.standard_cauchy())))
-    return float(rng.standard_normal())
+    line, adds = structures.line(base), dict[str, float]()
+    for name in names:
+        own = [t.effect.name == name for t in problem.in_x for _ in range(t.size)]
+        without = problem.linearise(np.where(own, 0.0, x), hyper).mean
+        part = line.whiten((changed.mean - without + moved * (not any(own)))[:, None])[:, 0]
+        left = line.deflate(part, np.ones(len(line.owners), dtype=bool))
+        adds[name] = float(np.sqrt(np.mean(left**2)))
+    return changed.mean - baseline.mean + moved, adds
 
 
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
@@ -97,9 +97,7 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     record: Record = structures.record
     priors = structures.laws[WANDER].parameters()
     values = {
-        n: float(p.value(_coordinate(Unknown(n, n, "", "noise", "noise", p), rng)))
-        for n, p in priors.items()
-        if n != "noise.white"
+        n: float(p.value(draw_prior(p, rng, 1)[0])) for n, p in priors.items() if n != "noise.white"
     }
     tau = values.pop(CORRELATION_TIME)
     (diffusion,) = values.values()
