@@ -170,7 +170,7 @@ from ._report.whole_folder import whole_folder as whole_folder
 from ._search.calibrate import QUICK as QUICK
 
 # the search: structures, their posterior, the loop over them, its steps
-from ._search.calibrate import Loop as Loop
+from ._search.calibrate import StepwiseSearch as StepwiseSearch
 from ._search.calibrate import step_of as step_of
 from ._search.discover import SEARCH as SEARCH
 from ._search.discover import structures_over as structures_over

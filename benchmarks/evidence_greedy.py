@@ -15,7 +15,7 @@ import numpy as np
 from bayescal._data.set_aside import set_aside
 from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
-from bayescal._search.scores import Library, View
+from bayescal._search.scores import Library, Scorer
 from bayescal._search.structures import Structure
 from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import Case, instrument_named, plan, simulated
@@ -43,15 +43,15 @@ def measure(task: tuple[str, Case]) -> dict[str, Any]:
     readings = set_aside(simulated(instrument_named(name), case))
     model = instrument_named(name).for_readings(readings).baseline()
     structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
-    base, library = structures.weigh(Structure()), Library(structures)
-    truth = structures.weigh(Structure(frozenset(case.hidden)), base)
-    noise, view = truth.phi["noise.white"], View(library, base)
+    base, library = structures.evaluate(Structure()), Library(structures)
+    truth = structures.evaluate(Structure(frozenset(case.hidden)), base)
+    noise, view = truth.phi["noise.white"], Scorer(library, base)
     named = [n for n in library.points if not structures.candidates[n].is_placeholder]
-    columns, owners = [view.line.nuisance], [""] * len(view.line.z)
-    for form, points in view.without().scores(named).items():
-        columns.append(view.columns(view.line, [points[0].point]) * points[0].size.sd)
+    columns, owners = [view.linear.nuisance], [""] * len(view.linear.z)
+    for form, points in view.reduced_model().score_candidates(named).items():
+        columns.append(view.columns(view.linear, [points[0].point]) * points[0].prior_scale.sd)
         owners += [structures.family(form)] * columns[-1].shape[1]
-    output = view.line.residual + view.line.nuisance @ view.line.z
+    output = view.linear.residual + view.linear.nuisance @ view.linear.z
     search = EvidenceGreedy(alpha=1.0, _sigma2=1.0, normalize_columns=False)
     search.fit(np.column_stack(columns) / noise, output[:, None] / noise)
     kept = {owner for owner, keeps in zip(owners, search.ind_[0], strict=True) if keeps and owner}

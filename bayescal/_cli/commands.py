@@ -114,7 +114,7 @@ class EffectsCommand(AsJson, Command):
 
         chosen = instrument_named(self.instrument)
         kinds = {"baseline": chosen.effects, "candidate": chosen.candidates}
-        kinds["your own"] = request.user_effects(self.effects_file)
+        kinds["your own"] = request.load_user_effects(self.effects_file)
         return Answer(*format_effects(kinds))
 
 

@@ -27,7 +27,7 @@ from bayescal._core.annex import offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
 from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
-from bayescal._search.own_files import in_one_line, own_file_line
+from bayescal._search.own_files import format_error, own_file_line
 
 # New objects between two garbage collections: a collection of a million takes a quarter of a second.
 # With Python's default of 700 there are thirty collections while modules load.
@@ -115,7 +115,7 @@ def _user_message(error: BaseException) -> str:
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
     file, line = own_file_line(error)
     if line:  # an exception in the user's code, such as a basis
-        return f"{file}, line {line} failed: {in_one_line(error)}. Mend it, or leave --effects out"
+        return f"{file}, line {line} failed: {format_error(error)}. Mend it, or leave --effects out"
     usage = getattr(error, "format_message", None)  # an option that the parser refused
     if usage is None:
         raise error

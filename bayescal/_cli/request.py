@@ -31,7 +31,7 @@ from bayescal._report.whole_folder import (
     files_of,
     refuse_mixed,
 )
-from bayescal._search.own_files import instrument_named, user_effects
+from bayescal._search.own_files import instrument_named, load_user_effects
 
 if TYPE_CHECKING:
     from bayescal._data.measurements import Measurements
@@ -59,7 +59,7 @@ def open_channels(
     instrument = instrument_named(request.instrument)
     records = _read(request.files, instrument, request, names)
     if not request.typed and instrument.tailor is None:  # what is typed may need the readings
-        compose(instrument, request, user_effects(request.effects_file))
+        compose(instrument, request, load_user_effects(request.effects_file))
     for record in records.values():
         # A triad's log is averaged over its stationary intervals.
         averages = request.average is not None or instrument.outputs
@@ -83,7 +83,7 @@ def own_effects(
 ) -> tuple[Effect, ...]:
     """Load user-defined effects, of a file and typed; raise InputError for an invalid file or formula."""
     typed = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
-    return (*user_effects(request.effects_file), *typed)
+    return (*load_user_effects(request.effects_file), *typed)
 
 
 def _read(
@@ -209,7 +209,7 @@ def _user_parts(parts: OwnParts) -> dict[str, Any]:
     """Return the user's effects and instrument as keyword arguments of `bc.load`."""
     named = parts.instrument_file
     instruments = () if named is None else (instrument_named(named),)
-    return {"effects": user_effects(parts.effects_file), "instruments": instruments}
+    return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
 
 def load_saved(path: Path, user: OwnParts) -> bc.Calibration:

@@ -32,7 +32,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
 from bayescal._report.result_json import RESULT, Chapter, Foreword, Foreworded, chapters
-from bayescal._search.discover import candidates_table, confounded, not_tested
+from bayescal._search.discover import candidates_table, group_confounded, group_untested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensation_program import averaged_over
@@ -270,8 +270,8 @@ def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures
         "sets": missing["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "table": replace(table, rows=table.rows[:MAX_ROWS]),
-        "alike": [", ".join(group) for group in confounded(missing["candidates"])],
-        "not_testable": not_tested(missing["candidates"]),
+        "alike": [", ".join(group) for group in group_confounded(missing["candidates"])],
+        "not_testable": group_untested(missing["candidates"]),
         "picture": pictures.draw(lambda: plots.missing(missing), f"What is missing from {title}")
         if any(c["log_bayes_factor"] is not None for c in missing["candidates"])
         else None,

@@ -22,9 +22,9 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
-from bayescal._search.discover import not_tested
+from bayescal._search.discover import group_untested
 from bayescal._search.gate import WORSE
-from bayescal._search.search_path import in_forms, rises, steps_table
+from bayescal._search.search_path import format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED = 14  # coefficients on the page that is signed
@@ -153,7 +153,7 @@ def steps(chapter: Chapter) -> ResultTable:
         {
             **step,
             "number": i,
-            "rises": i > 0 and rises(step["holdout_rmse"], steps_data[i - 1]["holdout_rmse"]),
+            "rises": i > 0 and is_rise(step["holdout_rmse"], steps_data[i - 1]["holdout_rmse"]),
             "nothing_missing": complete.get(i),
         }
         for i, step in enumerate(steps_data)
@@ -267,7 +267,7 @@ def _additions(chapter: Chapter) -> str:
         if inclusion is not None and inclusion < settings().found_probability:
             qualifier = f"probably ({inclusion:.2f}) "
         averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
-        name = in_forms(effect.name, effect.reported, averaged)
+        name = format_forms(effect.name, effect.reported, averaged)
         texts.append(qualifier + _describe_effect(chapter.used, effect, name))
     stated = " (± standard uncertainty)" * any("±" in text for text in texts)
     return f"Found in addition to the first model{stated}: {'; '.join(texts)}."
@@ -382,7 +382,7 @@ def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
         yield f"Not looked at: {', '.join(names)}."
-    if by_reason := not_tested(_last_candidates(chapter)):
+    if by_reason := group_untested(_last_candidates(chapter)):
         untested = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
         yield f"Not tested: {untested}."
 

@@ -38,7 +38,7 @@ from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import Discovery, discover
-from bayescal._search.gate import gate
+from bayescal._search.gate import assess_last
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
 
@@ -349,4 +349,4 @@ def path_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> Searc
     candidates = (*(e for e in calibration.model.effects if e.name not in catalogue), *effects)
     discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None
     step = replace(step_of(calibration), discovery=discovery)
-    return SearchPath((step,), gate([step]), None)
+    return SearchPath((step,), assess_last([step]), None)

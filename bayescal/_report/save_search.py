@@ -127,7 +127,7 @@ def channels_data(channels: Channels) -> dict[str, Any]:
                     "shape": s.shape.name,
                     "unit": s.shape.unit,
                     **dict(zip(("middle", "low", "high"), s.posterior, strict=True)),
-                    "log_bayes_factors": {n: s.evidence(n) for n in s.says},
+                    "log_bayes_factors": {n: s.log_bayes_factor(n) for n in s.log_ratios},
                 }
                 for s in channels.shared
             ],

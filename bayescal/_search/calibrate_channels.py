@@ -1,4 +1,4 @@
-"""The loop for the channels of one unit: each searched with what those before it say of their body, then all again."""
+"""Stepwise search for the channels of a unit: one after another, then again under priors from all other channels."""
 
 from __future__ import annotations
 
@@ -25,27 +25,26 @@ from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
-from bayescal._search.calibrate import Loop, prepared
+from bayescal._search.calibrate import StepwiseSearch, prepare_readings
 from bayescal._search.library import Library
 from bayescal._search.search_path import SearchPath
-from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, evidence_of
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.shared_shape import CavityPrior, ShapeEvidence, SharedShape, evaluate_shape
+from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 from bayescal._search.walk import BEAM_STRUCTURES
 
-MAX_ROUNDS = 3  # of hearing the others, at most
+MAX_ROUNDS = 3  # of message passing between the channels, at most
 Follow = Callable[[str, SearchPath], None]
-# Error of a new run over that of the readings as fitted, from which both are shown.
+# Ratio of the error of a new run to the error as fitted from which both are printed.
 APART_RATIO = 1.1
 
 
 @renamed(trails="search_paths")
 @dataclass(frozen=True, repr=False)
 class Channels(Printed):
-    """What `calibrate_channels` gives."""
+    """Result of `calibrate_channels`."""
 
-    # of each channel, by name: its models, errors, findings and last calibration
-    search_paths: Mapping[str, SearchPath]
-    shared: tuple[SharedShape, ...]  # what the channels say of each effect whose shape they share
+    search_paths: Mapping[str, SearchPath]  # of each channel, by name
+    shared: tuple[SharedShape, ...]  # evidence of all channels on each effect with a shared shape
 
     @property
     def ok(self) -> bool:
@@ -59,7 +58,7 @@ class Channels(Printed):
 
     @property
     def reason(self) -> str:
-        """Return why some are not, channel by channel; empty if all are."""
+        """Return why some channels' results are not reliable, by channel; empty if all are."""
         return " ".join(f"{n}: {t.gate.reason}" for n, t in self.search_paths.items() if not t.ok)
 
     @property
@@ -78,7 +77,7 @@ class Channels(Printed):
         rows.append(["noise", *laws])
         parts: list[str | ResultTable] = [plain_table(["", *self.search_paths], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
-        # Of a search that ended early; one that could not begin is not reliable, which is said.
+        # Searches that ended early; one that could not begin is listed as not reliable.
         searches = {n: t.search for n, t in self.search_paths.items() if t.search is not None}
         parts += [f"{n}: {s.stopped}" for n, s in searches.items() if not s.complete]
         against = {n: t.gate.reason for n, t in self.search_paths.items() if not t.ok}
@@ -88,7 +87,7 @@ class Channels(Printed):
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return a row for each channel's last model: errors in its unit, mean sizes of effects in theirs."""
+        """Return columns with a row for each channel's last model: errors, and mean sizes of effects in their units."""
         finals = [trail.final for trail in self.search_paths.values()]
         return {
             "channel": list(self.search_paths),
@@ -115,21 +114,21 @@ class Channels(Printed):
         return [["unit", *map(unit_label, columns["unit"])], *rows]
 
 
-def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
+def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
     """Return an effect's posterior mean and standard deviation; None and 0 where the model lacks it."""
-    model = trail.final.calibration.model
+    model = path.final.calibration.model
     if name not in model.names:
         return None, 0.0
     effect = model.effect(name)
     size = effect.measure_name or effect.coefficient_name(0)
-    draws = trail.calibration.samples(size)
+    draws = path.calibration.samples(size)
     return float(draws.mean()), float(draws.std())
 
 
 def _shared_text(s: SharedShape) -> str:
-    """Return one line on an effect that the channels share."""
+    """Format the result for an effect whose shape the channels share, in one line."""
     (middle, low, high), unit = s.posterior, unit_label(s.shape.unit)
-    strong = [n for n in s.says if s.evidence(n) > settings().strong_evidence]
+    strong = [n for n in s.log_ratios if s.log_bayes_factor(n) > settings().strong_evidence]
     showing = ", ".join(strong) or "none alone"
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
@@ -158,20 +157,20 @@ def calibrate_channels(
     """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
 
     Each channel has its own effects, coefficients and noise. A shape that an instrument declares shared (the time of
-    a body's lag, the moment of a step) is one for the unit: given it, the channels are independent, and what each says
-    of it is to the others a prior. The unit has such an effect or not; if it has, some share of its channels shows it.
+    a body's lag, the moment of a step) is one for the unit: given the shape, channels are independent, and the evidence
+    of each is a prior of the others. The unit has such an effect or not; if it has, some of its channels show it.
 
     Args:
-        models: of each channel, to begin with.
-        readings: of each channel, as `read(…, outputs=[…])` gives them.
-        holdout: hold-out data, of each channel.
-        follow: called with a channel's name and its trail so far, as `calibrate` calls it.
+        models: first model of each channel, by name.
+        readings: readings of each channel, as `read(…, outputs=[…])` gives them.
+        holdout: hold-out data of each channel.
+        follow: called with a channel's name and its search path so far, as `calibrate` calls it.
         effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts, ignore,
-            covariates: as `calibrate` has them. Whenever the search ends, every channel is there, with the most
-            probable structure that was evaluated of it: the first model, where there was no time for others.
+            covariates: as in `calibrate`. A search that ends early returns every channel with its most probable
+            evaluated structure: the first model, where there was no time for others.
 
     Raises:
-        InputError: fewer than two channels, or models, readings and holdout of different ones.
+        InputError: fewer than two channels, or models, readings and holdout with different channels.
         ModelError: the readings lack what a model needs.
     """
     for records in (readings, holdout):
@@ -182,171 +181,176 @@ def calibrate_channels(
             )
     if len(models) < 2:
         raise InputError("a unit has two channels or more: use `calibrate` for one")
-    channels, count, trails = list[_Channel](), len(models), dict[str, SearchPath]()
+    channels, count, paths = list[_Channel](), len(models), dict[str, SearchPath]()
     with deadline.until(time_limit):
         for i, (name, model) in enumerate(models.items(), 1):
             pair = readings[name], None if holdout is None else holdout[name]
-            used = prepared(model, *pair, keep_spikes, ignore, covariates)
-            how = method, seed_of(seed), reference, max_effects
-            loop = Loop(*used, *how, frozenset(accept_conflicts))
+            used_records = prepare_readings(model, *pair, keep_spikes, ignore, covariates)
+            options = method, seed_of(seed), reference, max_effects
+            search = StepwiseSearch(*used_records, *options, frozenset(accept_conflicts))
             with stage(f"{name}, channel {i} of {count}"):
-                loop.begin(model, effects, widen_noise)
-            channels.append(_Channel(name, loop))
-            follow(name, loop.trail())
+                search.fit_first_step(model, effects, widen_noise)
+            channels.append(_Channel(name, search))
+            follow(name, search.build_path())
         unit = _Unit(channels)
         for i, c in enumerate(channels):
             with stage(c.name), deadline.sooner(1 / (2 * count - i)):
-                c.begin(unit.from_others(c))
-                c.loop.look(lambda c=c: follow(c.name, c.loop.trail()))
+                c.set_first_prior(unit.cavity_priors(c))
+                c.search.run_search(lambda c=c: follow(c.name, c.search.build_path()))
                 with suppress(deadline.TimeIsUp):
                     c.evaluate_shapes()
-        shared = unit.shared()
+        shared = unit.combine_evidence()
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
-            for name in unit.exchange_evidence():
-                follow(name, unit.channels[name].loop.trail())
-                shared = unit.shared()
+            for name in unit.propagate_evidence():
+                follow(name, unit.channels[name].search.build_path())
+                shared = unit.combine_evidence()
         for i, c in enumerate(channels):
             with stage(f"{c.name}, channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
-                trails[c.name] = c.loop.to_best(partial(follow, c.name))
+                paths[c.name] = c.search.fit_path(partial(follow, c.name))
             memory.trim()
-    return Channels(trails, tuple(shared.values()))
+    return Channels(paths, tuple(shared.values()))
 
 
 @dataclass(eq=False)
 class _Channel:
-    """One channel: its search, and what it and the others say of what they share."""
+    """One channel: its search, its evidence on the shared shapes, and its prior from the other channels."""
 
     name: str
-    loop: Loop
-    # shapes that all channels share, as the instrument states them, by the candidate that has it
+    search: StepwiseSearch
+    # shapes that all channels share, with the instrument's priors, by candidate
     shared: Mapping[str, Shape] = field(default_factory=dict)
-    # what the others said of these when it was last asked; at first what the instrument says
-    heard: dict[str, FromOthers] = field(default_factory=dict)
-    # what it says of them itself, by the structures evaluated; empty until it is asked
-    says: dict[str, ShapeEvidence] = field(default_factory=dict)
+    # priors of these in the channel's last search; at first the instrument's
+    prior_from_others: dict[str, CavityPrior] = field(default_factory=dict)
+    # the channel's own evidence on these, from its evaluated structures; empty until computed
+    evidence: dict[str, ShapeEvidence] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.loop.library is not None and self.loop.max_effects > 0:
-            structures = self.loop.structures
+        if self.search.library is not None and self.search.max_effects > 0:
+            structures = self.search.structures
             of_all = ((n, e.shared_shape) for n, e in structures.candidates.items())
             self.shared = {n: shape for n, shape in of_all if shape is not None}
             for n, s in self.shared.items():
-                self.heard[n] = FromOthers(structures.log_odds[n], s.low, s.high)
+                self.prior_from_others[n] = CavityPrior(structures.log_odds[n], s.low, s.high)
 
-    def begin(self, others: Mapping[str, FromOthers]) -> None:
-        """Take what the channels searched before say for a prior of the first search."""
-        if self.loop.library is not None:
-            self.heard |= others
-            self.loop = replace(
-                self.loop, library=Library(self._conditioned_on(self.heard, others))
-            )
+    def set_first_prior(self, priors: Mapping[str, CavityPrior]) -> None:
+        """Set the prior of the first search from the channels searched before."""
+        if self.search.library is not None:
+            self.prior_from_others |= priors
+            structures = self._set_priors(self.prior_from_others, priors)
+            self.search = replace(self.search, library=Library(structures))
 
-    def hear(self, others: Mapping[str, FromOthers]) -> bool:
-        """Take what the others say for a prior, where that leads elsewhere; return whether it does.
+    def update_prior(self, priors: Mapping[str, CavityPrior]) -> bool:
+        """Update the prior from the other channels where it changes the posterior; return whether it does.
 
-        Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
-        probable structures are weighed again. Without time TimeIsUp is raised, and what stood before stands.
+        Where the probability of an effect changes the channel is searched again; where only a shape changes the most
+        probable structures are evaluated again.
+
+        Raises:
+            TimeIsUp: the deadline has passed; the state before the call is kept.
         """
-        if self.loop.library is None:
+        if self.search.library is None:
             return False
-        before, searched, news = self.loop.library.structures, False, set[str]()
+        old, needs_search, changed = self.search.library.structures, False, set[str]()
         for n, shape in self.shared.items():
-            now, then = (self.says[n].conclude(o, shape) for o in (others[n], self.heard[n]))
-            likelier, changed = now.changed(then)
-            searched, news = searched or likelier, news | {n} if changed else news
-        if not news:
+            pair = priors[n], self.prior_from_others[n]
+            current, previous = (self.evidence[n].update(prior, shape) for prior in pair)
+            probability_changed, is_changed = current.differs_from(previous)
+            needs_search |= probability_changed
+            changed |= {n} if is_changed else set()
+        if not changed:
             return False
-        # Where the shape says nothing new its range stays; all odds are what the others say now.
-        ranges = {n: {"low": h.low, "high": h.high} for n, h in self.heard.items() if n not in news}
-        heard = {n: others[n]._replace(**ranges.get(n, {})) for n in self.shared}
-        earlier = {**before.earlier, **before.visited}
-        after = replace(self._conditioned_on(heard, news), earlier=earlier)
+        # An unchanged shape keeps its prior range; all log odds are the new ones.
+        ranges = {n: p[1:] for n, p in self.prior_from_others.items() if n not in changed}
+        new_prior = {n: CavityPrior(p.log_odds, *ranges.get(n, p[1:])) for n, p in priors.items()}
+        earlier = {**old.previous_round, **old.visited}
+        new = replace(self._set_priors(new_prior, changed), previous_round=earlier)
 
         def odds_changed(s: Structure) -> float:
-            return after.log_prior(s) - before.log_prior(s)
+            return new.log_prior(s) - old.log_prior(s)
 
-        def corrected(w: Weighed, gain: float = 0.0) -> Weighed:
+        def corrected(w: EvaluatedStructure, change: float = 0.0) -> EvaluatedStructure:
             log_prior = w.log_prior + odds_changed(w.structure)
-            return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + gain)
+            return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + change)
 
-        same = (w for s, w in before.visited.items() if s.effects.isdisjoint(news))
-        after.visited.update({w.structure: corrected(w) for w in same})
-        leaders, gained = sorted(before.visited.values(), key=lambda w: -w.total), {}
-        for weighed in reversed(leaders[:BEAM_STRUCTURES]):
+        unchanged = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed))
+        new.visited.update({w.structure: corrected(w) for w in unchanged})
+        leaders, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
+        for fit in reversed(leaders[:BEAM_STRUCTURES]):
             deadline.current().ask()
-            now = after.weigh(weighed.structure)
-            gained[now.structure.effects & news] = now.log_evidence - weighed.log_evidence
-        after.weigh(Structure())
-        # Totals of the former round are what to expect: with what the prior odds changed, and with what the shape's
-        # range changed in the most probable structure that has the same of the effects.
-        for s, weighed in earlier.items():
-            earlier[s] = corrected(weighed, gained.get(s.effects & news, 0.0))
-            after.expect(s, earlier[s].total)
-        for s in before.expected.keys() - earlier.keys():
-            gain = odds_changed(s) + gained.get(s.effects & news, 0.0)
-            after.expect(s, before.expected[s] + gain)
-        loop = replace(self.loop, library=Library(after))
-        if searched:
-            loop.look()
-            if loop.stopped:
-                raise deadline.TimeIsUp(loop.stopped)
-        self.loop, self.heard = loop, heard
+            current = new.evaluate(fit.structure)
+            changes[fit.structure.effects & changed] = current.log_evidence - fit.log_evidence
+        new.evaluate(Structure())
+        # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence by
+        # the shapes' new ranges in the most probable structure with the same of the changed effects.
+        for s, fit in earlier.items():
+            earlier[s] = corrected(fit, changes.get(s.effects & changed, 0.0))
+            new.store_score(s, earlier[s].log_posterior)
+        for s in old.scores.keys() - earlier.keys():
+            change = odds_changed(s) + changes.get(s.effects & changed, 0.0)
+            new.store_score(s, old.scores[s] + change)
+        search = replace(self.search, library=Library(new))
+        if needs_search:
+            search.run_search()
+            if search.stopped:
+                raise deadline.TimeIsUp(search.stopped)
+        self.search, self.prior_from_others = search, new_prior
         self.evaluate_shapes()
         return True
 
-    def _conditioned_on(self, heard: Mapping[str, FromOthers], news: Collection[str]) -> Structures:
-        """Return the channel's structures, none evaluated, by what the others say; only shapes of `news` range anew."""
-        before = self.loop.structures
+    def _set_priors(self, priors: Mapping[str, CavityPrior], shapes: Collection[str]) -> Structures:
+        """Return the channel's structures under new priors, none evaluated; only `changed` shapes have a new range."""
+        before = self.search.structures
         candidates = dict(before.candidates)
-        for name in news:
-            # A posterior range becomes the next prior: from the others alone, so that no channel hears itself.
-            range_ = {self.shared[name].name: (heard[name].low, heard[name].high)}
+        for name in shapes:
+            # The cavity range, from the other channels alone, is the next prior: a channel's own evidence counts once.
+            range_ = {self.shared[name].name: (priors[name].low, priors[name].high)}
             candidates[name] = candidates[name].ranging(range_)
-        odds = {n: now.log_odds for n, now in heard.items()}
-        return replace(before, candidates=candidates, odds=odds, visited={}, expected={})
+        odds = {n: prior.log_odds for n, prior in priors.items()}
+        return replace(before, candidates=candidates, stated_log_odds=odds, visited={}, scores={})
 
     def evaluate_shapes(self) -> None:
-        """Evaluate what the channel says of each shared shape, by its evaluated structures."""
-        evidence = ((n, evidence_of(self.loop.structures, n, s)) for n, s in self.shared.items())
-        self.says = dict(evidence)
+        """Compute the channel's evidence on each shared shape from its evaluated structures."""
+        shared = self.shared.items()
+        self.evidence = {n: evaluate_shape(self.search.structures, n, s) for n, s in shared}
 
 
 class _Unit:
-    """The channels that share shapes, and what all say of each."""
+    """The channels of a unit, and the prior probabilities of the effects whose shapes they share."""
 
     def __init__(self, channels: Sequence[_Channel]) -> None:
         self.channels = {c.name: c for c in channels}
         self.shapes = {n: shape for c in channels for n, shape in c.shared.items()}
         # A uniform share has the mean ½: a unit has an effect twice as probably as one of its channels shows it.
-        alone = ((n, 2 * expit(now.log_odds)) for c in channels for n, now in c.heard.items())
-        self.prior = {n: min(float(p), 0.5) for n, p in sorted(alone)}
+        priors = (pair for c in channels for pair in c.prior_from_others.items())
+        single = sorted((n, 2 * expit(prior.log_odds)) for n, prior in priors)
+        self.prior = {n: min(float(p), 0.5) for n, p in single}
 
-    def shared(self) -> dict[str, SharedShape]:
+    def combine_evidence(self) -> dict[str, SharedShape]:
         """Return the combined evidence of the channels searched on each shared shape, by effect."""
         shared = {}
         for n, shape in self.shapes.items():
-            if says := {c.name: c.says[n] for c in self.channels.values() if n in c.says}:
-                shared[n] = SharedShape.of(n, shape, self.prior[n], says)
+            if ratios := {c.name: c.evidence[n] for c in self.channels.values() if n in c.evidence}:
+                shared[n] = SharedShape.from_evidence(n, shape, self.prior[n], ratios)
         return shared
 
-    def from_others(self, channel: _Channel) -> dict[str, FromOthers]:
-        """Return what the other channels say of each effect whose shape a channel shares with them."""
-        shared = self.shared()
-        return {n: shared[n].from_others(channel.name) for n in channel.shared if n in shared}
+    def cavity_priors(self, channel: _Channel) -> dict[str, CavityPrior]:
+        """Return a channel's prior from the other channels, for each effect whose shape it shares with them."""
+        shared = self.combine_evidence()
+        return {n: shared[n].cavity_prior(channel.name) for n in channel.shared if n in shared}
 
-    def exchange_evidence(self) -> Iterator[str]:
-        """Have the channels hear each other until nothing new is said; yield the name of each that changed."""
+    def propagate_evidence(self) -> Iterator[str]:
+        """Update each channel's prior from the others until none changes; yield the name of each changed channel."""
         for c in self.channels.values():
-            if not c.says:  # there was no time yet
+            if not c.evidence:  # there was no time yet
                 c.evaluate_shapes()
-        # Coordinate ascent on a joint posterior, one by one: told all at once, they would swap opinions.
+        # Coordinate ascent on the joint posterior, one channel at a time: simultaneous updates would oscillate.
         for _ in range(MAX_ROUNDS):
-            changed = False
+            any_changed = False
             for c in self.channels.values():
                 with stage(c.name):
-                    moved = c.hear(self.from_others(c))
-                if moved:
-                    changed = True
+                    changed = c.update_prior(self.cavity_priors(c))
+                if changed:
+                    any_changed = True
                     yield c.name
-            if not changed:
+            if not any_changed:
                 break

@@ -1,9 +1,9 @@
-"""What the readings say of one effect that is not in a model: by refit where there was one, else by the score."""
+"""Evidence on one effect that is not in a model: by a fit where the effect was added, else by its score."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,38 +17,38 @@ from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_amplitude
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
-from bayescal._search.scores import ScoredPoint, gain_of
-from bayescal._search.structures import Structures, Weighed
+from bayescal._search.scores import ScoredPoint, Scores, mean_log_bayes_factor
+from bayescal._search.structures import EvaluatedStructure, Structures
 
-# Probability from which what is not found is named as a lead: odds of 1 to 4, worth a further run.
+# Probability from which an effect that is not found is called a lead: odds of 1 to 4, worth a further run.
 LEAD_PROBABILITY = 0.2
-# Cosine of two fitted contributions from which readings cannot tell them apart: 0.95 leaves a tenth of the squares.
-ALIKE_COSINE = 0.95
-# Plausible sizes that an effect would need to be seen, beyond which this experiment cannot test it; a plausible size
-# is known to an order of magnitude.
-DETECTABLE_SIZES = 10.0
+# Cosine of two fitted contributions from which readings cannot tell them apart: a tenth of the squares is left.
+PARALLEL_COSINE = 0.95
+# Minimum detectable size, in plausible sizes, beyond which this experiment cannot test an effect; a plausible size is
+# known to an order of magnitude.
+MAX_DETECTABLE_SIZES = 10.0
 
-FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
+SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # of a group's spread to the best grid point
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """What the readings say of one effect that is not in the model.
+    """Evidence of the readings on one effect that is not in the model.
 
     Attributes:
         effect: canonical name, of a family of forms that of the family.
         form: the most probable form, where there are several.
-        probability: that it is missing from the model; None if it cannot be tested.
-        log_bayes_factor: of the model with it against the model as it is, natural logarithm.
-        source: "refit" where the model was fitted again with it, else "score".
-        z: size over its uncertainty (a group's chi-square as the z of equal probability).
-        size, size_sd: expected coefficient and its uncertainty, in `unit`; for a group effect its spread, for an
-            unknown dependence its amplitude.
-        shape: expected shape parameters, in their units.
-        visibility: information left after the nuisances over information before them.
+        probability: that the effect is missing from the model; None if it cannot be tested.
+        log_bayes_factor: of the model with the effect against the model without it, natural logarithm.
+        source: "refit" where the model was fitted with the effect, else "score".
+        z: size over its standard uncertainty (for a group, the z with the tail probability of its chi-square).
+        size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect of its
+            spread, for an unknown dependence of its amplitude.
+        shape: shape parameters, in their units.
+        visibility: information on the effect after over before the nuisances are integrated out.
         minimum_detectable: size in `unit` that would be found with 80 % power.
-        kind: "finding", "lead", "not visible", "not testable", or None: no evidence for it.
-        indistinguishable_from: others that these readings cannot tell from it.
+        kind: "finding", "lead", "not visible", "not testable", or None for no evidence.
+        indistinguishable_from: other candidates that these readings cannot tell from it.
         reason: why it is not testable or not visible.
         role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect freed of its stated
             value: `frees` is then its name.
@@ -74,226 +74,220 @@ class Candidate:
 
     @property
     def unseen(self) -> bool:
-        """Return whether these readings say nothing of it."""
+        """Return whether these readings have no information on the effect."""
         return self.kind in ("not visible", "not testable")
 
 
-def best_form(
-    structures: Structures, points: Mapping[str, Sequence[ScoredPoint]]
-) -> dict[str, Sequence[ScoredPoint]]:
-    """Return, by family, the scores of the form that gains most."""
+def select_forms(structures: Structures, points: Scores) -> Scores:
+    """Return, by family, the scores of the form with the highest log Bayes factor."""
     best: dict[str, Sequence[ScoredPoint]] = {}
     for name, scores in points.items():
         family = structures.family(name)
-        if family not in best or gain_of(scores) > gain_of(best[family]):
-            best[family] = scores
+        best[family] = max(best.get(family, scores), scores, key=mean_log_bayes_factor)
     return best
 
 
-def judge(
+def summarise_candidate(
     library: Library,
     name: str,
     form: str,
     points: Sequence[ScoredPoint],
-    at: Weighed,
-    with_it: Weighed | None,
+    fit: EvaluatedStructure,
+    fit_with: EvaluatedStructure | None,
 ) -> Candidate:
-    """Return one candidate, a family in its most probable form, by its scores and, if evaluated, by the refit."""
+    """Summarise the evidence on a family in its most probable form, by its scores and, if there is one, by a fit."""
     structures = library.structures
-    scored, several = points[0].effect if points else form, len(structures.forms[name]) > 1
-    effect = structures.candidates[scored]
+    scored_form, has_forms = points[0].effect if points else form, len(structures.forms[name]) > 1
+    effect = structures.candidates[scored_form]
     labels = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
-    candidate = Candidate(effect=name, form=form if several else "", **labels)
+    candidate = Candidate(effect=name, form=form if has_forms else "", **labels)
     if points:
-        top, before = points[0], float(np.trace(points[0].products))
+        top, total = points[0], float(np.trace(points[0].gram))
         candidate = replace(
             candidate,
-            log_bayes_factor=gain_of(points),
-            z=_z(top, library.grouped(scored)),
-            shape={**top.point.shapes, **top.size.scales},
-            visibility=float(np.trace(top.information)) / before if before > 0 else 0.0,
+            log_bayes_factor=mean_log_bayes_factor(points),
+            z=_z_score(top, library.is_grouped(scored_form)),
+            shape={**top.point.shapes, **top.prior_scale.shapes},
+            visibility=float(np.trace(top.information)) / total if total > 0 else 0.0,
             minimum_detectable=_minimum_detectable(library, top),
         )
-    if with_it is not None and math.isfinite(with_it.log_evidence):
-        # A refit averages over sizes and finds its shapes, where a score says where it began.
-        factor = with_it.log_evidence - at.log_evidence
-        refitted = _by_refit(structures.candidates[form], with_it)
+    if fit_with is not None and math.isfinite(fit_with.log_evidence):
+        # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
+        factor = fit_with.log_evidence - fit.log_evidence
+        refitted = _fitted_size(structures.candidates[form], fit_with)
         return replace(candidate, log_bayes_factor=factor, source="refit", **refitted)
     if not points:
         return candidate
-    mean, variance = _size(library, points)
+    mean, variance = _scored_size(library, points)
     return replace(candidate, size=mean, size_sd=math.sqrt(variance))
 
 
-def off_scale_claims(
-    library: Library, points: Mapping[str, Sequence[ScoredPoint]], at: Weighed
-) -> tuple[Claim, ...]:
-    """Return claims on candidates whose plausible size is far off the scale of these readings."""
+def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) -> tuple[Claim, ...]:
+    """Return claims on candidates whose plausible contribution is far off the scale of these readings' noise."""
     structures, claims = library.structures, []
-    noise = math.sqrt(float(np.median(structures.line(at).variance)))
+    noise = math.sqrt(float(np.median(structures.linearise(fit).variance)))
     for top, *_ in points.values():
         effect = structures.candidates[top.effect]
-        largest = float(np.max(np.abs(top.view.columns(top.view.line, [top.point])[:, 0])))
-        most = largest * effect.coefficients[0].size
-        claims += implausible_scale(effect, most, noise, structures.base.instrument.unit)
+        maximum = float(np.max(np.abs(top.scorer.columns(top.scorer.linear, [top.point])[:, 0])))
+        contribution = maximum * effect.coefficients[0].size
+        claims += implausible_scale(effect, contribution, noise, structures.base.instrument.unit)
     return tuple(claims)
 
 
-def _by_refit(effect, with_it: Weighed) -> dict:
-    """Return the size with its uncertainty, and the shapes, at the refit's mode."""
-    problem, mode = with_it.problem, with_it.mode
+def _fitted_size(effect, fit: EvaluatedStructure) -> dict:
+    """Return an effect's size with its uncertainty, and its shapes, at the mode of a fit."""
+    problem, mode = fit.problem, fit.mode
     hyper = problem.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
-    if effect.held:  # a body: what is to be known of it is its time
+    if effect.held:  # a body's temperature: its size is its time constant
         first_shape = effect.shapes[0]
         size, sd = problem.value_and_sd(effect.shape_name(first_shape), mode.v, mode.covariance)
         return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
-    if learned := learned_amplitude(effect, problem, mode):
-        return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
+    if amplitude := learned_amplitude(effect, problem, mode):
+        return {"size": amplitude[0], "size_sd": amplitude[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
-    _, got = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
-    # Given φ̂: the noise and the shapes are held, as in a score.
-    sd = 0.0 if got is None else math.sqrt(got.covariance[term.x_slice.start, term.x_slice.start])
-    return {"size": float(mode.x[term.x_slice.start]), "size_sd": sd, "shape": shapes}
+    _, conditional = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
+    # The uncertainty is conditional on φ̂ (noise and shapes held), as in a score.
+    first = term.x_slice.start
+    sd = 0.0 if conditional is None else math.sqrt(conditional.covariance[first, first])
+    return {"size": float(mode.x[first]), "size_sd": sd, "shape": shapes}
 
 
-def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
-    """Return mean and variance of the first coefficient, spread or amplitude by score, over the grid."""
-    gains = np.array([p.gain for p in points])
-    # Mean and variance over the grid: variance of a point's mean plus mean of its variance (law of total variance).
-    share = np.exp(gains - logsumexp(gains))
-    moments = np.array([_at_point(library, p) for p in points])
-    mean = float(share @ moments[:, 0])
-    return mean, float(share @ (moments[:, 1] + (moments[:, 0] - mean) ** 2))
+def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
+    """Return posterior mean and variance of the first coefficient, spread or amplitude by score, over the grid."""
+    log_factors = np.array([p.log_bayes_factor for p in points])
+    # Law of total variance over the grid: variance of the points' means plus mean of their variances.
+    weights = np.exp(log_factors - logsumexp(log_factors))
+    moments = np.array([_size_at_point(library, p) for p in points])
+    mean = float(weights @ moments[:, 0])
+    return mean, float(weights @ (moments[:, 1] + (moments[:, 0] - mean) ** 2))
 
 
-def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
+def _size_at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
     effect = library.structures.candidates[point.effect]
     if effect.measure:
-        return point.size.scales[effect.measure], 0.0
-    sd, (u, information) = point.size.sd, point.standard
-    if library.grouped(point.effect):
-        return _spread(information, u, float(sd[0]), effect.coefficients[0].size)
+        return point.prior_scale.shapes[effect.measure], 0.0
+    sd, (u, information) = point.prior_scale.sd, point.standardised
+    if library.is_grouped(point.effect):
+        return _group_spread(information, u, float(sd[0]), effect.coefficients[0].size)
     # Posterior of standard normal coefficients with information K and score u: mean (I + K)⁻¹u, covariance (I + K)⁻¹.
     inverse = np.linalg.inv(np.eye(len(sd)) + information)
     return float((inverse @ u)[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
 
 
-def _spread(
-    information: np.ndarray, u: np.ndarray, scale: float, prior: float
+def _group_spread(
+    information: np.ndarray, score: np.ndarray, scale: float, prior: float
 ) -> tuple[float, float]:
-    """Return mean and variance of a group's spread under its half-normal prior."""
+    """Return posterior mean and variance of a group's spread under its half-normal prior."""
     values, vectors = np.linalg.eigh(information)
-    values, along = np.maximum(values, 0.0), (vectors.T @ u) ** 2
-    square, size = FINE[:, None] ** 2, FINE * scale
-    # Along an eigenvector of the members' information K a spread τ makes the score one of variance λ + λ²τ²: the log
-    # Bayes factor of τ is a sum over eigenvectors.
-    logs = along * square / (1 + values * square) - np.log1p(values * square)
-    factor = 0.5 * np.sum(logs, axis=1)
-    factor += np.log(size) - 0.5 * (size / prior) ** 2  # the prior, by the logarithm
-    weight = np.exp(factor - logsumexp(factor))
-    mean = float(weight @ size)
-    return mean, float(weight @ (size - mean) ** 2)
+    values, squares = np.maximum(values, 0.0), (vectors.T @ score) ** 2
+    variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale
+    # Along an eigenvector of the members' information K, eigenvalue λ, the score has variance λ + λ²τ² under a spread
+    # τ: the log Bayes factor of τ is a sum over eigenvectors.
+    logs = squares * variance / (1 + values * variance) - np.log1p(values * variance)
+    log_factors = 0.5 * np.sum(logs, axis=1)
+    log_factors += np.log(size) - 0.5 * (size / prior) ** 2  # log prior density of log τ
+    weights = np.exp(log_factors - logsumexp(log_factors))
+    mean = float(weights @ size)
+    return mean, float(weights @ (size - mean) ** 2)
 
 
-def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return score and information, in plausible sizes, of a group's members or of the first coefficient, marginal."""
-    u, information = point.standard
-    if group or len(u) == 1:
-        return u, information
-    # Schur complement: companions, of prior variance one, are integrated out of score and information.
-    companions = information[1:, 1:] + np.eye(len(u) - 1)
-    pull = np.linalg.solve(companions, np.column_stack([information[1:, :1], u[1:]]))
+def _marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return score and information of a group's members, or marginal ones of the first coefficient, prior sd units."""
+    score, information = point.standardised
+    if is_group or len(score) == 1:
+        return score, information
+    # Schur complement: the other coefficients, of prior variance one, are integrated out of score and information.
+    inner = information[1:, 1:] + np.eye(len(score) - 1)
+    solution = np.linalg.solve(inner, np.column_stack([information[1:, :1], score[1:]]))
     cross = information[:1, 1:]
-    return u[:1] - cross @ pull[:, 1], information[:1, :1] - cross @ pull[:, :1]
+    return score[:1] - cross @ solution[:, 1], information[:1, :1] - cross @ solution[:, :1]
 
 
-def _z(point: ScoredPoint, group: bool) -> float:
-    u, information = _main(point, group)
-    if len(u) == 1:
-        return float(u[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
-    # uᵀK⁺u is χ² of the rank of K if nothing is there; z has the same tail probability on one side.
+def _z_score(point: ScoredPoint, is_group: bool) -> float:
+    score, information = _marginal_score(point, is_group)
+    if len(score) == 1:
+        return float(score[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
+    # Without the effect uᵀK⁺u is χ² with rank(K) degrees of freedom; z has the same one-sided tail probability.
     values, vectors = np.linalg.eigh(information)
-    keep = values > 1e-10 * max(values.max(), 1e-300)
-    square = float(np.sum((vectors.T @ u)[keep] ** 2 / values[keep]))
-    return float(-ndtri(max(chdtrc(keep.sum(), square), 1e-300)))
+    is_positive = values > 1e-10 * max(values.max(), 1e-300)
+    chi_square = float(np.sum((vectors.T @ score)[is_positive] ** 2 / values[is_positive]))
+    return float(-ndtri(max(chdtrc(is_positive.sum(), chi_square), 1e-300)))
 
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
-    """Return the size that is found with 80 % power under its prior odds; None where none is."""
-    probability, group = settings().found_probability, library.grouped(point.effect)
+    """Return the size that would be found with 80 % power under its prior odds; None where no size would be."""
+    probability, is_group = settings().found_probability, library.is_grouped(point.effect)
     structures = library.structures
-    forms = structures.forms[structures.family(point.effect)]  # by any of which it is found
+    forms = structures.forms[structures.family(point.effect)]  # any of these would be a finding
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
-    needed = math.log(probability / (1 - probability)) - odds
-    _, information = _main(point, group)
-    if group:
+    nats = math.log(probability / (1 - probability)) - odds
+    _, information = _marginal_score(point, is_group)
+    if is_group:
         measure = library.structures.candidates[point.effect].measure
-        amplitude = point.size.scales[measure] if measure else float(point.size.sd[0])
-        return _detectable_amplitude(information, amplitude, needed)
+        amplitude = point.prior_scale.shapes[measure] if measure else float(point.prior_scale.sd[0])
+        return _detectable_amplitude(information, amplitude, nats)
     i = float(information[0, 0])
     if i <= 1e-12:
         return None
-    # With z = u/√i the log Bayes factor is ½·z²·i/(1 + i) − ½·log(1 + i): solved for z. A coefficient of c sizes
-    # makes z normal about c·√i, which passes the threshold with that power when it stands its quantile beyond.
-    threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
-    return float((threshold + ndtri(settings().power)) / np.sqrt(i) * point.size.sd[0])
+    # With z = u/√i the log Bayes factor is ½·z²·i/(1 + i) − ½·log(1 + i): solved for z. A coefficient of c prior
+    # standard deviations makes z normal about c·√i; the power sets by which quantile c·√i is beyond the threshold.
+    threshold = np.sqrt(2 * (nats + 0.5 * np.log1p(i)) * (1 + i) / i)
+    return float((threshold + ndtri(settings().power)) / np.sqrt(i) * point.prior_scale.sd[0])
 
 
-def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
-    """Return the amplitude of a group that reaches the needed log Bayes factor in 80 % of draws."""
+def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float) -> float | None:
+    """Return the amplitude of a group with which 80 % of draws reach a log Bayes factor; None if none does."""
     values = np.maximum(np.linalg.eigvalsh(information), 0.0)
     if values.max(initial=0.0) <= 1e-12:
         return None
     normal = np.random.default_rng(0).standard_normal((400, len(values)))
     for factor in np.geomspace(0.01, 1e4, 120):
-        # u² along each axis has variance I + I²·factor² in units of the amplitude
+        # The score along each axis has variance λ + λ²·factor² in units of the amplitude.
         square = normal**2 * (values + values**2 * factor**2)
-        weight = factor**2
-        gain = 0.5 * square * weight / (1 + values * weight) - 0.5 * np.log1p(values * weight)
-        if np.mean(gain.sum(axis=1) >= needed) >= settings().power:
+        ratio = values * factor**2
+        log_factor = 0.5 * square * factor**2 / (1 + ratio) - 0.5 * np.log1p(ratio)
+        if np.mean(log_factor.sum(axis=1) >= nats) >= settings().power:
             return float(factor * amplitude)
     return None
 
 
-def indistinguishable(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
-    """Return, for each candidate, those whose fitted contributions are parallel to its own."""
-    outside, inside = [], []
-    tops = [scores[0] for scores in points.values()]
-    rows = tops[0].view.rows([p.point for p in tops])
-    for p in tops:
-        sd = p.size.sd
-        u, information = p.standard
-        # What is fitted of each, at its likeliest grid point, and of this what the nuisances leave: two candidates
-        # are one where these two vectors are parallel, whatever their columns look like.
-        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, u)
-        outside.append(rows.whiten(p.view.columns(rows, [p.point])) @ fitted)
-        inside.append(p.inside @ fitted)
-    names, c, p = list(points), np.array(outside), np.array(inside)
-    gram = c @ c.T - p @ p.T
+def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
+    """Return, for each candidate, the others whose fitted contributions are parallel to its own."""
+    columns, projections = [], []
+    top_points = [scores[0] for scores in points.values()]
+    rows = top_points[0].scorer.linear_for([point.point for point in top_points])
+    for p in top_points:
+        sd = p.prior_scale.sd
+        score, information = p.standardised
+        # Fitted contribution at the most probable grid point, nuisances projected out: candidates are indistinguishable
+        # where these vectors are parallel, whatever their columns look like.
+        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, score)
+        columns.append(rows.whiten(p.scorer.columns(rows, [p.point])) @ fitted)
+        projections.append(p.projection @ fitted)
+    names, whitened, projected = list(points), np.array(columns), np.array(projections)
+    gram = whitened @ whitened.T - projected @ projected.T
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosine = np.abs(gram / np.outer(norms, norms))
-    return {
-        name: {names[j] for j in np.flatnonzero(cosine[i] > ALIKE_COSINE) if j != i}
-        for i, name in enumerate(names)
-    }
+    parallel = (cosine > PARALLEL_COSINE) & ~np.eye(len(names), dtype=bool)
+    return {name: {names[j] for j in np.flatnonzero(parallel[i])} for i, name in enumerate(names)}
 
 
-def kind_of(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
-    """Return the candidate with its kind: whether it is found, a lead, or not to be seen by the effect of its score."""
+def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
+    """Return the candidate with its kind: a finding, a lead, not visible by the effect of its score, or none."""
     if is_found:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:
         return replace(candidate, kind="lead")
-    # What is to be seen well enough is explained by what was found.
+    # A candidate with strong evidence is visible: another effect explains the readings.
     if effect is None or (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
         return candidate
     scales = (s.high for s in effect.shapes if s.name == effect.measure)
     plausible = next(scales, effect.coefficients[0].size)
-    # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
-    # their exact form, and the plausible size must be enough by itself.
-    least, hidden = candidate.minimum_detectable, (candidate.visibility or 0.0) < UNDECIDED_SHARE
-    most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
-    if least is None or least > most:
+    # Visible means that ten plausible sizes would be found. Where nuisances take all but a hundredth of the information
+    # the remainder depends on their exact form, and one plausible size must be enough.
+    is_hidden = (candidate.visibility or 0.0) < UNDECIDED_SHARE
+    most, least = MAX_DETECTABLE_SIZES * plausible, candidate.minimum_detectable
+    if least is None or least > (plausible if is_hidden else most):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

@@ -1,4 +1,4 @@
-"""The self-check of an instrument: simulated at its own plausible sizes, fitted, and what came back."""
+"""Self-check of an instrument: parameter recovery from readings simulated at its own plausible sizes."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, why_untestable
 from bayescal._model.parameters import bind
 from bayescal._model.unknowns import Unknowns
-from bayescal._search.own_files import in_one_line
+from bayescal._search.own_files import format_error
 
-BACK_SD = 4.0  # from its true value, beyond which a coefficient has not come back
+MAX_ERROR_SD = 4.0  # from its true value, beyond which a coefficient has not come back
 IDENTIFIABLE_CONTRACTION = 0.6  # below it is not identifiable; two that are one have a half each
 KINDS = ("candidate", "baseline")
 
 
 class Recovery(NamedTuple):
-    """One unknown as it was simulated and as it was found, in its unit; the output unit of what it adds at most."""
+    """One unknown as simulated and as estimated, in its unit, and its largest contribution, in the output unit."""
 
     name: str
     kind: str  # "baseline", or "candidate": fitted beside the baseline
@@ -48,14 +48,14 @@ class Recovery(NamedTuple):
 
 @dataclass(repr=False)
 class InstrumentCheck(Printed):
-    """What `check_instrument` finds."""
+    """Result of `check_instrument`."""
 
     instrument: str
     unit: str  # of the output
-    noise: float = 0.0  # that was simulated, output unit
+    noise: float = 0.0  # simulated standard deviation, output unit
     rows: list[Recovery] = field(default_factory=list)  # each unknown
-    errors: list[str] = field(default_factory=list)  # what is wrong, a sentence each
-    notes: list[str] = field(default_factory=list)  # what is to be known of it
+    errors: list[str] = field(default_factory=list)  # one sentence each
+    notes: list[str] = field(default_factory=list)  # one sentence each
 
     @property
     def ok(self) -> bool:
@@ -93,13 +93,13 @@ class InstrumentCheck(Printed):
 def check_instrument(
     instrument: Instrument, readings: Measurements | None = None, *, seed: int = 0
 ) -> InstrumentCheck:
-    """Simulate an instrument at its own plausible sizes, fit it by least squares, and say what came back.
+    """Simulate an instrument at its own plausible sizes, fit it by least squares, and report the recovered values.
 
-    The baseline is fitted with the noise that its law expects, then each candidate beside it.
+    The baseline is simulated with the noise that its law expects and fitted, then the baseline with each candidate.
 
     Args:
         instrument: the instrument.
-        readings: of which the columns are taken, the output aside; those of its simulator, if not given.
+        readings: readings whose columns are used, except the output; of the instrument's simulator, if not given.
         seed: of every random number.
 
     Raises:
@@ -115,10 +115,8 @@ def check_instrument(
     check = InstrumentCheck(instrument.name, instrument.unit)
     readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)
-    trials = [
-        (baseline, instrument.effects),
-        *((baseline + e, (e,)) for e in instrument.candidates),
-    ]
+    trials = [(baseline, instrument.effects)]
+    trials += [(baseline + e, (e,)) for e in instrument.candidates]
     with stage(f"checking {instrument.name}"):
         for model, effects in trials:
             first, names = model is baseline, ", ".join(e.name for e in effects)
@@ -127,26 +125,26 @@ def check_instrument(
                 check.rows.append(Recovery(names, KINDS[False], unit, remark=remark))
                 continue
             try:
-                _recover(check, model, effects, readings, seed)
+                _fit_simulated(check, model, effects, readings, seed)
                 continue
             except BayescalError as error:
                 check.errors.append(f"{names or 'the response'}: {error}")
             except Exception as error:  # of the author's functions: said, not shown as a traceback
-                check.errors.append(f"{names or 'the response'} fails: {in_one_line(error)}")
+                check.errors.append(f"{names or 'the response'} fails: {format_error(error)}")
             if first:
                 break
     check.errors, check.notes = [*dict.fromkeys(check.errors)], [*dict.fromkeys(check.notes)]
     return check
 
 
-def _recover(
+def _fit_simulated(
     check: InstrumentCheck,
     model: Model,
     effects: Sequence[Effect],
     readings: Measurements,
     seed: int,
 ) -> None:
-    """Simulate coefficients one plausible size from their means, in turn up and down, those of groups drawn; fit."""
+    """Simulate coefficients one plausible size above and below their means in turn, group members drawn, and fit."""
     model.require(readings)
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)
@@ -193,7 +191,7 @@ def _recover(
                 )
             elif remark == "" and not c.flat and 1 - (sd / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
                 remark = "not identifiable here"
-            elif remark == "" and abs(mean - truth) > BACK_SD * sd:
+            elif remark == "" and abs(mean - truth) > MAX_ERROR_SD * sd:
                 remark = "did not come back"
                 came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
                 check.errors.append(f"{name} {remark}: {came}")

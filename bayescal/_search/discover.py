@@ -1,4 +1,4 @@
-"""Which effect is missing: the posterior over structures that hold the fitted model's effects."""
+"""Missing effects of a fitted model, by the posterior over structures that have the model's effects."""
 
 from __future__ import annotations
 
@@ -33,25 +33,26 @@ from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS, IN_TIME
 from bayescal._search.candidate import (
     Candidate,
-    best_form,
-    indistinguishable,
-    judge,
-    kind_of,
-    off_scale_claims,
+    classify_candidate,
+    find_indistinguishable,
+    flag_off_scale,
+    select_forms,
+    summarise_candidate,
 )
-from bayescal._search.equivalence import claims_of_equivalents, with_spans
+from bayescal._search.equivalence import list_equivalence_claims, with_spans
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Finding, Posterior
-from bayescal._search.scores import View
-from bayescal._search.structure_average import averaged, with_form, with_latent
+from bayescal._search.scores import Scorer
+from bayescal._search.structure_average import add_inadequacy, add_latent_effects, average_models
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore
 
-# Of the time that the first model leaves, for the walk: the rest tells what it found, fits that, samples and checks it.
+# Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
 SEARCH = 2 / 3
-ENDED = "not stated, as the search was ended early"
-RIVALS = 4  # effects that an experiment is asked to tell apart, at most
+UNSTATED = "not stated, as the search was ended early"
+MAX_RIVALS = 4  # effects to be told apart by an experiment
+REMARKS = {"not visible": "not detectable in this experiment"}
 
 
 @dataclass(frozen=True)
@@ -66,25 +67,24 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
-@renamed(sets="findings")
+@renamed(sets="findings", not_stated="without_completeness")
 @dataclass(frozen=True, repr=False)
 class Discovery(Printed):
-    """The answer to "which effect is missing?".
+    """Effects missing from a model, with their probabilities.
 
     Attributes:
-        nothing_missing: probability that the model is complete: that none of the candidates that these readings can
-            show is missing, and that no description stands for what has no name; None where the search cannot say.
-        findings: sets of which one is missing, the most probable first.
-        candidates: every candidate, the most probable first.
-        best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
-        noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
-        stopped: why the search ended before its end; empty where it did not.
-        unstated: why the search cannot say that, in words; empty where it can.
-        unnamed: descriptions in the model that carry more than a small part of it: something is missing that has no
-            name here.
+        nothing_missing: probability that the model is complete: no candidate that these readings can show is missing,
+            and no unnamed effect stands for a missing one; None where the search cannot state it.
+        findings: sets of effects of which at least one is missing, the most probable first.
+        candidates: all candidates, the most probable first.
+        best: effects to add, so that `model + discovery.best` is the model to use; empty for none.
+        noise: all noise laws with their probabilities, the most probable first; empty where the readings cannot tell.
+        stopped: why the search ended early; empty where it was completed.
+        unstated: why `nothing_missing` is None, in words; empty where it is stated.
+        unnamed: unnamed effects in the model that are not negligible: an effect without a name here is missing.
         off_scale: candidates a million times smaller or larger than the noise at their plausible size.
-        rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
-            with those that come nearest; without a set, the leads.
+        rivals: effects to tell apart by another experiment: the members of the first finding; with the leads if it has
+            only one member; without a finding, the leads.
         latent: effects of the model that these readings cannot tell from its others.
         equivalent: sets of effects that these readings cannot tell apart, those of the model first.
     """
@@ -104,21 +104,21 @@ class Discovery(Printed):
     _average: Callable[..., Calibration] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state without the structures that were searched, for pickle."""
+        """Return the state for pickle, without the searched structures."""
         return {**vars(self), "_average": None}
 
     def fit(self, method: Method | None = None, *, seed: Any = 0) -> Calibration:
-        """Fit the model with what is missing, averaged over the structures that may be the right one.
+        """Fit the model with its missing effects, averaged over the structures that may be right.
 
-        Its predictions count what a fit of `model + discovery.best` does not: that another structure may be right, and
-        that none of them may be (`form_factor`).
+        Unlike those of a fit of `model + discovery.best`, its predictions include the uncertainty of the structure, and
+        the possibility that none of the structures is right (`form_factor`).
 
         Args:
             method: of the fits; `Marginal()` if not given.
             seed: of every random number.
 
         Raises:
-            ModelError: it is part of a `SearchPath`, whose `calibration` is that average, or of another process.
+            ModelError: it is part of a `SearchPath`, which has the average as its `calibration`, or of another process.
         """
         if self._average is None:
             raise ModelError(
@@ -127,7 +127,7 @@ class Discovery(Printed):
             )
         return self._average(method, seed)
 
-    def not_stated(self, why: str) -> Discovery:
+    def without_completeness(self, why: str) -> Discovery:
         """Return the discovery without a probability that the model is complete."""
         return replace(self, nothing_missing=None, unstated=why)
 
@@ -153,7 +153,7 @@ class Discovery(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return what is missing and the table of candidates, the most probable first."""
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
-        lines += map(folded, _findings(self))
+        lines += map(folded, _describe_findings(self))
         if self.noise:
             laws = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
@@ -163,13 +163,13 @@ class Discovery(Printed):
         lines += [table] if table.rows else []
         if any(c["source"] == "refit" for c in table.rows):
             lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
-        lines += [folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
-        by_reason = not_tested(everyone).items()
+        lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(everyone)]
+        by_reason = group_untested(everyone).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]
 
     def _brief(self) -> str:
-        return "; ".join(_findings(self))
+        return "; ".join(_describe_findings(self))
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return a row for each candidate, also for those that are not printed; sizes in `unit`."""
@@ -197,45 +197,47 @@ def discover(
         widen_noise: False holds the noise law as it is.
         time_limit: seconds for everything; the search ends with the best so far, as it does at Ctrl-C.
         ignore: columns that are no causes.
-        covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
-            channels of the unit.
+        covariates: columns unknown to the instrument that may be causes; None for all but other channels of the unit.
 
     Raises:
-        InputError: there is no such column.
+        InputError: a column to ignore or to allow does not exist.
     """
     model = calibration.model
-    readings = with_causes(calibration.readings, model.instrument, ignore, covariates)
+    readings = restrict_causes(calibration.readings, model.instrument, ignore, covariates)
 
     with deadline.until(time_limit):
-        structures, shut = structures_over(
+        structures, untestable = structures_over(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library = Library(structures)
         with deadline.sooner(SEARCH):
             stopped = explore(library, max_effects)
-        discovery = missing(library, Structure(), shut, stopped)
-        with_latent_effects = structures.unsized(model, discovery.latent)
-        goal = Posterior.of(structures).chosen
+        discovery = find_missing(library, Structure(), untestable, stopped)
+        latent_model = structures.with_wide_priors(model, discovery.latent)
+        goal = Posterior.from_structures(structures).median_structure
 
         def average(method: Method | None, seed: Any) -> Calibration:
-            at, of = structures.weigh(goal), calibration.reference
-            last = fit(at.sized_model, readings, method, seed=seed, reference=of, start=at.phi)
-            mixed, _ = averaged(last, structures, goal.noise, last.seed)
-            _, used = with_latent(last, mixed, structures, goal)
-            complete = missing(library, goal, shut, stopped).nothing_missing
-            return with_form(used, complete, structures, goal)
+            evaluated, reference = structures.evaluate(goal), calibration.reference
+            options = {"seed": seed, "reference": reference, "start": evaluated.phi}
+            last = fit(evaluated.sized_model, readings, method, **options)
+            mixed, _ = average_models(last, structures, goal.noise, last.seed)
+            _, used = add_latent_effects(last, mixed, structures, goal)
+            complete = find_missing(library, goal, untestable, stopped).nothing_missing
+            return add_inadequacy(used, complete, structures, goal)
 
-        best = (*(with_latent_effects.effect(n) for n in discovery.latent), *discovery.best)
+        best = (*(latent_model.effect(n) for n in discovery.latent), *discovery.best)
         return replace(discovery, best=best, _average=average)
 
 
-def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:
-    """Return what is missing from a structure; without time for scores, by the evaluated structures alone."""
-    with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as end:
-        end.ask()
-        return discovery_at(library, at, shut, stopped)
+def find_missing(
+    library: Library, structure: Structure, untestable: Sequence[Candidate], stopped: str
+) -> Discovery:
+    """Find the effects missing from a structure; without time for scores, from the evaluated structures alone."""
+    with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as limit:
+        limit.ask()
+        return summarise_discovery(library, structure, untestable, stopped)
     with deadline.finishing():
-        return discovery_at(library, at, shut, stopped, scored=False)
+        return summarise_discovery(library, structure, untestable, stopped, scored=False)
 
 
 def structures_over(
@@ -247,14 +249,14 @@ def structures_over(
     widen_noise: bool = True,
     latent: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
-    """Return all structures over a model, and families that these readings cannot test, with reasons.
+    """List the structures over a model; return them, and the families that these readings cannot test, with reasons.
 
-    They hold what these readings cannot tell from their effects, if `latent`.
+    If `latent`, the structures have latent effects, which these readings cannot tell from the others.
     """
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
     by_name = {e.name: e for e in with_forms((*listed, *effects))}
-    by_name |= {e.name: e for e in placeholders(model, readings) if e.name not in by_name}
+    by_name |= {e.name: e for e in list_placeholders(model, readings) if e.name not in by_name}
     given_names = {e.name for e in effects}  # who gives an effect says what it depends on
     slots = {s.name for s in instrument.slots}
 
@@ -262,42 +264,42 @@ def structures_over(
         unknown = (c for c in effect.coefficients if not c.known)
         if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
             return "corrects a column or single readings, which no search weighs: add it yourself"
-        gone = sorted(readings.no_causes.intersection(effect.columns))
-        if gone and effect.name not in given_names:
-            return f"the column {', '.join(gone)} is left out"
+        ignored = sorted(readings.no_causes.intersection(effect.columns))
+        if ignored and effect.name not in given_names:
+            return f"the column {', '.join(ignored)} is left out"
         return why_untestable(effect, readings)
 
-    # Of a family that the model has in one form, no other is missing.
-    had = {e.reported for e in model.effects}
-    reasons = {n: untestable(e) for n, e in by_name.items() if e.reported not in had}
-    open_ = {n: by_name[n] for n, reason in reasons.items() if reason is None}
-    tested, shut = {by_name[n].reported for n in open_}, dict[str, Candidate]()
+    # A family that the model has in one form is not missing in another.
+    base_families = {e.reported for e in model.effects}
+    reasons = {n: untestable(e) for n, e in by_name.items() if e.reported not in base_families}
+    testable = {n: by_name[n] for n, reason in reasons.items() if reason is None}
+    families, untested = {by_name[n].reported for n in testable}, dict[str, Candidate]()
     for name, reason in reasons.items():
         family = by_name[name].reported
-        if reason and not by_name[name].is_placeholder and family not in tested:
-            shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
+        if reason and not by_name[name].is_placeholder and family not in families:
+            untested.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
     frame = record.frame
     model = fill_amplitudes(model, readings, record)
-    plausible = amplitude_range(model, readings, record)
-    open_ = {n: e.sized(*plausible) for n, e in open_.items()}
-    record.require_finite((*open_.values(), *model.effects))
+    amplitudes = amplitude_range(model, readings, record)
+    testable = {n: e.sized(*amplitudes) for n, e in testable.items()}
+    record.require_finite((*testable.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
-    layout = bind(model, readings, open_.values(), reference)[0]
-    structures = Structures(model, layout, record, open_, laws)
+    layout = bind(model, readings, testable.values(), reference)[0]
+    structures = Structures(model, layout, record, testable, laws)
     if latent:
-        with deadline.finishing():  # what is latent is in the first model, whatever the time limit
-            structures = with_spans(structures, plausible[0] * math.sqrt(record.size))
-    return structures, list(shut.values())
+        with deadline.finishing():  # the first model needs them, whatever the time limit
+            structures = with_spans(structures, amplitudes[0] * math.sqrt(record.size))
+    return structures, list(untested.values())
 
 
-def with_causes(
+def restrict_causes(
     readings: Measurements,
     instrument: Instrument,
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """Return readings in which nothing depends on the columns to ignore, and on none but those given, if any is."""
+    """Return readings without the columns to ignore as causes; with covariates given, without all others, too."""
     if both := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(f"{', '.join(both)}: to be ignored, and a covariate: say one of the two")
     if covariates is not None:
@@ -309,8 +311,8 @@ def with_causes(
     return readings.without_causes(ignore)
 
 
-def placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """Return unknown dependences on each covariate, in all their forms."""
+def list_placeholders(model: Model, readings: Measurements) -> list[Effect]:
+    """Return the unknown dependences on each covariate, in all their forms."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
@@ -322,76 +324,80 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
-def discovery_at(
+def summarise_discovery(
     library: Library,
-    at: Structure,
-    shut: Sequence[Candidate],
+    structure: Structure,
+    untestable: Sequence[Candidate],
     stopped: str = "",
     scored: bool = True,
 ) -> Discovery:
-    """Return what is missing from a structure by the posterior, candidates `scored` beside it, which takes time.
+    """Summarise the effects missing from a structure, by the posterior and by the candidates' scores.
 
-    Of a walk that `stopped` early nothing further is evaluated, and P(complete) is not stated.
+    Scores take time: without them (`scored` False) only evaluated structures count. After a search that `stopped` early
+    nothing further is evaluated, and P(complete) is not stated.
     """
     structures = library.structures
-    posterior = Posterior.of(structures, at.effects)
-    base = structures.weigh(at)
-    had = posterior.space.families(at.effects | structures.latent(at))
-    names = [n for n in library.points if scored and structures.family(n) not in had]
-    points = View(library, base).without().scores(names) if names else {}
-    # Of forms that have a score the one that has the best speaks for its family.
-    points = best_form(structures, points)
-    same = indistinguishable(points) if points else {}
+    posterior = Posterior.from_structures(structures, structure.effects)
+    evaluated = structures.evaluate(structure)
+    families = posterior.space.families(structure.effects | structures.latent_effects(structure))
+    names = [n for n in library.points if scored and structures.family(n) not in families]
+    points = Scorer(library, evaluated).reduced_model().score_candidates(names) if names else {}
+    # The form with the highest score represents its family.
+    points = select_forms(structures, points)
+    parallel = find_indistinguishable(points) if points else {}
     findings = posterior.findings
     in_sets = {name: set(f.effects) for f in findings for name in f.effects}
-    unscored = structures.unscored if scored else structures.candidates
-    judged = []
-    for name in (*points, *sorted(posterior.space.families(unscored) - had)):
-        scores, form = points.get(name, ()), posterior.form(name)
+    unscored = structures.unscored_candidates if scored else structures.candidates
+    tested = []
+    for name in (*points, *sorted(posterior.space.families(unscored) - families)):
+        scores, form = points.get(name, ()), posterior.most_probable_form(name)
         if not scores:
             form = form if form in structures.candidates else structures.forms[name][0]
             if scored and not stopped:
-                structures.weigh(at.plus(form), base)
-        candidate = judge(library, name, form, scores, base, structures.visited.get(at.plus(form)))
-        # Confounded are those whose fitted contributions are parallel, and those that share a finding.
-        near = same.get(name, set()).union(in_sets.get(name, ())) - {name}
+                structures.evaluate(structure.with_effects(form), evaluated)
+        refit = structures.visited.get(structure.with_effects(form))
+        candidate = summarise_candidate(library, name, form, scores, evaluated, refit)
+        # Confounded candidates have parallel fitted contributions, or share a finding.
+        confounded = parallel.get(name, set()).union(in_sets.get(name, ())) - {name}
         candidate = replace(
             candidate,
-            # Without a score, a walk that ended early may have met no structure with it: nothing is known of it then.
+            # None: no score, and no structure with it was evaluated before the search ended early.
             probability=posterior.probability_of_names(name) or (0.0 if scores else None),
-            indistinguishable_from=tuple(sorted(near)),
+            indistinguishable_from=tuple(sorted(confounded)),
         )
         effect = structures.candidates[scores[0].effect] if scores else None
-        judged.append(kind_of(candidate, name in in_sets, effect))
-    ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    chosen = posterior.best if stopped else posterior.chosen
-    new, model = chosen.effects - at.effects, structures.weigh(chosen).sized_model
+        tested.append(classify_candidate(candidate, name in in_sets, effect))
+    ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
+    chosen = posterior.best if stopped else posterior.median_structure
+    new, model = chosen.effects - structure.effects, structures.evaluate(chosen).sized_model
     best = [model.effect(name) for name in structures.candidates if name in new]
-    stated = scored and not stopped
-    # What another experiment should tell apart, the most probable first.
-    first = list(findings[0].effects) if findings else []
-    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
-    rivals = list(dict.fromkeys(first + leads))[:RIVALS]
-    laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
-    law_rows = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
-    unseen, noise = [c.effect for c in judged if c.unseen], base.problem.noise.name
+    is_stated = scored and not stopped
+    # Effects that another experiment should tell apart, the most probable first.
+    first_set = list(findings[0].effects) if findings else []
+    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_set) < 2 else []
+    rivals = list(dict.fromkeys(first_set + leads))[:MAX_RIVALS]
+    laws = {"": structures.base.noise, **structures.noise_laws} if structures.noise_laws else {}
+    pairs = ((law, posterior.law_probability(name)) for name, law in laws.items())
+    law_rows = [LawProbability(law.name, law.in_words, p) for law, p in pairs]
+    unseen, unnamed = [c.effect for c in tested if c.unseen], structures.substantial_unnamed
+    noise = [f"{evaluated.problem.noise.name} noise"] * evaluated.has_unnamed_noise
     return Discovery(
-        nothing_missing=posterior.complete(unseen) if stated else None,
-        unnamed=(*sorted(structures.matters(base)), *[f"{noise} noise"] * base.noise_describes),
-        latent=tuple(sorted(structures.latent(base.structure))),
-        equivalent=claims_of_equivalents(structures, base.structure),
+        nothing_missing=posterior.completeness(unseen) if is_stated else None,
+        unnamed=(*sorted(unnamed(evaluated)), *noise),
+        latent=tuple(sorted(structures.latent_effects(evaluated.structure))),
+        equivalent=list_equivalence_claims(structures, evaluated.structure),
         findings=findings,
-        candidates=(*ranked, *shut),
+        candidates=(*ranked, *untestable),
         best=tuple(best),
-        rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
+        rivals=tuple(structures.candidates[posterior.most_probable_form(n)] for n in rivals),
         noise=tuple(sorted(law_rows, key=lambda law: -law.probability)),
         stopped=stopped,
-        unstated="" if stated else ENDED,
-        off_scale=off_scale_claims(library, points, base),
+        unstated="" if is_stated else UNSTATED,
+        off_scale=flag_off_scale(library, points, evaluated),
     )
 
 
-def _findings(discovery: Discovery) -> list[str]:
+def _describe_findings(discovery: Discovery) -> list[str]:
     lines = [f"probability that the model is complete: {discovery.complete_in_words}"]
     if discovery.unnamed:
         lines.append(
@@ -427,14 +433,11 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         return text + ("*" if c["source"] == "refit" else " ")
 
     def size(c: Mapping[str, Any]) -> str:
-        name = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
-        return name + with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
+        prefix = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
+        return prefix + with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
 
     def detectable(c: Mapping[str, Any]) -> str:
         return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
-
-    def remark(kind: str | None) -> str:
-        return "not detectable in this experiment" if kind == "not visible" else kind or ""
 
     columns = (
         TableColumn("candidate", "effect"),
@@ -443,18 +446,18 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("expected size", size),
         TableColumn("detectable size", detectable),
         TableColumn("unit", "unit", unit_label, left=True),
-        TableColumn("remark", "kind", remark),
+        TableColumn("remark", "kind", lambda kind: REMARKS.get(kind, kind or "")),
     )
     tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
     return ResultTable(columns, tested, fold=29)
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:
-    """Return whether a candidate is an unknown dependence without evidence, left out of tables and plots."""
+    """Return whether a candidate is an unknown dependence without evidence, which tables and plots leave out."""
     return c["role"] == "unnamed" and c["kind"] in (None, "not visible")
 
 
-def confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+def group_confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return maximal groups of candidates, of a result.json, that the readings cannot tell apart."""
     groups: list[tuple[str, ...]] = []
     for c in candidates:
@@ -464,7 +467,7 @@ def confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]
     return groups
 
 
-def not_tested(candidates: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+def group_untested(candidates: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Return, by reason, the candidates of a result.json that could not be tested."""
     by_reason: dict[str, list[str]] = {}
     for c in candidates:

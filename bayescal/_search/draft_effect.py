@@ -19,7 +19,7 @@ SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple for
 
 MAX_POINTS = 1000  # readings that formulas are tried on, evenly spread
 PERIODS = np.geomspace(0.06, 2.0, 300)  # of a sine, in parts of the range
-PLACES = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
+STEP_POSITIONS = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
 
 
@@ -43,7 +43,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     x = np.asarray(frame.position(covariate)) - 0.5
     curve = calibration.linear.contribution(name)
     some = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
-    words, basis = _closest(x[some], curve[some])
+    words, basis = _closest_formula(x[some], curve[some])
     slot, word = effect.slot, identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
@@ -67,30 +67,30 @@ def {word}(r):  # columns in the units of the instrument, others in base units, 
 effect = bc.Effect({label}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns=({column},))"""
 
 
-def _closest(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
+def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
     """Return what a curve over x, −½ … ½, resembles, in words, and the basis as Python."""
     forms = [("a line", "x", x), ("a parabola", "x**2", x**2), ("a cubic", "x**3", x**3)]
     for w in WIDTHS:
         basis = f"bc.xp.exp(-(x + 0.5) / {w:g})"
         forms.append((f"an exponential of width {w:g} of the range", basis, np.exp(-(x + 0.5) / w)))
-    for p in PLACES:
+    for p in STEP_POSITIONS:
         basis = f"bc.xp.where(x > {p:.3g}, 0.5, -0.5)"
         forms.append((f"a step at {p + 0.5:.2g} of the range", basis, np.sign(x - p)))
-    shares = [_fitted(curve, values)[0] for *_, values in forms]
+    shares = [_fit_columns(curve, values)[0] for *_, values in forms]
     share, (words, basis, _) = max(shares), forms[int(np.argmax(shares))]
     # Simple forms first: a sine has a free period and resembles almost any curve.
     for period in PERIODS if share < SIMPLE_SHARE else ():
         angle = 2 * math.pi * x / period
-        wave, (_, sine, cosine) = _fitted(curve, np.sin(angle), np.cos(angle))
-        if wave > share:
+        sine_share, (_, sine, cosine) = _fit_columns(curve, np.sin(angle), np.cos(angle))
+        if sine_share > share:
             # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
             phase = f"{2 * math.pi / period:.4g} * x + {math.atan2(cosine, sine):.4g}"
             words, basis = f"a sine of period {period:.2g} of the range", f"bc.xp.sin({phase})"
-            share = wave
+            share = sine_share
     return f"resembles {words} ({100 * share:.0f} % of its variance); is that the physics?", basis
 
 
-def _fitted(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:
+def _fit_columns(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the share of a curve's variance that a constant and columns have, and their coefficients."""
     matrix = np.column_stack([np.ones_like(curve), *columns])
     coefficients = np.linalg.lstsq(matrix, curve, rcond=None)[0]

@@ -1,8 +1,8 @@
-"""Effects that are one on these readings: found by linear algebra before anything is fitted.
+"""Equivalent effects, which the readings cannot tell apart: found by linear algebra before anything is fitted.
 
-Columns are whitened by the noise floor and scaled by plausible sizes, about the means of the priors. Deviations of
-groups are noise; all else of the model is projected out. Where next to nothing is left of an effect evidence decides
-nothing, and zero would be wrong by all that the coefficients in its place take of it.
+Columns at the prior means are whitened by the noise floor and scaled by plausible sizes. Deviations of groups count as
+noise; all other columns of the model are projected out. An effect with hardly any remainder cannot be decided by
+evidence, and leaving it out would bias the coefficients that take its place.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ from bayescal._model.frame import reference_of
 from bayescal._model.model import why_untestable
 from bayescal._model.parameters import bind
 from bayescal._search.library import Library
-from bayescal._search.structures import RMS_SIZE, Structure, Structures, has_size
+from bayescal._search.structures import RMS_SCALE_FACTOR, Structure, Structures, has_prior_scale
 
 FLAT_NORM = 1e6  # norm of a whitened column of which no prior is stated
 MAX_SPANNING = 2  # effects in whose span another one is looked for
-MAX_ROWS = 4096  # readings that are looked at, evenly spread
-MAX_EXPERIMENT_READINGS = 1500  # the same of an experiment
+MAX_READINGS = 4096  # readings compared, evenly spread
+MAX_EXPERIMENT_READINGS = 1500  # readings of an experiment compared, evenly spread
+Array = Float[np.ndarray, "n k"]
 
 
 class Equivalent(NamedTuple):
-    """Effects of which readings tell only what they come to together, the first in the span of others and the model.
+    """Effects of which readings tell only a combination: the first is in the span of the others and the model.
 
-    Where there are no others, it stands for these coefficients of the model.
+    A single effect is in the span of these coefficients of the model.
     """
 
     effects: tuple[str, ...]
@@ -49,15 +50,15 @@ class Equivalent(NamedTuple):
 def with_spans(structures: Structures, floor: float) -> Structures:
     """Return structures with the spans of candidates that readings cannot tell from the base or each other.
 
-    Candidates with shapes, and of groups, are left to evidence, which sums over them.
+    Candidates with shapes, and of groups, are compared by evidence, which integrates over shapes and members.
     """
-    structures = replace(structures, floor=min(floor, _residual_sd(structures)))
-    line, columns = _columns(structures)
+    structures = replace(structures, noise_floor=min(floor, _residual_sd(structures)))
+    linear, columns = _whiten_candidates(structures)
     latent, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
     for name, whitened in columns.items():
         if not is_undecided(whitened.beside_groups, whitened.beside_all):
             separable[name] = whitened.beside_all
-        elif widened := _coefficients(line, RMS_SIZE * whitened.white):
+        elif widened := _list_widened(linear, RMS_SCALE_FACTOR * whitened.white):
             latent[name] = widened
     if separable:  # the triangle of a QR has the products of all columns, in few rows
         ends = np.cumsum([c.shape[1] for c in separable.values()])[:-1]
@@ -69,99 +70,97 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 def _residual_sd(structures: Structures) -> float:
     """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
-    line = linearise_at_priors(Problem(layout, structures.record))
+    linear = linearise_at_priors(Problem(layout, structures.record))
     library = Library(structures)
     named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
     points = [point for point, *others in named.values() if not others]
-    columns = np.column_stack([line.nuisance, library.columns(line, points, {})])
+    columns = np.column_stack([linear.nuisance, library.columns(linear, points, {})])
     axes, values, _ = np.linalg.svd(columns * column_scale(columns), full_matrices=False)
     axes = axes[:, values > RANK * values.max(initial=0.0)]
-    residual = line.residual - axes @ (axes.T @ line.residual)
-    free = line.size - axes.shape[1]
+    residual = linear.residual - axes @ (axes.T @ linear.residual)
+    free = linear.size - axes.shape[1]
     return float(np.sqrt(residual @ residual / free)) if free > 0 else math.inf
 
 
-Array = Float[np.ndarray, "n k"]
-
-
 class _Columns(NamedTuple):
-    """Of an effect, whitened, per plausible size: of all readings; of some, beside groups, and beside all effects."""
+    """Whitened columns of an effect per plausible size: all readings; some, with groups, and all effects, out."""
 
     white: Array
     beside_groups: Array
     beside_all: Array
 
 
-def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
+def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
     """Return the base linearised at its priors' means, and the candidates' whitened columns."""
     layout = replace(structures.layout, model=structures.base)
-    line = linearise_at_priors(Problem(layout, structures.record), structures.floor)
-    random = np.zeros(len(line.owners), dtype=bool)
-    for t in line.problem.in_x:
-        random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None
-    # Of many readings some, each in the place of several.
-    stride = -(-line.size // MAX_ROWS)
-    white = math.sqrt(stride) * line.white_nuisance[::stride]
-    unstated = FLAT_NORM / np.maximum(np.linalg.norm(white, axis=0), 1 / FLAT_NORM)
-    white = white * np.where(line.weight == 0, unstated, 1.0)
-    of_groups = _group_whitening(white[:, random])
-    of_all = _group_whitening(of_groups(white[:, ~random]))
+    linear = linearise_at_priors(Problem(layout, structures.record), structures.noise_floor)
+    is_random = np.zeros(len(linear.owners), dtype=bool)
+    for t in linear.problem.in_x:
+        is_random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None
+    # Of many readings a subset, each with the weight of several.
+    stride = -(-linear.size // MAX_READINGS)
+    whitened = math.sqrt(stride) * linear.white_nuisance[::stride]
+    flat_scale = FLAT_NORM / np.maximum(np.linalg.norm(whitened, axis=0), 1 / FLAT_NORM)
+    whitened = whitened * np.where(linear.weight == 0, flat_scale, 1.0)
+    of_groups = _group_whitener(whitened[:, is_random])
+    of_all = _group_whitener(of_groups(whitened[:, ~is_random]))
     library, by_name = Library(structures), dict[str, _Columns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
         per_member = any(c.group_sd for c in effect.coefficients)
-        if not (others or per_member or effect.frees) and has_size(effect):
-            columns = library.columns(line, [point], {}) * library.sizes[name][0].sd
-            whole = line.whiten(columns)
-            beside_groups = of_groups(math.sqrt(stride) * whole[::stride])
-            by_name[name] = _Columns(whole, beside_groups, of_all(beside_groups))
-    return line, by_name
+        if not (others or per_member or effect.frees) and has_prior_scale(effect):
+            columns = library.columns(linear, [point], {}) * library.prior_scales[name][0].sd
+            whitened_columns = linear.whiten(columns)
+            beside_groups = of_groups(math.sqrt(stride) * whitened_columns[::stride])
+            by_name[name] = _Columns(whitened_columns, beside_groups, of_all(beside_groups))
+    return linear, by_name
 
 
-def _group_whitening(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
+def _group_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
     """Return the whitening by noise of covariance 1 + C·Cᵀ, C columns of standard normal coefficients."""
-    # Along the axes of C of sizes s what is whitened becomes 1/√(1 + s²) of what it was.
+    # Along the left singular vectors of C, singular values s, whitened columns are multiplied by 1/√(1 + s²).
     axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     lost = axes * (1 - 1 / np.sqrt(1 + sizes**2))
     return lambda white: white - lost @ (axes.T @ white)
 
 
-def _coefficients(line: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
-    """Return names of coefficients that would be less certain beside an effect of these columns."""
-    wider = is_widened_by(line, np.linalg.norm(mode_shifts(line, columns), axis=1))
-    blocks = line.problem.layout.x_blocks
-    return tuple(b.name for b in blocks if wider[b.start : b.start + b.size].any())
+def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
+    """Return the names of coefficients whose uncertainty an effect with these columns would increase."""
+    is_widened = is_widened_by(linear, np.linalg.norm(mode_shifts(linear, columns), axis=1))
+    blocks = linear.problem.layout.x_blocks
+    return tuple(b.name for b in blocks if is_widened[b.start : b.start + b.size].any())
 
 
-def equivalents(spans: Spans) -> list[Equivalent]:
+def find_equivalents(spans: Spans) -> list[Equivalent]:
     """Return minimal sets of two or three equivalent candidates, and of one and the model's effects."""
     sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
     spanned = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
         for others in itertools.combinations([n for n in spans.left if n != name], count):
-            fewer, members = itertools.combinations(others, count - 1), (name, *others)
-            least = spans.is_spanned(name, others) and not any(
-                spans.is_spanned(name, f) for f in fewer
-            )
-            if least and not any({*members} <= {*equivalent.effects} for equivalent in sets):
+            subsets, members = itertools.combinations(others, count - 1), (name, *others)
+            is_spanned = spans.is_spanned(name, others)
+            if not is_spanned or any(spans.is_spanned(name, f) for f in subsets):
+                continue
+            if not any({*members} <= {*equivalent.effects} for equivalent in sets):
                 sets.append(Equivalent(members))
     return sets
 
 
-def claims_of_equivalents(structures: Structures, at: Structure) -> tuple[Claim, ...]:
+def list_equivalence_claims(structures: Structures, structure: Structure) -> tuple[Claim, ...]:
     """Return claims on sets of equivalent effects, those of a structure's model first.
 
-    It stands against a model where the readings do not say which of its terms act in use.
+    A claim is against the model where the readings cannot tell which of its terms act in use.
     """
-    latent = structures.latent(at)
+    latent = structures.latent_effects(structure)
     claims = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
-    for equivalent in equivalents(structures.spans):
+    for equivalent in find_equivalents(structures.spans):
         first, *others = equivalent.effects
         details, state = {"beside": equivalent.coefficients or (*others,)}, "candidates"
-        if latent.intersection(equivalent.effects) and {*equivalent.effects} <= at.effects | latent:
-            acting = {_acts_in_use(structures, name) for name in equivalent.effects}
-            open_ = acting == {True, False} or (acting == {True} and not others)
-            state = "undecided" if open_ else "latent"
+        members = {*equivalent.effects}
+        if members & latent and members <= structure.effects | latent:
+            used = {_acts_in_use(structures, name) for name in equivalent.effects}
+            is_undecided = used == {True, False} or (used == {True} and not others)
+            state = "undecided" if is_undecided else "latent"
             details |= separating_experiments(structures)[equivalent]
         claims[state].append(Claim(f"equivalent.{state}", first, *others, **details))
     return (*claims["undecided"], *claims["latent"], *claims["candidates"])
@@ -171,7 +170,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     """Return the experiment that separates each set of equivalent effects best, and by how many nats; cached."""
     if structures.experiments:
         return structures.experiments
-    instrument, sets = structures.base.instrument, equivalents(structures.spans)
+    instrument, sets = structures.base.instrument, find_equivalents(structures.spans)
     best: dict[Equivalent, dict[str, Any]] = {equivalent: {"cure": "none"} for equivalent in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
@@ -183,7 +182,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         layout = bind(structures.base, readings, candidates.values(), reference)[0]
         record = record_of(instrument, readings, reference)
         restricted = replace(structures, layout=layout, record=record, candidates=candidates)
-        columns = _columns(restricted)[1]
+        columns = _whiten_candidates(restricted)[1]
         for equivalent in sets:
             if {*equivalent.effects} <= {*candidates}:
                 first, *others = (columns[n].beside_all for n in equivalent.effects)

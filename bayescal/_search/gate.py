@@ -1,4 +1,4 @@
-"""The gate: whether the last model is to be used, by all that fits and checks of its steps know."""
+"""Acceptance checks of the last model of a search path: whether it is fit for use."""
 
 from __future__ import annotations
 
@@ -8,35 +8,28 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim, as_claim, limit
-from bayescal._calibration.judgement import (
-    Subject,
-    only_between_runs,
-    outlying_groups,
-    residual_claims,
-    split_by_run,
-    thermometer_anomalies,
-)
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._core.settings import settings
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
-from bayescal._search.taken_over import TakenOver, claims_of_profiles, taken_over
+from bayescal._search.taken_over import TermComparison, find_replaced_terms, list_profile_claims
 
 WORSE = "step.predicts_worse"
 
 
-def gate(steps: Sequence[Step]) -> Gate:
-    """Return whether the last model is to be used and its probabilities believed; if not, every reason."""
-    if reasons := against(steps):
+def assess_last(steps: Sequence[Step]) -> Gate:
+    """Return whether the last model is fit for use, with all reasons if it is not."""
+    if reasons := list_reasons(steps):
         return Gate(False, " ".join(reasons), reasons)
-    # Of fewer readings no correlation reaches that many standard deviations.
+    # With fewer readings no correlation reaches the limit, in standard deviations.
     if len(steps[-1].calibration.readings) < int(limit("noise.correlated", "z") ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
 
-def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
-    """Return why the last model is not to be used; what was found against it earlier among it."""
+def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
+    """Return the reasons why the last model is not fit for use, those of earlier checks first."""
     last = steps[-1]
     claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
     earlier = (w for w in last.calibration.verdict.against if w not in claims)
@@ -46,90 +39,92 @@ def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
     judged: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
-    judged |= {"mode_claims": last.multimodality, "remedy": _may_be_missing(last)}
-    subject = Subject(last.calibration, **judged, first_model=first)
-    replaced = [term.claim for term in _followed_terms(steps) if not term.measured][:1]
+    judged |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
+    subject = judgement.Subject(last.calibration, **judged, first_model=first)
+    replaced = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
     return [
-        *(*last.outlying_groups, *residual_claims(subject)),
-        *(*undecided(steps), *equivalent(steps, "doubt")),
-        *(*thermometer_anomalies(subject), *replaced, *worsened(steps)),
-        *(*outlying_groups(subject), *runs_unlike(steps), *contradicted(steps)),
+        *(*last.outlying_groups, *judgement.residual_claims(subject)),
+        *(*undecided_claims(steps), *equivalent_claims(steps, "doubt")),
+        *(*judgement.thermometer_anomalies(subject), *replaced, *worsened_claims(steps)),
+        *(
+            *judgement.outlying_groups(subject),
+            *unlike_run_claims(steps),
+            *contradicted_claims(steps),
+        ),
     ]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
-    """Return steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
-    last, outcome = steps[-1], gate(steps)
-    notes = [*claims_of_profiles(last.calibration)]
+    """Assess the last step; return the steps, with the reasons and notes in its calibration's verdict, and the gate."""
+    last, outcome = steps[-1], assess_last(steps)
+    notes = [*list_profile_claims(last.calibration)]
     if last.calibration.verdict.ok:
-        hardly = (term for term in _followed_terms(steps) if term.measured and term.confounded)
-        notes += [term.claim for term in hardly]
-    notes += [*sensor_or_thermometer(steps), *equivalent(steps, "note"), *two_levels(steps)]
+        measured = (term for term in _compare_terms(steps) if term.is_measured)
+        notes += [term.claim for term in measured if term.is_confounded]
+    notes += [*thermometer_claims(steps), *equivalent_claims(steps, "note")]
+    notes += two_level_claims(steps)
     if notes:
-        last = last.noted(notes)
+        last = last.with_notes(notes)
     if last.calibration.verdict.ok:
-        last = last.judged(outcome.claims)
+        last = last.with_reasons(outcome.claims)
     return (*steps[:-1], last), outcome
 
 
 def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield what stands against a model in which a coefficient is free of its stated value."""
+    """Yield claims against a model in which a coefficient is freed of its stated value."""
     if free := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
         yield Claim("value.freed", *free)
         yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(free))
 
 
-def _followed_terms(steps: Sequence[Step]) -> list[TakenOver]:
-    """Return terms of the first model, most moved first; placeholders are compared with the last model without any."""
-    last, terms = steps[-1].calibration, list[TakenOver]()
+def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
+    """Compare terms of the first model, and for unnamed effects of the last model without any, with the last model."""
+    last, terms = steps[-1].calibration, list[TermComparison]()
     unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
     latent = steps[-1].discovery.latent if steps[-1].discovery else ()
     if plain:
-        terms = [term for term in taken_over(plain[0], last, latent) if not term.unnamed]
-        terms += [term for term in taken_over(plain[-1], last, latent) if term.unnamed]
-    return sorted(terms, key=lambda term: -term.moved)
+        terms = [t for t in find_replaced_terms(plain[0], last, latent) if not t.is_unnamed]
+        terms += [t for t in find_replaced_terms(plain[-1], last, latent) if t.is_unnamed]
+    return sorted(terms, key=lambda term: -term.shift)
 
 
-def sensor_or_thermometer(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where the last model's thermal terms may be of the thermometer or the logger.
+def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+    """Yield a claim where the last model's thermal terms may be errors of the thermometer or the logger.
 
-    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, as an output that is early does; one that drifts
-    makes a warm-up, or an effect in time.
+    A thermometer with a delay τ turns c·T into c·T − c·τ·dT/dt, as an early output does; a drifting thermometer looks
+    like a warm-up or another effect in time.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
-    warm = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
+    thermal = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
     added = {*model.names} - {*steps[0].calibration.model.names}
-    timed = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
-    in_time = [
-        e.name
-        for e in timed
-        if e.along == "elapsed" or e.name in added or not set(warm).isdisjoint(e.columns)
-    ]
-    if warm and in_time:
-        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))
+    time_effects = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
+    warm = {e.name for e in time_effects if e.along == "elapsed" or {*thermal} & {*e.columns}}
+    in_time = [e.name for e in time_effects if e.name in warm | added]
+    if thermal and in_time:
+        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(thermal))
 
 
-def equivalent(steps: Sequence[Step], severity: str) -> list[Claim]:
+def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:
     """Return claims of one severity on effects of the last model that these readings cannot tell apart."""
     claims = steps[-1].discovery.equivalent if steps[-1].discovery else ()
     return [claim for claim in claims if claim.severity == severity and "cure" in claim.numbers]
 
 
-def two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
+def two_level_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim where the output steps within the record: coefficients are means over two levels."""
     calibration = steps[-1].calibration
     jumps = (e for e in calibration.model.effects if e.kind == "jump" and e.covariate == "time")
     if (jump := next(jumps, None)) is not None:
         time, added = calibration.readings["time"], calibration.linear.contribution(jump.name)
         order = np.argsort(time, kind="stable")
-        at = float(time[order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
-        details = {"apart": float(np.ptp(added)), "unit": calibration.unit, "at": at}
+        step_time = float(time[order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
+        details = {"apart": float(np.ptp(added)), "unit": calibration.unit, "at": step_time}
         yield Claim("level.which", jump.name, **details)
 
 
-def _may_be_missing(step: Step) -> dict[str, str]:
-    """Return the cure of what residuals still depend on: leads, or none."""
+def _choose_remedy(step: Step) -> dict[str, str]:
+    """Return the remedy for structured residuals: the leads, or nothing."""
     candidates = step.discovery.candidates if step.discovery else ()
     if leads := [c for c in candidates if c.kind == "lead"]:
         named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
@@ -137,8 +132,8 @@ def _may_be_missing(step: Step) -> dict[str, str]:
     return {"cure": "nothing"}
 
 
-def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where something is missing that no effect, nor a set of them, is found to be."""
+def undecided_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+    """Yield a claim where the model is incomplete and no finding says which effect is missing."""
     discovery = steps[-1].discovery
     if discovery is None or discovery.nothing_missing is None:
         return
@@ -151,80 +146,80 @@ def undecided(steps: Sequence[Step]) -> Iterator[Claim]:
         yield Claim("complete.undecided", *names, complete=discovery.nothing_missing, **details)
 
 
-def worsened(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield claims on errors that the last effect raised: as fitted, leave-one-group-out, hold-out."""
+def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+    """Yield claims on errors that the last effect increased: as fitted, leave-one-group-out, hold-out."""
     *earlier, last = steps
-    unit, out = last.calibration.unit, last.leave_one_group_out
-    # Under another noise law readings weigh differently, and correlated noise takes up what an effect explained: their
+    unit, left_out = last.calibration.unit, last.leave_one_group_out
+    # Under another noise law readings have other weights, and correlated noise takes up what an effect explained: the
     # plain error may well be larger.
     noise = last.calibration.model.noise
     comparable = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
-    before = min((s.rmse_fitted for s in comparable), default=math.inf)
-    if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
-        errors = {"then": before, "now": last.rmse_fitted, "unit": unit}
+    lowest = min((s.rmse_fitted for s in comparable), default=math.inf)
+    if last.added is not None and last.rmse_fitted > WORSE_RATIO * lowest:
+        errors = {"then": lowest, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
-    if out and (best := left_out_better(last, earlier)) and best.leave_one_group_out:
-        what = f"each {out.group} from the others ({scheme(out.group)})"
-        errors = {"then": best.leave_one_group_out.rmse, "now": out.rmse, "unit": unit}
-        yield Claim(WORSE, out.group, what=what, step=best.title, **errors)
-    if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
+    if left_out and (best := find_better_left_out(last, earlier)) and best.leave_one_group_out:
+        what = f"each {left_out.group} from the others ({scheme(left_out.group)})"
+        errors = {"then": best.leave_one_group_out.rmse, "now": left_out.rmse, "unit": unit}
+        yield Claim(WORSE, left_out.group, what=what, step=best.title, **errors)
+    if (best := find_better_holdout(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
         yield Claim(WORSE, what="the hold-out data", step=best.title, **errors)
 
 
-def runs_unlike(steps: Sequence[Step]) -> Iterator[Claim]:
+def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim where left-out runs differ by offsets that no term of the model describes.
 
-    The state in which a run begins, a noise that wanders or a step between runs takes up any such difference. A
-    deviation from run to run is a name for it, with a spread that a new run is predicted with.
+    A run's initial state, random-walk noise or a step between runs takes up any such offset. A deviation from run to
+    run describes it, with a spread by which a new run is predicted.
     """
-    out, calibration = steps[-1].leave_one_group_out, steps[-1].calibration
+    left_out, calibration = steps[-1].leave_one_group_out, steps[-1].calibration
     coefficients = (b.coefficient for b in calibration.layout.blocks)
-    if out is None or out.group != "run" or not np.isfinite(out.residual).all():
+    if left_out is None or left_out.group != "run" or not np.isfinite(left_out.residual).all():
         return
-    means, within = split_by_run(calibration, out.residual)
-    named = any(c.group_sd and not c.initial for c in coefficients)
-    if not named and only_between_runs(out.residual, within):
-        # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
-        distance = float(np.ptp(means)) * (1 - 1 / out.count)
+    means, within = judgement.split_by_run(calibration, left_out.residual)
+    has_run_effect = any(c.group_sd and not c.initial for c in coefficients)
+    if not has_run_effect and judgement.only_between_runs(left_out.residual, within):
+        # Prediction from the mean of the n − 1 other runs has n/(n − 1) times the distance from the mean of all.
+        distance = float(np.ptp(means)) * (1 - 1 / left_out.count)
         sizes = {"apart": distance, "within": float(np.sqrt(np.mean(within**2)))}
         yield Claim("runs.unlike", **sizes, unit=calibration.unit)
 
 
-def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
-    """Return the step of least leave-one-group-out error, if better than the last beyond chance.
+def find_better_left_out(last: Step, previous: Sequence[Step]) -> Step | None:
+    """Return the step of least leave-one-group-out error, if better than the last step beyond chance; else None.
 
-    By the error, of which a twentieth is no rise, readings weighted as the last model expects them; and by the joint
-    predictive density of the groups: if the last model is right, another's is k times as high with probability 1/k at
-    most (Markov's inequality; the ratio's mean is one).
+    Two criteria must hold. The error, with the weights of the last model, is smaller by more than a twentieth. The
+    predictive density of all groups is higher beyond chance: if the last model is right, another model's density is k
+    times as high with probability 1/k at most (Markov's inequality; the ratio's mean is one).
     """
-    if (out := last.leave_one_group_out) is None:
+    if (left_out := last.leave_one_group_out) is None:
         return None
-    pairs = ((s.leave_one_group_out, s) for s in earlier)
-    scored_steps = [(before.error(out.variance), s) for before, s in pairs if before]
+    pairs = ((s.leave_one_group_out, s) for s in previous)
+    scored_steps = [(before.error(left_out.variance), s) for before, s in pairs if before]
     error, best = min(scored_steps, key=lambda pair: pair[0], default=(math.inf, last))
-    if out.error(out.variance) <= WORSE_RATIO * error or best.leave_one_group_out is None:
+    if left_out.error(left_out.variance) <= WORSE_RATIO * error or best.leave_one_group_out is None:
         return None
-    # Densities are of whole groups: correlated noise makes readings of one group no separate evidence.
-    ratio = float(np.sum(best.leave_one_group_out.log_score - out.log_score))
+    # Joint densities of whole groups: under correlated noise the readings of a group are not independent evidence.
+    ratio = float(np.sum(best.leave_one_group_out.log_score - left_out.log_score))
     return None if ratio <= -math.log(settings().holdout_p) else best
 
 
-def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
+def find_better_holdout(last: Step, previous: Sequence[Step]) -> Step | None:
     """Return the step of least hold-out error, if the last is significantly worse in a paired test."""
-    scored_steps = [(s.holdout_rmse, s) for s in earlier if s.holdout_rmse is not None]
+    scored_steps = [(s.holdout_rmse, s) for s in previous if s.holdout_rmse is not None]
     if last.holdout_rmse is None or not scored_steps:
         return None
     error, best = min(scored_steps, key=lambda pair: pair[0])
     if last.holdout_rmse <= WORSE_RATIO * error:
         return None
-    # Of steps without a test the error alone decides.
+    # Without a test of both steps the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
     return best if last.holdout_test.paired_test(best.holdout_test) < settings().holdout_p else None
 
 
-def contradicted(steps: Sequence[Step]) -> Iterator[Claim]:
+def contradicted_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim where hold-out data contradict the last model."""
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:

@@ -1,4 +1,4 @@
-"""All candidates as columns: at points of their shapes, at plausible sizes, the same for every structure."""
+"""Columns of all candidates on grids of their shapes and prior scales, the same for every structure."""
 
 from __future__ import annotations
 
@@ -23,26 +23,30 @@ from bayescal._model.instrument import factor_of
 from bayescal._model.terms import ColumnSpec, Correction
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
-SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
-SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
+SHAPE_POINTS = 7  # grid points of one shape, at the middles of equal parts of its prior
+SOBOL_POINTS = 32  # grid points of several shapes, a Sobol sequence
 SOBOL = Path(__file__).with_name("sobol.npz")
-RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
-# Of candidates' columns, held at once; those of more are made each time.
-HELD_NUMBERS = 2**23
-BLOCK_NUMBERS = 2**20  # that are whitened together
-ACTING_STEP = 0.05  # of a shape that acts on them, prior standard deviations, which no score feels
-LEVELS = 4  # of a learned spread, of an amplitude
-MEANS = 8192  # by which candidates are looked over on longer records
-LOST = 0.01  # of the variance of a candidate's column, which may be within means
-KEPT_EFFECTS = 1024  # whose grids and sizes are kept: devices of a fleet have the same
+RAGGED_POINTS = 128  # grid points where the evidence has many maxima over a shape
+# Numbers in all candidates' columns up to which they are cached; larger columns are computed each time.
+MAX_CACHED_NUMBERS = 2**23
+MAX_BLOCK_NUMBERS = 2**20  # numbers in the columns whitened at a time
+CORRECTION_STEP_SD = 0.05  # to which a correction's shapes are rounded, prior standard deviations
+SPREAD_LEVELS = 4  # grid points of a learned spread or an amplitude
+MEANS_COUNT = 8192  # means of readings by which candidates are scored on longer records
+MAX_VARIANCE_SHARE = 0.01  # largest share of a column's variance within the means
+CACHED_EFFECTS = 1024  # effects with cached grids and scales: devices of a fleet share them
+
+Corrections = Mapping[Correction, tuple[float, ...]]  # of columns, with their shapes
+# Shapes in their units by their own names; their coordinates by full names.
+ShapeValues = tuple[dict[str, float], dict[str, float]]
 
 
-class Size(NamedTuple):
-    """One plausible size of an effect: standard deviations of its columns, what stands for them in φ, a probability."""
+class PriorScale(NamedTuple):
+    """One scale of an effect's prior, with its log prior probability."""
 
-    sd: Float[np.ndarray, "k"]
-    hint: dict[str, float]
-    scales: dict[str, float]  # shapes that it is made of, in their units
+    sd: Float[np.ndarray, "k"]  # prior standard deviations of the coefficients
+    start: dict[str, float]  # coordinates of φ that stand for the scale, by name
+    shapes: dict[str, float]  # shapes that determine the scale, in their units
     log_weight: float
 
 
@@ -50,117 +54,112 @@ class GridPoint(NamedTuple):
     """One candidate at one point of its shapes."""
 
     effect: str
-    shapes: dict[str, float]
-    hint: dict[str, float]
-    at: slice  # its columns among all
+    shapes: dict[str, float]  # in their units
+    start: dict[str, float]  # coordinates of the shapes, by full name
+    block: slice  # of its columns among those of all points
     index: int  # among the candidate's points
 
 
 @dataclass(eq=False)
 class Library:
-    """All candidates at all points of their shapes, with their sizes: the same for every structure.
+    """All candidates on the grids of their shapes, with their prior scales.
 
-    Candidates that correct a column are not among them: they have no columns of their own to be scored by.
+    Candidates that correct a column have no columns of their own, hence no grid and no score.
     """
 
     structures: Structures
-    # for some candidates alone, the coordinates of their shapes (points, shapes); none for all at usual ones
+    # shape coordinates (points, shapes) of a few candidates, the only ones then; empty: all candidates, default grids
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
     points: dict[str, list[GridPoint]] = field(default_factory=dict)  # of each candidate
-    sizes: dict[str, list[Size]] = field(default_factory=dict)  # of each candidate
-    width: int = 0  # columns in all
-    # candidates that change within means: they are scored by all readings
-    blurred: frozenset[str] = frozenset()
+    prior_scales: dict[str, list[PriorScale]] = field(default_factory=dict)  # of each candidate
+    width: int = 0  # number of columns
+    # candidates that vary within means, scored by all readings
+    unaveraged: frozenset[str] = frozenset()
     _means: Means | None = None
     _columns: dict[str, dict[bool, tuple[Any, ...]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = dict(self.structures.layout.counts)
         for name, effect in self.structures.candidates.items():
-            if (self.grids and name not in self.grids) or self.structures.moves_a_column(name):
+            if (self.grids and name not in self.grids) or self.structures.corrects_column(name):
                 continue
-            widths = tuple(_members(c, counts) for c in effect.coefficients)
-            self.sizes[name] = _sizes(effect, widths)
-            # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
-            grid = _at(effect, self.grids[name]) if self.grids else _usual_grid(effect)
+            widths = tuple(_count_members(c, counts) for c in effect.coefficients)
+            self.prior_scales[name] = _prior_scales(effect, widths)
+            # Given for a shape that the channels of a unit share, else points of equal prior mass.
+            grid = _shape_values(effect, self.grids[name]) if self.grids else _default_grid(effect)
             self.points[name] = []
-            for i, (shapes, hint) in enumerate(grid):
-                at = slice(self.width, self.width + sum(widths))
-                self.points[name].append(GridPoint(name, shapes, hint, at, i))
+            for i, (shapes, start) in enumerate(grid):
+                block = slice(self.width, self.width + sum(widths))
+                self.points[name].append(GridPoint(name, shapes, start, block, i))
                 self.width += sum(widths)
 
-    def grouped(self, name: str) -> bool:
+    def is_grouped(self, name: str) -> bool:
         """Return whether a candidate's size is shared by many coefficients: a learned spread, or an amplitude."""
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
-    def on_means(self, line: LinearModel) -> LinearModel:
-        """Return a linear model of a long record as one of means, by which candidates are looked over."""
-        count = line.size // MEANS
+    def average_rows(self, linear: LinearModel) -> LinearModel:
+        """Return the linear model on means of readings, for scores on a long record; of a short record, as it is."""
+        count = linear.size // MEANS_COUNT
         if count < 2:
-            return line
+            return linear
         if self._means is None:
             self._means = Means.from_record(self.structures.record, count)
             for name, points in self.points.items():
-                columns = self.columns(line, _at_ends(points), {})
-                if np.max(self._means.within_fraction(columns)) > LOST:
-                    self.blurred |= {name}
-        return self._means.linear_model(line)
+                columns = self.columns(linear, _extreme_points(points), {})
+                if np.max(self._means.within_fraction(columns)) > MAX_VARIANCE_SHARE:
+                    self.unaveraged |= {name}
+        return self._means.linear_model(linear)
 
-    def blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all points, those apart that need all readings: as many as have columns of a length held together."""
-        for needed, names in itertools.groupby(self.points, lambda name: name in self.blurred):
+    def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
+        """Yield all points in blocks of columns of a size that fit in memory; points that need all readings apart."""
+        for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):
-                if block and (point.at.stop - block[0].at.start) * rows > BLOCK_NUMBERS:
+                if block and (point.block.stop - block[0].block.start) * rows > MAX_BLOCK_NUMBERS:
                     yield block
                     block = []
                 block.append(point)
             yield block
 
     def columns(
-        self,
-        line: LinearModel,
-        points: Iterable[GridPoint],
-        acting: Mapping[Correction, tuple[float, ...]],
+        self, linear: LinearModel, points: Iterable[GridPoint], corrections: Corrections
     ) -> Float[np.ndarray, "n k"]:
-        """Return ∂μ/∂θ at some points, output unit per reported unit, by the slopes of a linear model.
+        """Return the columns ∂μ/∂θ of some points, output unit per reported unit, by the slopes of a linear model.
 
-        What depends on a column that is corrected is of the corrected one, such as the temperature of a body.
+        A basis that depends on a corrected column, such as a body's temperature, is computed from the corrected values.
         """
-        parts, size = [], line.problem.record.size
+        parts, size = [], linear.problem.record.size
         for name, candidate_points in itertools.groupby(points, lambda p: p.effect):
             deadline.current().ask()
-            parts.append(self._along(line, name, list(candidate_points), acting).reshape(-1, size))
+            columns = self._columns_at(linear, name, list(candidate_points), corrections)
+            parts.append(columns.reshape(-1, size))
         return parts[0].T if len(parts) == 1 else np.concatenate([*parts, np.empty((0, size))]).T
 
-    def _along(
-        self,
-        line: LinearModel,
-        name: str,
-        points: list[GridPoint],
-        acting: Mapping[Correction, tuple[float, ...]],
+    def _columns_at(
+        self, linear: LinearModel, name: str, points: list[GridPoint], corrections: Corrections
     ) -> Float[np.ndarray, "points k n"]:
-        """Return a candidate's columns at some of its points; of a short record all are cached.
+        """Return a candidate's columns at some of its points; of a short record those of all points are cached.
 
-        As measured, and beside the latest correction.
+        The cache holds two sets: without corrections, and with the latest corrections.
         """
-        record, instrument = line.problem.record, self.structures.base.instrument
+        record, instrument = linear.problem.record, self.structures.base.instrument
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
-        # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the basis).
-        by_slot = np.array([line.slopes[c.slot or effect.slot] for c in effect.coefficients])
-        needed, cached = self._needed(name, acting), self._columns.get(name, {})
+        # Chain rule: derivative of the output by the slot, times that of the slot by the coefficient.
+        by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
+        needed, cached = self._relevant_corrections(name, corrections), self._columns.get(name, {})
         if entry := cached.get(bool(needed)):
-            same = entry[0] is record and entry[1] == needed
-            if same and np.array_equal(entry[2], by_slot):
+            is_same = entry[0] is record and entry[1] == needed
+            if is_same and np.array_equal(entry[2], by_slot):
                 return entry[3][[p.index for p in points]]
-        is_small = self.width * record.size <= HELD_NUMBERS
+        is_small = self.width * record.size <= MAX_CACHED_NUMBERS
         needed_points = self.points[name] if is_small else points
-        at = np.transpose([[*p.shapes.values()] for p in needed_points])
+        shape_values = np.transpose([[*p.shapes.values()] for p in needed_points])
         spec = ColumnSpec.from_effect(effect).with_corrections([*needed])
-        bases = record.columns_of_draws(spec, [*at, *itertools.chain(*needed.values())], {})
+        values = [*shape_values, *itertools.chain(*needed.values())]
+        bases = record.columns_of_draws(spec, values, {})
         bases = bases[None] if bases.ndim == 2 else bases
-        ends = np.cumsum([0, *(_members(c, counts) for c in effect.coefficients)])
+        ends = np.cumsum([0, *(_count_members(c, counts) for c in effect.coefficients)])
         columns = np.empty((len(bases), ends[-1], record.size))
         for i, c in enumerate(effect.coefficients):
             slope = by_slot[i] * factor_of(instrument, effect, c)
@@ -172,98 +171,83 @@ class Library:
         self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
         return columns[[p.index for p in points]]
 
-    def _needed(
-        self, name: str, acting: Mapping[Correction, tuple[float, ...]]
-    ) -> dict[Correction, tuple[float, ...]]:
-        """Return the corrections of columns that a candidate depends on, with their shapes on a grid.
+    def _relevant_corrections(self, name: str, corrections: Corrections) -> Corrections:
+        """Return the corrections of the columns that a candidate depends on, with rounded shapes.
 
-        Structures that find nearly the same share what is scored beside them.
+        Structures with nearly equal shapes then share cached columns.
         """
         columns = self.structures.candidates[name].columns
-        return {c: _nearby(c, at) for c, at in acting.items() if c.column in columns}
+        return {c: _round_shapes(c, at) for c, at in corrections.items() if c.column in columns}
 
 
-def _at_ends(points: Sequence[GridPoint]) -> list[GridPoint]:
-    """Return those of a candidate's points at which a shape is smallest or largest."""
-    along = np.array([[*p.shapes.values()] for p in points])
-    ends = {*along.argmin(axis=0), *along.argmax(axis=0)} if along.size else {0}
-    return [points[i] for i in sorted(ends)]
+def _extreme_points(points: Sequence[GridPoint]) -> list[GridPoint]:
+    """Return the points of a candidate at which one of its shapes is smallest or largest."""
+    shapes = np.array([[*p.shapes.values()] for p in points])
+    extremes = {*shapes.argmin(axis=0), *shapes.argmax(axis=0)} if shapes.size else {0}
+    return [points[i] for i in sorted(extremes)]
 
 
-def _nearby(correction: Correction, at: tuple[float, ...]) -> tuple[float, ...]:
-    """Return a correction's shapes, rounded to even steps of their coordinates."""
-    pairs = zip(correction.spec.priors, at, strict=True)
-    return tuple(
-        float(p.value(round(p.coordinate(x) / ACTING_STEP) * ACTING_STEP)) for p, x in pairs
-    )
+def _round_shapes(correction: Correction, shapes: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a correction's shapes, rounded to multiples of a step in their coordinates."""
+    pairs, step = zip(correction.spec.priors, shapes, strict=True), CORRECTION_STEP_SD
+    return tuple(float(p.value(round(p.coordinate(x) / step) * step)) for p, x in pairs)
 
 
-def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
+def _count_members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
     return 1 if coefficient.per is None else counts[coefficient.per]
 
 
-@lru_cache(KEPT_EFFECTS)
-def _sizes(effect: Effect, widths: tuple[int, ...]) -> list[Size]:
-    """Return plausible sizes of an effect whose coefficients have so many columns each."""
-    at = np.cumsum([0, *widths])
-    plain = np.zeros(at[-1])
+@lru_cache(CACHED_EFFECTS)
+def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
+    """Return the prior scales of an effect whose coefficients have `widths` columns each."""
+    ends = np.cumsum([0, *widths])
+    sd = np.zeros(ends[-1])
     for i, c in enumerate(effect.coefficients):
-        plain[at[i] : at[i + 1]] = c.size
-    levels = (np.arange(LEVELS) + 0.5) / LEVELS
+        sd[ends[i] : ends[i + 1]] = c.size
+    prior_scales, levels = list[PriorScale](), (np.arange(SPREAD_LEVELS) + 0.5) / SPREAD_LEVELS
     if effect.weights is not None:
-        scales = [s for s in effect.shapes if s.name in effect.weight_shapes]
-        sizes = []
-        # Of an amplitude and a length: a grid at the middles of equal parts of their priors, each point as probable.
-        for v in itertools.product(ndtri(levels), repeat=len(scales)):
-            pairs = [*zip(scales, map(float, v), strict=True)]
+        shapes = [s for s in effect.shapes if s.name in effect.weight_shapes]
+        log_weight = -len(shapes) * math.log(SPREAD_LEVELS)
+        # Grid of an amplitude and a length at the middles of equal parts of their priors, all points equally probable.
+        for v in itertools.product(ndtri(levels), repeat=len(shapes)):
+            pairs = [*zip(shapes, map(float, v), strict=True)]
             named = {s.name: float(s.prior.value(c)) for s, c in pairs}
             weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
-            hint = {effect.shape_name(s): c for s, c in pairs}
-            sizes.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
-        return sizes
+            start = {effect.shape_name(s): c for s, c in pairs}
+            prior_scales.append(PriorScale(sd * weights, start, named, log_weight))
+        return prior_scales
     learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
-    of_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(at))
+    is_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(ends))
     spreads = ndtri(0.5 + 0.5 * levels) if learned else np.ones(1)  # a half-normal's quantiles
-    factors = {1.0: 1.0} if of_spread.all() else SIZE_FACTORS
-    return [
-        Size(
-            plain * np.where(of_spread, z, factor),
-            {effect.group_sd_name(i): math.log(z) for i in learned},
-            {},
-            math.log(p / len(spreads)),
-        )
-        for z in spreads
-        for factor, p in factors.items()
-    ]
+    factors = {1.0: 1.0} if is_spread.all() else SIZE_FACTORS
+    for z, (factor, p) in itertools.product(spreads, factors.items()):
+        start = {effect.group_sd_name(i): math.log(z) for i in learned}
+        scaled, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
+        prior_scales.append(PriorScale(scaled, start, {}, log_weight))
+    return prior_scales
 
 
-# Shapes by their own names; coordinates by the full ones.
-Place = tuple[dict[str, float], dict[str, float]]
-
-
-def _at(effect: Effect, grid: np.ndarray) -> list[Place]:
-    """Return an effect's shapes, and coordinates of φ, at coordinates of the shapes (points, shapes)."""
+def _shape_values(effect: Effect, grid: np.ndarray) -> list[ShapeValues]:
+    """Return an effect's shapes in their units, and coordinates by full name, at grid points (points, shapes)."""
     shapes, count = effect.column_shapes, len(grid)
     names, full = [s.name for s in shapes], [effect.shape_name(s) for s in shapes]
     pairs = zip(shapes, grid.T, strict=True)
     values = np.transpose([s.prior.value(v) for s, v in pairs]).reshape(count, -1)
-    return [
-        (dict(zip(names, row, strict=True)), dict(zip(full, v, strict=True)))
-        for row, v in zip(values.tolist(), grid.tolist(), strict=True)
-    ]
+    rows = zip(values.tolist(), grid.tolist(), strict=True)
+    return [(dict(zip(names, a, strict=True)), dict(zip(full, v, strict=True))) for a, v in rows]
 
 
-@lru_cache(KEPT_EFFECTS)
-def _usual_grid(effect: Effect) -> list[Place]:
-    return _at(effect, _grid(effect.column_shapes))
+@lru_cache(CACHED_EFFECTS)
+def _default_grid(effect: Effect) -> list[ShapeValues]:
+    return _shape_values(effect, _shape_grid(effect.column_shapes))
 
 
-def _grid(shapes: Sequence[Shape]) -> np.ndarray:
-    """Return coordinates of shapes (points, shapes), equally probable under their priors."""
+def _shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
+    """Return a grid of shape coordinates (points, shapes), all points equally probable under the priors."""
     if not shapes:
         return np.zeros((1, 0))
-    count = SHAPE_POINTS if len(shapes) == 1 else SEVERAL_SHAPES
-    count = RAGGED_SHAPES if any(s.ragged for s in shapes) else count
+    count = SHAPE_POINTS if len(shapes) == 1 else SOBOL_POINTS
+    count = RAGGED_POINTS if any(s.ragged for s in shapes) else count
     if len(shapes) == 1:
         # Φ⁻¹ of the middles of equal parts: shapes are standard normal in their coordinates, so each point stands for
         # the same prior mass, and the mean over points is the integral over the prior.
@@ -272,10 +256,10 @@ def _grid(shapes: Sequence[Shape]) -> np.ndarray:
 
 
 def sobol_points(count: int) -> Float[np.ndarray, "k count"]:
-    """Return scrambled Sobol points of a dimension, always the same; those of two and three from a file."""
+    """Return scrambled Sobol points of a dimension with a fixed seed; for two and three dimensions from a file."""
     with np.load(SOBOL) as tables:  # SciPy's take half a second to load
         if str(count) in tables:
             return tables[str(count)]
     from scipy.stats import qmc
 
-    return qmc.Sobol(count, scramble=True, rng=0).random(RAGGED_SHAPES)
+    return qmc.Sobol(count, scramble=True, rng=0).random(RAGGED_POINTS)

@@ -1,8 +1,8 @@
-"""Which experiment next: the change of the campaign that would tell apart what these readings cannot.
+"""Design of the next experiment: the campaign that would best tell apart effects that the present readings cannot.
 
-Each member of a credible set is fitted to the readings at hand, and expects a normal distribution of a campaign
-(posterior draws, new group members and noise). The log Bayes factor that the campaign is expected to give between two,
-if one of them is the truth, is the divergence of the two distributions, in closed form.
+Each member of a credible set is fitted to the present readings and predicts a normal distribution of a campaign's
+readings (posterior draws, new group members and noise). The expected log Bayes factor between two members, if one of
+them is the truth, is the Kullback–Leibler divergence of the two distributions, in closed form.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bayescal._model.frame import build_frame
 # Assoc. 90 (1995) 773).
 VERY_STRONG_NATS = 5.0
 
-DRAWS = 300  # of each possibility: noise is in closed form, and they only have to rank campaigns
+POSTERIOR_DRAWS = 300  # of each member: enough to rank campaigns, as noise is in closed form
 # Readings of a campaign that are looked at, evenly spread: their covariances are n × n.
 MOST_READINGS = 1500
 
@@ -114,14 +114,14 @@ def next_experiment(
             "next_experiment(calibration, effects, {'slower': readings, …})"
         )
     with stage("fitting each possibility"):
-        method = LeastSquares(draws=DRAWS)
+        method = LeastSquares(draws=POSTERIOR_DRAWS)
         how: dict[str, Any] = {"reference": calibration.reference, "strict": False}
         model, fitted_readings = calibration.model, calibration.readings
         fits = {e.name: fit(model + e, fitted_readings, method, **how) for e in chosen}
     with stage("expecting the outcome of each experiment"):
         campaigns = list[Experiment]()
         for name, readings in plans.items():
-            outlooks = {n: outlook(c, readings) for n, c in fits.items()}
+            outlooks = {n: predict_campaign(c, readings) for n, c in fits.items()}
             pairs = permutations(fits, 2)
             factors = {pair: divergence(*(outlooks[n] for n in pair)) for pair in pairs}
             campaigns.append(Experiment(name, factors, readings))
@@ -129,14 +129,14 @@ def next_experiment(
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """What a model expects of a campaign: a mean (n,) and a covariance (n, n), output unit."""
+class CampaignPrediction:
+    """Predictive distribution of a campaign's readings: mean (n,) and covariance (n, n), output unit."""
 
     mean: np.ndarray
     covariance: np.ndarray
 
 
-def divergence(truth: Outlook, rival: Outlook) -> float:
+def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
     """Return the Kullback–Leibler divergence of two normals, nats: the expected log density ratio."""
     # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: W = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
@@ -148,11 +148,11 @@ def divergence(truth: Outlook, rival: Outlook) -> float:
 
 
 @on_one_thread
-def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
-    """Return what a fitted model expects of a campaign, or of `MOST_READINGS` of its readings, evenly spread.
+def predict_campaign(calibration: Calibration, readings: Measurements) -> CampaignPrediction:
+    """Predict the readings of a campaign by a fitted model, or `MOST_READINGS` of them, evenly spread.
 
-    Expected outputs by draws of the posterior, members of groups new; noise and the deviations of new members in closed
-    form: a covariance from draws alone would have the rank of their number.
+    Expected outputs are computed from posterior draws, for new group members; noise and the deviations of new members
+    in closed form, as the rank of a covariance from draws alone would be their number.
     """
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
@@ -162,21 +162,21 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
     problem = calibration.problem_on(unseen)
-    record, (x, v) = problem.record, calibration.draws(DRAWS)
+    record, (x, v) = problem.record, calibration.draws(POSTERIOR_DRAWS)
     means = problem.expected(x, problem.hyper(v.T))
     centred = means - means.mean(axis=0)
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = problem.hyper(np.median(v, axis=0))
-    white = whitening(problem.noise, hyper, record)(np.eye(record.size))
-    middle = x.mean(axis=0)[None]
-    variance = np.broadcast_to(problem.expected_and_extra(middle, hyper)[1], (1, record.size))[0]
-    covariance = np.linalg.inv(white.T @ white) + np.diag(variance)
+    whitener = whitening(problem.noise, hyper, record)(np.eye(record.size))
+    mean_x = x.mean(axis=0)[None]
+    variance = np.broadcast_to(problem.expected_and_extra(mean_x, hyper)[1], (1, record.size))[0]
+    covariance = np.linalg.inv(whitener.T @ whitener) + np.diag(variance)
     grouped_terms = [t for t in problem.terms if t.per is not None and t.place != "fixed"]
-    _, slopes = problem.expected_with_slopes(middle, hyper, grouped_terms)
+    _, slopes = problem.expected_with_slopes(mean_x, hyper, grouped_terms)
     for t, slope in zip(grouped_terms, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd
         member = codes[str(t.per)]
-        same = (member[:, None] == member) & (member[:, None] >= 0)
-        covariance += same * np.outer(column, column)
-    return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + covariance)
+        is_same = (member[:, None] == member) & (member[:, None] >= 0)
+        covariance += is_same * np.outer(column, column)
+    return CampaignPrediction(means.mean(axis=0), centred.T @ centred / len(means) + covariance)

@@ -1,4 +1,4 @@
-"""Noise laws that a record can tell, and what each is expected to gain on residuals, coefficients held."""
+"""Noise laws that a record can tell apart, and their evidence on residuals, coefficients held."""
 
 from __future__ import annotations
 
@@ -23,22 +23,23 @@ from bayescal._model.model import Model
 from bayescal._model.noise_law import OFFERS, WHITE, Noise
 from bayescal._model.parameters import Layout
 
-# Readings from which a noise law can be told at all: a fourth moment is then known to a half.
-FEWEST_FOR_NOISE = 30
+# Fewest readings with which noise laws are compared: a fourth moment then has a standard uncertainty of one half.
+MIN_READINGS = 30
 
-# Coordinates of a law's further parameters, at which a maximum is looked for first.
-LEVELS = (-2.0, 0.0, 1.0)
+# Starting coordinates of a law's parameters without an initial value.
+STARTING_LEVELS = (-2.0, 0.0, 1.0)
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
-    """Return further noise laws of a model, by name; none where its own is not white or readings are few.
+    """Return further noise laws for a model, by name; none where its own is not white or readings are few.
 
-    Correlated, where there is time, and sums of such terms if asked for; heavy tails; scatter that follows a column.
+    They are correlated noise, where there is time, and sums of correlated terms if asked for; heavy-tailed noise; and
+    scatter that follows a column.
     """
-    # Coefficients of single readings are noise by another name: beside them, or with the noise held, none is weighed.
-    together = any(c.per == READING for e in model.effects for c in e.coefficients)
-    fixed = any(name in model.noise.parameters() for name, _ in model.fixed)
-    if together or fixed or frame.size < FEWEST_FOR_NOISE or not model.noise.first:
+    # Coefficients of single readings are noise by another name: beside these, or with the noise held, there are none.
+    per_reading = any(c.per == READING for e in model.effects for c in e.coefficients)
+    is_fixed = any(name in model.noise.parameters() for name, _ in model.fixed)
+    if per_reading or is_fixed or frame.size < MIN_READINGS or not model.noise.first:
         return {}
     scale = model.noise.parameters()[WHITE]
     laws = [law for offer in OFFERS for law in offer(scale, frame)]
@@ -47,9 +48,9 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
 
 
 def log_prior(laws: Mapping[str, Noise], name: str) -> float:
-    """Return a law's log prior odds against the model's own, which has probability one half.
+    """Return a law's log prior odds against the model's own law, which has probability one half.
 
-    The other kinds share the other half, columns that the scatter may follow one of these shares.
+    All other kinds of law share the other half equally, and the laws of one kind share its part.
     """
     if name not in laws:
         return 0.0
@@ -58,70 +59,70 @@ def log_prior(laws: Mapping[str, Noise], name: str) -> float:
     return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
 
 
-class OnResiduals(NamedTuple):
-    """Log evidence of a noise law alone; coordinates of its parameters at the maximum, by name; their covariance."""
+class ResidualFit(NamedTuple):
+    """A noise law fitted to residuals, without effects."""
 
     log_evidence: float
-    hint: dict[str, float]
-    covariance: np.ndarray | None = None
+    start: dict[str, float]  # coordinates of its parameters at the maximum, by name
+    covariance: np.ndarray | None = None  # of the coordinates
 
 
-NO_FIT = OnResiduals(-math.inf, {})
+NO_FIT = ResidualFit(-math.inf, {})
 
 
 @on_one_thread
-def on_residuals(law: Noise, record: Record, near: OnResiduals = NO_FIT) -> OnResiduals:
-    """Fit a law to residuals (`Record.of_noise`) by Laplace, without effects.
+def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT) -> ResidualFit:
+    """Fit a law to residuals (`Record.of_noise`) by the Laplace approximation, without effects.
 
-    There is no evidence where nothing is left. Its maximum on other residuals may be `near`.
+    The log evidence is −∞ where all residuals are zero. A `previous` fit to other residuals gives the start.
     """
-    starts = _starts(law, record, near.hint)
+    starts = _list_starts(law, record, previous.start)
     if not starts:
         return NO_FIT
     priors = law.parameters()
-    at = [np.array([start[n] for n in priors]) for start in starts]
-    alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
-    like = None
-    if near.covariance is not None:
-        coordinates = np.array([near.hint[n] for n in priors])
-        like = Nearby(coordinates, np.linalg.inv(near.covariance), True)
-    density = Density(alone, alone.start, np.ones(0), like=like)
-    # What is only a hint is found to a hundredth of a nat.
-    mode = fit_at_mode(density, climb(density, best_start(density, at), math.inf), 0.0)
-    hint = dict(zip(priors, mode.v.tolist(), strict=True))
-    return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
+    points = [np.array([start[n] for n in priors]) for start in starts]
+    problem = Problem(Layout(Model(CHANNEL, (), law), ()), record)
+    curvature = None
+    if previous.covariance is not None:
+        coordinates = np.array([previous.start[n] for n in priors])
+        curvature = Nearby(coordinates, np.linalg.inv(previous.covariance), True)
+    density = Density(problem, problem.start, np.ones(0), like=curvature)
+    # The climb stops at a hundredth of a nat: the evidence only ranks laws and the mode is a start.
+    mode = fit_at_mode(density, climb(density, best_start(density, points), math.inf), 0.0)
+    coordinates_by_name = dict(zip(priors, mode.v.tolist(), strict=True))
+    return ResidualFit(float(mode.log_evidence), coordinates_by_name, mode.covariance)
 
 
-def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[str, float]]:
+def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list[dict[str, float]]:
     """Return starting coordinates of a law's parameters, by name; none where all residuals are zero.
 
-    What is known of some, beside every combination of levels of the others; where a maximum was on other residuals,
-    that, and it with one parameter at another level.
+    With a maximum on other residuals: that maximum, and it with one parameter changed to each level. Without: initial
+    values of some parameters, with every combination of levels of the others.
     """
     priors = law.parameters()
-    if near and np.any(record.y):
-        one_hill = law.independent and law.gaussian
-        others = () if one_hill else ({n: level} for n in priors for level in LEVELS)
-        return [{**near, **point} for point in ({}, *others)]
-    stated = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
-    return [
-        dict(zip(priors, point, strict=True))
-        for some in stated
-        for point in itertools.product(*([some[n]] if n in some else LEVELS for n in priors))
-    ]
+    if start and np.any(record.y):
+        is_unimodal = law.independent and law.gaussian
+        others = () if is_unimodal else ({n: level} for n in priors for level in STARTING_LEVELS)
+        return [{**start, **point} for point in ({}, *others)]
+    starts = list[dict[str, float]]()
+    for values in _initial_values(law, record):
+        fixed = {n: [priors[n].coordinate(v)] for n, v in values.items()}
+        levels = (fixed.get(n, STARTING_LEVELS) for n in priors)
+        starts += [dict(zip(priors, point, strict=True)) for point in itertools.product(*levels)]
+    return starts
 
 
-def _stated(law: Noise, record: Record) -> list[dict[str, float]]:
+def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
     """Return starting values of some of a law's parameters; none where all residuals are zero."""
     residuals = record.y
     scale = float(np.sqrt(np.mean(residuals**2)))
     if law.independent:
-        # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is
-        # that of the law without outliers. One of them is near the maximum.
+        # 1.5 times the median absolute value estimates the standard deviation robustly, the rms that of a law without
+        # outliers: one of both is near the maximum.
         scales = (scale, 1.5 * float(np.median(np.abs(residuals))))
         return [{next(iter(law.parameters())): s} for s in scales if s > 0]
-    # Slow noise hardly moves from one reading to the next: differences of neighbours are about the white part's.
+    # Slow noise hardly changes between neighbouring readings: their differences are mainly those of the white part.
     in_time = residuals[record.in_time[0]]
-    narrow = float(np.median(np.abs(np.diff(in_time)))) or scale
-    starts = law.starts(record.frame.in_time(), in_time) if narrow > 0 else []
-    return [{WHITE: narrow, **some} for some in starts]
+    white_sd = float(np.median(np.abs(np.diff(in_time)))) or scale
+    starts = law.starts(record.frame.in_time(), in_time) if white_sd > 0 else []
+    return [{WHITE: white_sd, **values} for values in starts]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _RAN: dict[tuple[str, str], ModuleType] = {}  # in this process, by path and SHA-256
 
 
-def user_effects(path: Path | None) -> tuple[Effect, ...]:
+def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
     """Return the effects that a user's file defines: its EFFECTS, or every Effect in it; none of one of noise laws.
 
     A noise law is known by its class's name once its file was run, and searches weigh it where the file offers it.
@@ -87,7 +87,7 @@ def run_file(path: Path) -> ModuleType:
         except BaseException as error:  # SystemExit too: what a file does wrong is said in words
             where = f", line {line}" if (line := own_file_line(error)[1]) else ""
             del _RAN[ran]
-            raise InputError(f"{path}{where} could not be run: {in_one_line(error)}") from None
+            raise InputError(f"{path}{where} could not be run: {format_error(error)}") from None
     return _RAN[ran]
 
 
@@ -100,7 +100,7 @@ def own_file_line(error: BaseException) -> tuple[str, int]:
     return next(((file, n) for file, n in reversed(lines) if file in user_files and n), ("", 0))
 
 
-def in_one_line(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """Return an error of a user's own file as text: its kind and what it says."""
     message = error.msg if isinstance(error, SyntaxError) else str(error)
     return f"{type(error).__name__}{': ' if message else ''}{message}"

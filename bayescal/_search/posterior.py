@@ -1,10 +1,10 @@
-"""The posterior over structures: inclusion probabilities, findings with their substitutes, the structure to use."""
+"""Posterior over structures: inclusion probabilities, sets of effects found to be missing, the structure to use."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,12 +13,12 @@ from scipy.special import softmax
 
 from bayescal._calibration.claim import Claim
 from bayescal._core.settings import settings
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 
-SHOWN_STRUCTURES = 20  # structures kept of a search
-NEXT_TO_NOTHING = 1e-3  # probability of a structure, which moves no digit of what is printed
-# Probability that a name is right beside a description without a name that is needed (docs/wrong_model.md).
-NAME_BESIDE_DESCRIPTION = 0.55
+SHOWN_STRUCTURES = 20  # structures in the summary of a search
+NEGLIGIBLE_PROBABILITY = 1e-3  # of a structure: it changes no printed digit
+# Probability that a named effect is the right one in a structure that needs an unnamed effect (docs/wrong_model.md).
+NAME_PROBABILITY = 0.55
 
 
 @dataclass(frozen=True)
@@ -31,176 +31,177 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Structures that hold the effects given, the most probable first: refitted ones, and others by what was expected.
-
-    An effect that is asked for is asked for in all forms of its family. `total` is log evidence and log prior.
-    """
+    """Posterior probabilities of the structures that have given effects; those of an effect are of its family."""
 
     space: Structures
-    condition: frozenset[str]
-    structures: tuple[Structure, ...]
-    total: np.ndarray
+    condition: frozenset[str]  # effects that all structures have
+    structures: tuple[Structure, ...]  # the most probable first
+    log_posterior: np.ndarray  # log evidence plus log prior, unnormalised
     probability: np.ndarray
-    refitted: dict[Structure, Weighed]
+    evaluated: dict[Structure, EvaluatedStructure]
 
     @classmethod
-    def of(cls, structures: Structures, condition: Iterable[str] = ()) -> Posterior:
+    def from_structures(cls, structures: Structures, condition: Iterable[str] = ()) -> Posterior:
+        """Compute the posterior over the structures that have the effects of a condition."""
         required = frozenset(condition)
-        refitted = {s: w for s, w in structures.visited.items() if math.isfinite(w.total)}
-        refitted = {s: w for s, w in refitted.items() if not structures.is_special_case(s)}
-        most = max((w.total for s, w in refitted.items() if required <= s.effects))
-        # What was only expected may not lead: it would have been refitted.
-        expected = structures.expected.items()
-        totals = {s: min(t, most) for s, t in expected if not structures.is_special_case(s)}
-        totals |= {s: w.total for s, w in refitted.items()}
+        evaluated = {s: w for s, w in structures.visited.items() if math.isfinite(w.log_posterior)}
+        evaluated = {s: w for s, w in evaluated.items() if not structures.is_special_case(s)}
+        fitted = {s: w.log_posterior for s, w in evaluated.items()}
+        highest = max(total for s, total in fitted.items() if required <= s.effects)
+        # A log posterior by score may not exceed all fitted ones: the structure would have been fitted.
+        scored = structures.scores.items()
+        totals = {s: min(t, highest) for s, t in scored if not structures.is_special_case(s)}
+        totals |= fitted
         inside = [s for s in totals if required <= s.effects]
-        inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
+        inside = sorted(inside, key=lambda s: (-totals[s], s not in evaluated))
         total = np.array([totals[s] for s in inside])
-        # What was never weighed nor expected has no probability: the walk looks wherever there could be any.
+        # Structures without fit or score have probability zero: the search covers all that could have any.
         weight = np.exp(total - total[0])
-        return cls(structures, required, tuple(inside), total, weight / weight.sum(), refitted)
+        return cls(structures, required, tuple(inside), total, weight / weight.sum(), evaluated)
 
     @cached_property
-    def reported(self) -> tuple[frozenset[str], ...]:
-        """Return, of each structure, the families of its effects and of their equivalents."""
-        return tuple(map(self.space.reported, self.structures))
+    def reported_families(self) -> tuple[frozenset[str], ...]:
+        """Return, for each structure, the families of its effects and of their equivalents."""
+        return tuple(map(self.space.reported_families, self.structures))
 
     @cached_property
-    def shares(self) -> tuple[dict[str, float], ...]:
-        """Return the probability of each family given each structure: of its equivalents, by their prior odds."""
+    def family_shares(self) -> tuple[dict[str, float], ...]:
+        """Return, for each structure, the probability of each family: equivalents share it by their prior odds."""
 
         def shares_in(s: Structure) -> dict[str, float]:
             sets, odds = self.space.spans.generators(s.effects), self.space.log_odds
             weights = softmax([sum(odds[n] for n in names) for names in sets])
-            return _mass(map(self.space.families, sets), weights)
+            return _sum_by_name(map(self.space.families, sets), weights)
 
         return tuple(map(shares_in, self.structures))
 
     @property
     def best(self) -> Structure:
-        """Return the most probable refitted structure."""
-        # A structure that was only expected has no mode, and cannot be used.
-        return next(s for s in self.structures if s in self.refitted)
+        """Return the most probable structure that was fitted."""
+        # A structure evaluated by score alone has no mode and cannot be used.
+        return next(s for s in self.structures if s in self.evaluated)
 
-    def complete(self, unseen: Iterable[str] = ()) -> float:
-        """Return the probability that the given effects are all that is there, under any noise law.
+    def completeness(self, unseen: Iterable[str] = ()) -> float:
+        """Return the probability that no effect is missing beside the condition's and `unseen` ones, under any noise.
 
-        A structure is not complete where a description, given, added or of the noise, carries more than a small part.
+        A structure is incomplete where an unnamed effect, given, added or of the noise, is not negligible.
         """
-        structures, conditioned = self.space, Structure(self.condition)
-        further = {*unseen, *structures.latent(conditioned)}
-        reported = structures.reported(conditioned) | structures.families(further)
-        triples = zip(self.structures, self.reported, self.described, strict=True)
-        laws = [s in self.refitted and self.refitted[s].noise_describes for s in self.structures]
-        named = [not d and f - structures.unnamed(s) <= reported for s, f, d in triples]
-        return self._of_any([n and not law for n, law in zip(named, laws, strict=True)])
+        space, conditioned = self.space, Structure(self.condition)
+        further = {*unseen, *space.latent_effects(conditioned)}
+        reported = space.reported_families(conditioned) | space.families(further)
+        triples = zip(self.structures, self.reported_families, self.needs_description, strict=True)
+        named = [not needs and f - space.unnamed_effects(s) <= reported for s, f, needs in triples]
+        fits = map(self.evaluated.get, self.structures)
+        has_unnamed_noise = [fit is not None and fit.has_unnamed_noise for fit in fits]
+        return self._sum_probability(np.array(named) & ~np.array(has_unnamed_noise))
 
     @cached_property
-    def described(self) -> list[bool]:
-        """Return whether each structure needs a description of something without a name."""
+    def needs_description(self) -> list[bool]:
+        """Return, for each structure, whether it has an unnamed effect that is not negligible."""
 
         def needed(s: Structure, probability: float) -> bool:
-            weighed = self.refitted.get(s)
-            unknown = weighed is None or probability < NEXT_TO_NOTHING
-            return bool(self.space.unnamed(s)) and (unknown or bool(self.space.matters(weighed)))
+            fit, unnamed = self.evaluated.get(s), bool(self.space.unnamed_effects(s))
+            unknown = fit is None or probability < NEGLIGIBLE_PROBABILITY
+            return unnamed and (unknown or bool(self.space.substantial_unnamed(fit)))
 
         return [needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
 
-    def noise(self, name: str) -> float:
+    def law_probability(self, name: str) -> float:
         """Return the probability of a noise law."""
-        return self._of_any([s.noise == name for s in self.structures])
+        return self._sum_probability([s.noise == name for s in self.structures])
 
     def inclusion(self, *names: str) -> float:
         """Return the probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
-        return self._of_any(self._has_any(self.space.families(names)))
+        return self._sum_probability(self._has_any(self.space.families(names)))
 
     def _has_any(self, families: frozenset[str]) -> list[bool]:
-        return [not families.isdisjoint(reported) for reported in self.reported]
+        return [not families.isdisjoint(reported) for reported in self.reported_families]
 
     def probability_of_names(self, *names: str) -> float:
-        """Return the probability that at least one of these effects is missing, and is what its name says.
+        """Return the probability that at least one of these effects is missing, and that its name is the right one.
 
-        Of one alone only its share among equivalents counts: readings cannot tell which of them it is.
+        A single effect has only its share of the probability of its equivalents, which readings cannot tell apart.
         """
         families = self.space.families(names)
         family, *others = families
-        alone = (shares.get(family, 0.0) for shares in self.shares)
+        alone = (shares.get(family, 0.0) for shares in self.family_shares)
         parts = np.array(self._has_any(families) if others else [*alone], dtype=float)
         if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
-            parts = np.where(self.described, NAME_BESIDE_DESCRIPTION, 1.0) * parts
+            parts = np.where(self.needs_description, NAME_PROBABILITY, 1.0) * parts
         return float(min(1.0, self.probability @ parts))
 
     @cached_property
-    def _of_forms(self) -> dict[str, float]:
-        """Return the probability of each candidate."""
-        return _mass([s.effects for s in self.structures], self.probability)
+    def _form_probability(self) -> dict[str, float]:
+        """Return the inclusion probability of each candidate."""
+        return _sum_by_name([s.effects for s in self.structures], self.probability)
 
-    def form(self, name: str) -> str:
+    def most_probable_form(self, name: str) -> str:
         """Return the most probable form of a family; its own name where no structure has any."""
-        mass = self._of_forms
+        mass = self._form_probability
         forms = [n for n in mass if self.space.family(n) == name]
         return max(forms, key=mass.__getitem__, default=name)
 
-    def _of_any(self, inside: Sequence[bool]) -> float:
+    def _sum_probability(self, inside: Sequence[bool] | np.ndarray) -> float:
         return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Return the smallest sets of effects of which one is missing with `found_probability`.
+        """Return the smallest sets of effects of which at least one is missing with `found_probability`.
 
-        Each begins with an effect of the most probable structure and goes on with what can take its place.
+        Each set has an effect of the most probable structure, and its substitutes in order of probability.
         """
-        findings, rivals = [], self.space.rivals(self.best)
-        # Greedy: each step takes the effect with the most probability of structures without any member so far.
+        findings, equivalents = [], self.space.equivalents_by_effect(self.best)
+        # Greedy: each step adds the effect with the highest probability in structures without any member so far.
         for effect in self.best.effects - self.condition:
             name = self.space.family(effect)
-            members = [name, *sorted(self.space.families(rivals[effect]) - {name})]
+            members = [name, *sorted(self.space.families(equivalents[effect]) - {name})]
             while self.inclusion(*members) < settings().found_probability:
-                further = self._substitute(members)
-                if further is None:
+                substitute = self._next_substitute(members)
+                if substitute is None:
                     break
-                members.append(further)
+                members.append(substitute)
             if self.inclusion(*members) >= settings().found_probability:
-                by_structure = [self.space.families(s.effects) for s in self.structures]
-                share = {n: self._of_any([n in f for f in by_structure]) for n in members}
+                sets = [self.space.families(s.effects) for s in self.structures]
+                share = {n: self._sum_probability([n in f for f in sets]) for n in members}
                 order = sorted(members, key=lambda n: -share[n])
                 findings.append(Finding(tuple(order), self.probability_of_names(*members)))
         findings.sort(key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects)))
         return tuple(findings)
 
-    def _substitute(self, members: list[str]) -> str | None:
+    def _next_substitute(self, members: list[str]) -> str | None:
         """Return the most probable effect of structures that have none of the members."""
-        # Effects that are in for other reasons are nobody's substitutes.
+        # Other effects of the best structure and of the condition are no substitutes.
         best, condition = map(self.space.families, (self.best.effects, self.condition))
-        settled = (best - {members[0]}) | condition
-        others = [r - settled if r.isdisjoint(members) else frozenset() for r in self.reported]
-        mass = _mass(others, self.probability)
+        excluded, sets = (best - {members[0]}) | condition, self.reported_families
+        others = [s - excluded if s.isdisjoint(members) else frozenset() for s in sets]
+        mass = _sum_by_name(others, self.probability)
         return max(mass, key=mass.__getitem__, default=None)
 
     @property
-    def chosen(self) -> Structure:
-        """Return the structure to use: effects more probable in than out, given those chosen before.
+    def median_structure(self) -> Structure:
+        """Return the structure to use: the median probability model, its effects chosen one after another.
 
-        Of effects that one of is found, and none is in so, the most probable structure's is. What is used need not be
-        found: that is for the word "missing". The noise law is that of the most probable structure that has all of it.
+        An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. Of each
+        finding without a chosen effect that of the most probable structure is added. The noise law is that of the most
+        probable structure with all chosen effects. A chosen effect need not reach the probability to be called missing.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
         effects = frozenset(self.condition)
-        inside = list(zip(self.structures, self.probability.tolist(), strict=True))
+        candidates = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
-            # Conditional inclusion: of the structures that hold what was chosen so far, the effect that most of them
-            # have, then its form. Without the condition two substitutes of one half each would both be out.
-            further, masses = [s.effects - effects for s, _ in inside], [p for _, p in inside]
-            of_form = _mass(further, masses)
-            share = _mass(map(self.space.families, further), masses)
-            likely = max(share, key=lambda n: (share[n], n), default="")
-            if not likely or share[likely] <= 0.5 * sum(masses):
+            # Inclusion given the chosen effects: the most probable family, then its form. Without the condition two
+            # substitutes of one half each would both be out.
+            sets, masses = [s.effects - effects for s, _ in candidates], [p for _, p in candidates]
+            of_form = _sum_by_name(sets, masses)
+            of_family = _sum_by_name(map(self.space.families, sets), masses)
+            family = max(of_family, key=lambda n: (of_family[n], n), default="")
+            if not family or of_family[family] <= 0.5 * sum(masses):
                 break
-            forms = [n for n in of_form if self.space.family(n) == likely]
-            likeliest = max(forms, key=lambda n: (of_form[n], n))
-            effects |= {likeliest}
-            inside = [(s, p) for s, p in inside if likeliest in s.effects]
+            forms = [n for n in of_form if self.space.family(n) == family]
+            form = max(forms, key=lambda n: (of_form[n], n))
+            effects |= {form}
+            candidates = [(s, p) for s, p in candidates if form in s.effects]
         for finding in self.findings:
             if not self.space.families(effects).intersection(finding.effects):
                 effects |= {n for n in self.best.effects if self.space.family(n) in finding.effects}
@@ -208,8 +209,8 @@ class Posterior:
         return Structure(effects, law)
 
 
-def _mass(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[str, float]:
-    """Return the probability of the sets that each name is in."""
+def _sum_by_name(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[str, float]:
+    """Return, for each name, the total probability of the sets that it is in."""
     mass = dict[str, float]()
     for names, p in zip(sets, probability, strict=True):
         for name in names:
@@ -219,12 +220,12 @@ def _mass(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[
 
 @dataclass(frozen=True)
 class OtherPath:
-    """The runner-up model: where the search ends under another noise law, if these readings do not decide."""
+    """The runner-up model: the best under another noise law, if these readings cannot tell which law is right."""
 
-    noise: str  # that law
-    added: tuple[str, ...]  # what was added under it
-    log_bayes_factor: float  # of that end against the trail's own, natural logarithm; negative
-    in_words: str  # that law, in words
+    noise: str  # name of the other law
+    added: tuple[str, ...]  # effects added under the other law
+    log_bayes_factor: float  # of the runner-up against the best model, natural logarithm; negative
+    in_words: str  # the other law, in words
     correlated: bool = False  # whether one of the two laws alone is correlated in time
 
     def __str__(self) -> str:
@@ -235,9 +236,9 @@ class OtherPath:
 
 @dataclass(frozen=True)
 class ShownStructure:
-    """A structure as a search leaves it: what it adds, its noise law ("" for the one given), how probable it is.
+    """A structure in the summary of a search: added effects, noise law ("" for the given one), and probability.
 
-    The error as fitted, output unit, is said of the most probable one alone.
+    `rms`, the rms residual in the output unit, is given for the most probable structure only.
     """
 
     effects: tuple[str, ...]
@@ -253,32 +254,26 @@ class ShownStructure:
 
 @dataclass(frozen=True)
 class Search:
-    """How a search stands, or how it ended."""
+    """State of a search, under way or ended."""
 
     structures: tuple[ShownStructure, ...]  # the most probable ones
-    weighed: int  # how many were
-    complete: bool  # whether it came to its end
-    stopped: str = ""  # why it did not, in words; empty where it did, or goes on
+    weighed: int  # number of evaluated structures
+    complete: bool  # whether the search was completed
+    stopped: str = ""  # why it ended early, in words; empty while under way and when completed
     seconds: float = 0.0  # since it began
     max_effects: int | None = None  # most effects that it may add
 
     @classmethod
-    def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
+    def summarise(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
         """Summarise the structures evaluated so far; `counts` are the other fields."""
-        weighed, summaries = structures.visited.values(), ()
-        if any(math.isfinite(w.total) for w in weighed):
-            posterior = Posterior.of(structures)
+        fits, summaries = structures.visited.values(), list[ShownStructure]()
+        if any(math.isfinite(w.log_posterior) for w in fits):
+            posterior = Posterior.from_structures(structures)
             pairs = zip(posterior.structures, posterior.probability, strict=True)
-            refitted = [(posterior.refitted[s], p) for s, p in pairs if s in posterior.refitted]
-            rms = float(np.sqrt(np.mean(structures.line(refitted[0][0]).residual ** 2)))
-            summaries = tuple(
-                ShownStructure(
-                    effects=tuple(sorted(w.structure.effects)),
-                    noise=w.structure.noise,
-                    log_evidence=w.log_evidence,
-                    probability=float(p),
-                    rms=None if i else rms,
-                )
-                for i, (w, p) in enumerate(refitted[:SHOWN_STRUCTURES])
-            )
-        return cls(summaries, len(weighed), complete, **counts)
+            fitted = [(posterior.evaluated[s], p) for s, p in pairs if s in posterior.evaluated]
+            rms = float(np.sqrt(np.mean(structures.linearise(fitted[0][0]).residual ** 2)))
+            for w, p in fitted[:SHOWN_STRUCTURES]:
+                effects, noise = tuple(sorted(w.structure.effects)), w.structure.noise
+                summaries.append(ShownStructure(effects, noise, w.log_evidence, float(p)))
+            summaries[0] = replace(summaries[0], rms=rms)
+        return cls(tuple(summaries), len(fits), complete, **counts)

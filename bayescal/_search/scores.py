@@ -1,6 +1,6 @@
-"""Every addition and every pair at once, in closed form, at a structure's φ̂: in which order moves are tried.
+"""Log Bayes factors of all single additions and pairs, in closed form, by the linear model at a structure's mode.
 
-A score is the log Bayes factor of a linear model that was fitted before: it says where to look; a refit answers.
+The log Bayes factor by score orders the moves of a search; a fit then gives the evidence.
 """
 
 from __future__ import annotations
@@ -18,236 +18,235 @@ from scipy.linalg import solve_triangular
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.linear_model import LinearModel, explained_sum_of_squares
-from bayescal._search.library import GridPoint, Library, Size
-from bayescal._search.structures import Weighed
+from bayescal._search.library import GridPoint, Library, PriorScale
+from bayescal._search.structures import EvaluatedStructure
 
-HINTS = 2  # grid points at which a refit begins
-IN_PAIRS = 2  # grid points of each candidate that are tried in pairs
+MAX_STARTS = 2  # grid points of a candidate at which a fit starts
+POINTS_IN_PAIRS = 2  # grid points of each candidate scored in pairs
+Scores = Mapping[str, Sequence["ScoredPoint"]]  # of each candidate, the most probable point first
 
 
 @dataclass(eq=False)
 class ScoredPoint:
-    """One candidate at one point of its shapes, at the likeliest size there."""
+    """One candidate at one point of its shapes, scored at the most probable prior scale there."""
 
-    point: GridPoint  # which
-    gain: float  # log Bayes factor by score, averaged over sizes
-    size: Size  # the likeliest
-    view: View  # of the structure that it is beside
-    inside: Float[np.ndarray, "q k"]  # what the nuisances take of its columns (q, k)
-    u: Float[np.ndarray, "k"]  # score after the nuisances
+    point: GridPoint
+    log_bayes_factor: float  # by score, averaged over prior scales
+    prior_scale: PriorScale  # the most probable
+    scorer: Scorer  # of the structure to which the candidate would be added
+    projection: Float[np.ndarray, "q k"]  # of its whitened columns on the nuisances
+    score: Float[np.ndarray, "k"]  # at coefficients zero, nuisances integrated out
 
     @property
     def effect(self) -> str:
         return self.point.effect
 
     @property
-    def hint(self) -> dict[str, float]:
-        """Return coordinates of φ by name, to begin a refit at."""
-        return {**self.point.hint, **self.size.hint}
+    def start(self) -> dict[str, float]:
+        """Return coordinates of φ by name at which to start a fit."""
+        return {**self.point.start, **self.prior_scale.start}
 
     @property
-    def products(self) -> Float[np.ndarray, "k k"]:
-        """Return the Gram matrix of these whitened columns."""
-        return self.view.products[self.effect][self.point.index]
+    def gram(self) -> Float[np.ndarray, "k k"]:
+        """Return the Gram matrix of the candidate's whitened columns at this point."""
+        return self.scorer.gram[self.effect][self.point.index]
 
     @cached_property
     def information(self) -> Float[np.ndarray, "k k"]:
-        return self.products - self.inside.T @ self.inside
+        """Return the information on the coefficients, nuisances integrated out."""
+        return self.gram - self.projection.T @ self.projection
 
     @cached_property
-    def standard(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Return score and information in units of the plausible sizes: of standard normal coefficients."""
-        sd = self.size.sd
-        return sd * self.u, sd[:, None] * self.information * sd
+    def standardised(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
+        """Return score and information of the coefficients in units of their prior standard deviations."""
+        sd = self.prior_scale.sd
+        return sd * self.score, sd[:, None] * self.information * sd
 
 
-class View:
-    """A structure as a linear model about its mode, all candidates beside it: what may be added, dropped, exchanged.
+class Scorer:
+    """Linear model of a structure about its mode, with the inner products of all candidates' columns.
 
-    Products are computed once, of some candidates at a time: memory may not hold columns of all at all points.
+    Inner products are computed once, block by block: memory may not hold all columns at all points.
 
     Attributes:
-        line: the structure on the readings.
-        means: the same on means of them, where the record is long.
-        products: of each candidate, those of its whitened columns at each point (points, k, k).
+        linear: the structure's linear model on the readings.
+        linear_means: its linear model on means of readings where the record is long, else `linear`.
+        gram: Gram matrices of each candidate's whitened columns (points, k, k).
+        inner, cross, scores: inner products of the whitened nuisances with themselves (m, m) and with all columns
+            (m, P), and of all columns with the whitened residual (P,).
     """
 
     @on_one_thread
-    def __init__(self, library: Library, at: Weighed):
-        line = library.structures.line(at)
-        self.library, self.at, self.line, self.means = library, at, line, library.on_means(line)
-        whole = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
-        for rows in {line, self.means}:
-            both = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
-            whole[rows] = both[:, :-1], both[:, -1]
+    def __init__(self, library: Library, fit: EvaluatedStructure):
+        self.library, self.fit = library, fit
+        self.linear = linear = library.structures.linearise(fit)
+        self.linear_means = library.average_rows(linear)
+        whitened = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
+        for rows in {linear, self.linear_means}:
+            stacked = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
+            whitened[rows] = stacked[:, :-1], stacked[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
-        nuisance, _ = whole[line]
+        nuisance, _ = whitened[linear]
         self.inner = nuisance.T @ nuisance
         self.cross = np.empty((nuisance.shape[1], library.width))
-        self.u = np.empty(library.width)
-        products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
-        for points in library.blocks(self.means.size):
-            rows, begin = self.rows(points), points[0].at.start
-            nuisance, residual = whole[rows]
+        self.scores = np.empty(library.width)
+        gram: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
+        for points in library.iterate_blocks(self.linear_means.size):
+            rows, first = self.linear_for(points), points[0].block.start
+            nuisance, residual = whitened[rows]
             white = rows.decorrelate(self.columns(rows, points))
-            block = slice(begin, points[-1].at.stop)
+            block = slice(first, points[-1].block.stop)
             self.cross[:, block] = nuisance.T @ white
-            self.u[block] = white.T @ residual
+            self.scores[block] = white.T @ residual
             for p in points:
-                columns = white[:, p.at.start - begin : p.at.stop - begin]
-                products[p.effect].append(columns.T @ columns)
-        self.products = {name: np.stack(matrices) for name, matrices in products.items()}
-        self.volume = 0.0
-        self.volume = self.without().volume
+                columns = white[:, p.block.start - first : p.block.stop - first]
+                gram[p.effect].append(columns.T @ columns)
+        self.gram = {name: np.stack(matrices) for name, matrices in gram.items()}
+        self.log_volume = 0.0
+        self.log_volume = self.reduced_model().log_volume
 
-    def rows(self, points: Sequence[GridPoint]) -> LinearModel:
-        """Return the linear model that scores these points: on means, unless a candidate changes within them."""
-        blurred = any(p.effect in self.library.blurred for p in points)
-        return self.line if blurred else self.means
+    def linear_for(self, points: Sequence[GridPoint]) -> LinearModel:
+        """Return the linear model that scores these points: on means, unless a candidate varies within them."""
+        blurred = any(p.effect in self.library.unaveraged for p in points)
+        return self.linear if blurred else self.linear_means
 
     def columns(self, rows: LinearModel, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
-        """Return the columns of candidates at some points."""
-        return self.library.columns(rows, points, self.at.acting)
+        """Return the columns of candidates at some points, on the rows of a linear model."""
+        return self.library.columns(rows, points, self.fit.column_corrections)
 
-    def without(self, *names: str) -> WithoutNuisances:
-        """Return the structure without some of its effects, φ held."""
-        line, gone = self.line, {*names}
-        is_kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
-        # z: of what is dropped. Without its coefficients its shapes move nothing. With these at their prior's mean, all
-        # else where it is, r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and
-        # what is kept is pulled by AᵀA·z alone.
-        of_x = np.arange(is_kept.size) < line.problem.size
-        z = np.where(is_kept | ~of_x, 0.0, line.z)
-        prior_squares, of_start = float(line.weight @ z**2), self.inner @ z
-        shapes = float(line.weight[~is_kept & ~of_x] @ line.z[~is_kept & ~of_x] ** 2)
-        squares = line.rss + prior_squares + float(z @ of_start) - shapes
-        inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(line.weight[is_kept])
+    def reduced_model(self, *names: str) -> ReducedModel:
+        """Return the linear model without some of the structure's effects, φ held."""
+        linear, dropped = self.linear, {*names}
+        is_kept = np.array([owner not in dropped for owner in linear.owners], dtype=bool)
+        # z: the dropped coefficients (shapes have no effect without them). With z at its prior mean and all else held,
+        # r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and the score of the
+        # kept nuisances is AᵀA·z alone.
+        of_x = np.arange(is_kept.size) < linear.problem.size
+        z = np.where(is_kept | ~of_x, 0.0, linear.z)
+        prior_squares, of_start = float(linear.weight @ z**2), self.inner @ z
+        shapes = float(linear.weight[~is_kept & ~of_x] @ linear.z[~is_kept & ~of_x] ** 2)
+        sum_of_squares = linear.rss + prior_squares + float(z @ of_start) - shapes
+        inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(linear.weight[is_kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
-        # Kept nuisances fitted anew: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by L⁻¹Aᵀ.
-        half = solve_triangular(chol, of_start[is_kept], lower=True)
-        inside = solve_triangular(chol, self.cross[is_kept], lower=True)
-        return WithoutNuisances(
-            view=self,
-            inside=inside,
-            u=self.u + self.cross.T @ z - inside.T @ half,
-            rss=squares - float(half @ half),
-            volume=float(np.sum(np.log(np.diag(chol)))),
+        # The kept nuisances are integrated out: with L·Lᵀ = AᵀA + W, by the projections L⁻¹Aᵀ of r₀ and each column.
+        kept_score = solve_triangular(chol, of_start[is_kept], lower=True)
+        projection = solve_triangular(chol, self.cross[is_kept], lower=True)
+        return ReducedModel(
+            scorer=self,
+            projection=projection,
+            scores=self.scores + self.cross.T @ z - projection.T @ kept_score,
+            rss=sum_of_squares - float(kept_score @ kept_score),
+            log_volume=float(np.sum(np.log(np.diag(chol)))),
         )
 
 
-class WithoutNuisances(NamedTuple):
-    """What of the readings and of all candidates' columns some nuisances leave.
+class ReducedModel(NamedTuple):
+    """A linear model without some of its effects, its nuisances integrated out of the readings and all columns."""
 
-    inside (q, P): what they take of the columns; u (P,): score; rss: sum of squares; volume: Σ log of the factor.
-    """
-
-    view: View
-    inside: Float[np.ndarray, "q P"]
-    u: Float[np.ndarray, "P"]
-    rss: float
-    volume: float
+    scorer: Scorer
+    projection: Float[np.ndarray, "q P"]  # L⁻¹Aᵀ of all columns, L·Lᵀ = AᵀA + W of the nuisances
+    scores: Float[np.ndarray, "P"]  # of all columns
+    rss: float  # residual sum of squares
+    log_volume: float  # log determinant of L
 
     @on_one_thread
-    def scores(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
-        """Return every grid point of these candidates, each candidate's most probable first."""
+    def score_candidates(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
+        """Score every grid point of these candidates, each candidate's most probable point first."""
         by_name = {}
         for name in names:
-            points = self.view.library.points[name]
+            points = self.scorer.library.points[name]
             # Most candidates have one column: their points are scored in one array, without a matrix for each.
-            alone = points[0].at.stop - points[0].at.start == 1
-            gains = self._of_columns(name) if alone else self._of_blocks(name)
-            totals, best = np.logaddexp.reduce(gains, axis=1), np.argmax(gains, axis=1)
-            sizes, order = self.view.library.sizes[name], np.argsort(-totals, kind="stable")
-            by_name[name] = [
-                ScoredPoint(
-                    p, float(total), sizes[b], self.view, self.inside[:, p.at], self.u[p.at]
-                )
-                for p, total, b in ((points[i], totals[i], best[i]) for i in order)
-            ]
+            is_single = points[0].block.stop - points[0].block.start == 1
+            factors = self._score_columns(name) if is_single else self._score_blocks(name)
+            means, best = np.logaddexp.reduce(factors, axis=1), np.argmax(factors, axis=1)
+            scales = self.scorer.library.prior_scales[name]
+            scored = by_name[name] = list[ScoredPoint]()
+            for i in np.argsort(-means, kind="stable"):
+                p, scale = points[i], scales[best[i]]
+                parts = self.projection[:, p.block], self.scores[p.block]
+                scored.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *parts))
         return by_name
 
-    def _of_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
-        """Return log Bayes factors of a candidate of one column, at each point and size."""
-        library = self.view.library
-        at = slice(library.points[name][0].at.start, library.points[name][-1].at.stop)
-        information = self.view.products[name][:, 0, 0] - np.sum(self.inside[:, at] ** 2, axis=0)
-        square = np.array([s.sd[0] ** 2 for s in library.sizes[name]])
-        weight = np.array([s.log_weight for s in library.sizes[name]])
-        # A coefficient of prior sd s and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K), the
-        # squares as `_gain` has them. All points and sizes in one array.
+    def _score_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
+        """Return log Bayes factors of a candidate with one column, at each point and prior scale."""
+        points, scales = self.scorer.library.points[name], self.scorer.library.prior_scales[name]
+        columns = slice(points[0].block.start, points[-1].block.stop)
+        projected = np.sum(self.projection[:, columns] ** 2, axis=0)
+        information = self.scorer.gram[name][:, 0, 0] - projected
+        square = np.array([s.sd[0] ** 2 for s in scales])
+        log_weight = np.array([s.log_weight for s in scales])
+        # A coefficient of prior sd s, score u and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K) at
+        # known noise; `_log_bayes_factor` maximises over the noise. All points and scales in one array.
         inner = 1 + np.maximum(information, 0.0)[:, None] * square
-        explained = self.u[at, None] ** 2 * square / inner
-        return self._gain(0.5 * np.log(inner), explained) + weight
+        explained = self.scores[columns, None] ** 2 * square / inner
+        return self._log_bayes_factor(0.5 * np.log(inner), explained) + log_weight
 
-    def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
-        """Return log Bayes factors of a candidate of several columns, at each point and size."""
-        library, places = self.view.library, [p.at for p in self.view.library.points[name]]
-        inside = np.stack([self.inside[:, at] for at in places])
-        u = np.stack([self.u[at] for at in places])[:, None]
-        information = self.view.products[name] - inside.mT @ inside
-        sd = np.stack([s.sd for s in library.sizes[name]])
-        gains = self.gain(sd * u, sd[:, :, None] * information[:, None] * sd[:, None])
-        return gains + [s.log_weight for s in library.sizes[name]]
+    def _score_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
+        """Return log Bayes factors of a candidate with several columns, at each point and prior scale."""
+        library = self.scorer.library
+        blocks, scales = [p.block for p in library.points[name]], library.prior_scales[name]
+        projection = np.stack([self.projection[:, block] for block in blocks])
+        score = np.stack([self.scores[block] for block in blocks])[:, None]
+        information = self.scorer.gram[name] - projection.mT @ projection
+        sd = np.stack([s.sd for s in scales])
+        information = sd[:, :, None] * information[:, None] * sd[:, None]
+        return self.log_bayes_factor(sd * score, information) + [s.log_weight for s in scales]
 
     @property
-    def dropped(self) -> float:
-        """Return the log Bayes factor of the reduced against the whole structure."""
-        return float(self._gain(0.0, 0.0))
+    def drop_log_bayes_factor(self) -> float:
+        """Return the log Bayes factor of the reduced structure against the whole one."""
+        return float(self._log_bayes_factor(0.0, 0.0))
 
-    def gain(
-        self, u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
+    def log_bayes_factor(
+        self, score: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
     ) -> Float[np.ndarray, "*b"]:
-        """Return the log Bayes factor of the reduced structure with standard normal columns against the whole.
+        """Return the log Bayes factor of the reduced structure plus some columns against the whole structure.
 
-        The noise is taken as large as it then is likely to be.
+        The columns' coefficients are standard normal; the noise variance is at its maximum of the likelihood.
         """
-        return self._gain(*explained_sum_of_squares(u, information))
+        return self._log_bayes_factor(*explained_sum_of_squares(score, information))
 
-    def _gain(self, volume: Any, explained: Any) -> Any:
-        """Return the log Bayes factor by the columns' log volume and explained sum of squares."""
-        # With the noise's variance at its likeliest, squares/n, the log likelihood is −½·n·log(squares) but for
-        # constants: a column that takes most of the squares gains more than under the noise as it was.
-        rss_ratio = np.maximum((self.rss - explained) / self.view.line.rss, 1e-12)
-        return self.lost - volume - 0.5 * self.view.line.size * np.log(rss_ratio)
+    def _log_bayes_factor(self, log_volume: Any, explained: Any) -> Any:
+        """Return the log Bayes factor by the log volume and explained sum of squares of some columns."""
+        # With the noise variance at its maximum of the likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for
+        # constants.
+        rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
+        return self.volume_change - log_volume - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
 
     @property
-    def lost(self) -> float:
-        """Return the change of log volume by dropping, part of every gain."""
-        return self.view.volume - self.volume
+    def volume_change(self) -> float:
+        """Return the change of log volume by the dropped effects, part of every log Bayes factor."""
+        return self.scorer.log_volume - self.log_volume
 
     @on_one_thread
-    def pairs(
-        self, scores: Mapping[str, list[ScoredPoint]]
-    ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
-        """Return log Bayes factors of two candidates at once, the best first."""
-        points = [p for candidate_scores in scores.values() for p in candidate_scores[:IN_PAIRS]]
-        family = self.view.library.structures.family
+    def score_pairs(self, scores: Scores) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
+        """Return log Bayes factors of pairs of candidates of two families, the highest first."""
+        points = [p for scored in scores.values() for p in scored[:POINTS_IN_PAIRS]]
+        family = self.scorer.library.structures.family
         families = [family(p.effect) for p in points]
         indices = itertools.combinations(range(len(points)), 2)
-        together = [(i, j) for i, j in indices if families[i] != families[j]]
-        if not together:
+        index_pairs = [(i, j) for i, j in indices if families[i] != families[j]]
+        if not index_pairs:
             return []
-        # Columns of all points side by side, and one of zeros, which changes no gain: it fills those of fewer up.
-        sd = np.concatenate([*(p.size.sd for p in points), [0.0]])
-        rows = self.view.rows([p.point for p in points])
-        columns, inside = (
-            np.column_stack([part, np.zeros(len(part))])
-            for part in (
-                rows.decorrelate(self.view.columns(rows, [p.point for p in points])),
-                np.column_stack([p.inside for p in points]),
-            )
-        )
-        u = sd * np.concatenate([*(p.u for p in points), [0.0]])
-        information = sd[:, None] * (columns.T @ columns - inside.T @ inside) * sd
-        counts = np.array([len(p.u) for p in points])
+        # Columns of all points side by side, and a column of zeros to pad candidates with fewer columns.
+        sd = np.concatenate([*(p.prior_scale.sd for p in points), [0.0]])
+        grid_points = [p.point for p in points]
+        rows = self.scorer.linear_for(grid_points)
+        columns = rows.decorrelate(self.scorer.columns(rows, grid_points))
+        projection = np.column_stack([p.projection for p in points])
+        columns, projection = (np.pad(a, ((0, 0), (0, 1))) for a in (columns, projection))
+        score = sd * np.concatenate([*(p.score for p in points), [0.0]])
+        information = sd[:, None] * (columns.T @ columns - projection.T @ projection) * sd
+        counts = np.array([len(p.score) for p in points])
         start, step = np.cumsum(counts) - counts, np.arange(counts.max())
-        at = np.where(step < counts[:, None], start[:, None] + step, len(sd) - 1)
-        both = at[np.array(together)].reshape(len(together), -1)
-        gains = self.gain(u[both], information[both[:, :, None], both[:, None]]).tolist()
-        pairs = zip(gains, together, strict=True)
-        return sorted(((g, points[i], points[j]) for g, (i, j) in pairs), key=lambda m: -m[0])
+        column_index = np.where(step < counts[:, None], start[:, None] + step, len(sd) - 1)
+        pair_columns = column_index[np.array(index_pairs)].reshape(len(index_pairs), -1)
+        information = information[pair_columns[:, :, None], pair_columns[:, None]]
+        factors = self.log_bayes_factor(score[pair_columns], information).tolist()
+        pairs = zip(factors, index_pairs, strict=True)
+        return sorted(((f, points[i], points[j]) for f, (i, j) in pairs), key=lambda m: -m[0])
 
 
-def gain_of(points: Sequence[ScoredPoint]) -> float:
+def mean_log_bayes_factor(points: Sequence[ScoredPoint]) -> float:
     """Return a candidate's log Bayes factor by score, averaged over its grid."""
-    return float(np.logaddexp.reduce([p.gain for p in points]) - math.log(len(points)))
+    return float(np.logaddexp.reduce([p.log_bayes_factor for p in points]) - math.log(len(points)))

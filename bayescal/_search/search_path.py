@@ -1,4 +1,4 @@
-"""A trail: the sequence of models from the baseline to the last, with the error of each."""
+"""Search path: the sequence of models from the first to the last, with the errors of each."""
 
 from __future__ import annotations
 
@@ -27,40 +27,37 @@ from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
-RISES = " ↑"  # beside a hold-out error that is so
-FLOOR = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
+RISE_MARK = " ↑"  # beside a hold-out error that is so
+FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
 
 
-@renamed(against="failures", different="outlying_groups", doubts="multimodality")
-@renamed(left_out="leave_one_group_out", changed="description")
+@renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")
+@renamed(left_out="leave_one_group_out", doubts="multimodality", judged="with_reasons")
 @dataclass(frozen=True)
 class Step:
     """One model of the sequence, with its errors in the output unit."""
 
     calibration: Calibration  # the fit
     added: str | None  # effect or effects; None for the first step and a change of noise
-    rmse: float  # of the fitted readings, group deviations at zero (what an unseen group would see)
-    rmse_fitted: float  # the same with group deviations as fitted
+    rmse: float  # of the fitted readings, group deviations at zero, as for an unseen group
+    rmse_fitted: float  # of the fitted readings, with the fitted group deviations
     holdout_rmse: float | None  # of the hold-out data; None without them
     leave_one_group_out: LeaveOneGroupOut | None  # each group predicted from the others
-    noise_floor: float  # from neighbouring readings alone, whatever the model
-    check: Check  # where this model fails
-    # what is missing from it; None where probabilities would not be honest
-    discovery: Discovery | None
-    # what was done to the model beside or in place of that, in words; empty if nothing
-    description: str = ""
-    holdout_test: HoldoutTest | None = None  # what they say against this model
-    failures: tuple[Claim, ...] = ()  # why nothing can be learnt from this model; empty for most
-    # members of groups that differ far more than is plausible, or along a column
-    outlying_groups: tuple[Claim, ...] = ()
+    noise_floor: float  # estimated from neighbouring readings alone, independent of the model
+    check: Check  # tests of the residuals
+    discovery: Discovery | None  # missing effects; None where probabilities would be wrong
+    description: str = ""  # other changes of the model, in words; empty if there are none
+    holdout_test: HoldoutTest | None = None  # test of the model by the hold-out data
+    failures: tuple[Claim, ...] = ()  # why no search can start from this model; empty for most
+    outlying_groups: tuple[Claim, ...] = ()  # implausibly different members, or along a column
 
-    def judged(self, against: Sequence[str]) -> Step:
-        """Return the step, whose calibration has this verdict against it."""
+    def with_reasons(self, against: Sequence[str]) -> Step:
+        """Return the step with reasons against its calibration in the verdict."""
         verdict = {"against": tuple(against), "checked": True}
         return replace(self, calibration=self.calibration.with_verdict(**verdict))
 
-    def noted(self, notes: Sequence[str]) -> Step:
-        """Return the step, whose calibration has these notes too."""
+    def with_notes(self, notes: Sequence[str]) -> Step:
+        """Return the step with further notes in its calibration's verdict."""
         all_notes = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
         return replace(self, calibration=self.calibration.with_verdict(notes=all_notes))
 
@@ -74,12 +71,12 @@ class Step:
         """Return the step in a few words."""
         return self.description or "baseline" if self.added is None else f"+ {self.added}"
 
-    def row(self, before: Step | None) -> dict[str, Any]:
+    def row(self, previous: Step | None) -> dict[str, Any]:
         """Return the step's row of a table: errors, whether the hold-out error rises, evidence, P(complete)."""
         evidence, discovery = self.calibration.log_evidence, self.discovery
         return {
             **self.errors(),
-            "rises": before is not None and rises(self.holdout_rmse, before.holdout_rmse),
+            "rises": previous is not None and is_rise(self.holdout_rmse, previous.holdout_rmse),
             "log_evidence": evidence and {"value": evidence[0], "se": evidence[1]},
             "nothing_missing": discovery and discovery.nothing_missing,
         }
@@ -100,7 +97,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Gate:
-    """Whether probabilities of missing effects may be given at all, and what stands against it."""
+    """Result of the acceptance checks of a model: whether it is fit for use, and the reasons against it."""
 
     ok: bool
     reason: str
@@ -112,17 +109,16 @@ class Gate:
 
 @dataclass(frozen=True, repr=False)
 class SearchPath(Printed):
-    """The sequence of models from the first to the chosen one, and whether to trust the last."""
+    """Result of a stepwise search: the models from the first to the last, and the acceptance checks of the last."""
 
     steps: tuple[Step, ...]  # in order
-    gate: Gate  # of the last model
-    holdout: Measurements | None  # the hold-out data
-    # an end under another noise law that is nearly as probable; None where there is none
-    other_path: OtherPath | None = None
-    search: Search | None = None  # the structures weighed; None where none was asked for
+    gate: Gate  # acceptance checks of the last model
+    holdout: Measurements | None  # hold-out data
+    other_path: OtherPath | None = None  # runner-up model under another noise law, if there is one
+    search: Search | None = None  # the evaluated structures; None without a search
     # the last model's calibration averaged over the structures; None where one has nearly all probability
     average: Calibration | None = None
-    shares: tuple[StructureShare, ...] = ()  # of the structures in it
+    shares: tuple[StructureShare, ...] = ()  # weights of the structures in the average
 
     @property
     def final(self) -> Step:
@@ -130,7 +126,7 @@ class SearchPath(Printed):
 
     @property
     def calibration(self) -> Calibration:
-        """Return the calibration to use: averaged, where several structures share the probability."""
+        """Return the calibration to use: averaged over structures if several are probable."""
         return self.final.calibration if self.average is None else self.average
 
     @property
@@ -139,7 +135,7 @@ class SearchPath(Printed):
 
     @property
     def complete(self) -> bool:
-        """Return whether the search has ended, and not early."""
+        """Return whether the search was completed, not ended early."""
         return self.search is None or self.search.complete
 
     @property
@@ -160,7 +156,7 @@ class SearchPath(Printed):
 
     @property
     def ending(self) -> str:
-        """Return why the search ended: time, the bound on effects, or nothing else probable enough."""
+        """Return why the search ended: time, the bound on effects, or no further effect probable enough."""
         search, discovery = self.search, self.final.discovery
         if search is None or not (search.complete or search.stopped):
             return ""
@@ -172,7 +168,7 @@ class SearchPath(Printed):
         added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
         if not lines and added >= most > 0:
             lines.append(f"The search has added the {most} effects that it may (--max-effects).")
-        # Of candidates that these readings can test, the nearest one says how far the search was from another end.
+        # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
         tested = {n: p for n, p in probabilities.items() if p is not None}
         nearest = max(tested, key=tested.__getitem__, default="")
@@ -199,9 +195,9 @@ class SearchPath(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return the table of errors by step, and the effects found."""
         rows = self.rows
-        note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
+        note = f"{RISE_MARK.strip()} held-out error more than a twentieth above that of the step before"
         lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
-        lines += [FLOOR] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
+        lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
         sure = settings().found_probability
         heads = {sure: "found" if self.complete else "best when the search ended"}
@@ -209,7 +205,7 @@ class SearchPath(Printed):
         texts = dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
             family = self.final.calibration.model.effect(name).reported
-            text = f"{in_forms(name, family, shares)}, probability {probability(p)}"
+            text = f"{format_forms(name, family, shares)}, probability {probability(p)}"
             texts.setdefault(next(h for least, h in heads.items() if p >= least), []).append(text)
         return lines + [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
 
@@ -235,7 +231,7 @@ class SearchPath(Printed):
         return f"{', '.join(s.title for s in self.steps)}; {errors}"
 
 
-def in_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
+def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
     """Format an effect's family with its forms in an average: "bias.thermal_lag (form: diffusion 0.58, …)"."""
     forms = Counter[str]()
     for effects, share in shares:
@@ -248,9 +244,9 @@ def in_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float
     return f"{family} (form: {', '.join(texts)})"
 
 
-def rises(now: float | None, then: float | None) -> bool:
+def is_rise(error: float | None, previous: float | None) -> bool:
     """Return whether a hold-out error is more than a twentieth above another."""
-    return now is not None and then is not None and now > WORSE_RATIO * then
+    return error is not None and previous is not None and error > WORSE_RATIO * previous
 
 
 def new_run_differs(rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -263,17 +259,17 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
-    runs = new_run_differs(rows)
+    shows_new_run = new_run_differs(rows)
 
     def held_out(row: Mapping[str, Any]) -> str:
-        return f"{number(row['holdout_rmse'])}{RISES * row['rises']}"
+        return f"{number(row['holdout_rmse'])}{RISE_MARK * row['rises']}"
 
     holdout_columns = [TableColumn("held-out", held_out, unit=unit, name="")]
     columns = (
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
         TableColumn("as fitted", "rmse_fitted", number, unit),
-        TableColumn("new run", "rmse", number if runs else None, unit),
+        TableColumn("new run", "rmse", number if shows_new_run else None, unit),
         TableColumn(
             scheme(group or "group"),
             lambda r: out["rmse"] if (out := r["leave_one_group_out"]) else None,

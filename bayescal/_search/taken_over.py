@@ -1,12 +1,12 @@
-"""What an added effect takes over of the first model: a term that no longer explains what it explained before.
+"""Terms of the first model that added effects replace: collinearity and change of their coefficients.
 
-A thermometer that is wrong explains little. Where temperature has one profile in every run, an unknown function of the
-time within a run then explains all of it, predicts hold-out data of that profile as well, and the coefficient of
+A wrong thermometer explains little. Where temperature has one profile in every run, an unknown function of the time
+within a run then explains all of its effect and predicts hold-out data of that profile as well. The coefficient of
 temperature is left small, with the uncertainty of a model in which it does not matter: no residual shows it.
 
-So a term of the first model is followed to the last. Of its columns, whitened, the part that the other columns leave
-(its tolerance; Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3) is compared with and without what was added
-that depends on other columns; and its coefficient with where it stood.
+So each term of the first model is compared in the first and the last model, by two measures: its tolerance, the share
+of its whitened columns that the other columns leave (Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3), with
+and without added effects of other columns; and its coefficient.
 """
 
 from __future__ import annotations
@@ -23,76 +23,76 @@ from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
 from bayescal._model.frame import strip_rate
 
-LEFT_SHARE = limit("term.replaced", "left_share")
-CORRECTED_SHARE = limit("term.replaced", "corrected_share")
-MOVED_SD = limit("term.replaced", "moved_sd")
+MIN_TOLERANCE = limit("term.replaced", "left_share")
+MIN_RATIO = limit("term.replaced", "corrected_share")
+MAX_SHIFT_SD = limit("term.replaced", "moved_sd")
 
 
-class TakenOver(NamedTuple):
-    """A term of the first model, and what stands for it in the last."""
+class TermComparison(NamedTuple):
+    """A term of the first model, compared with the same term in the last model."""
 
-    term: Effect  # the first model's
-    by: tuple[Effect, ...]  # effects that were added
-    tolerance: float  # of its squares beside the first model's others, what these leave
-    moved: float  # of its coefficient, former standard uncertainties
-    ratio: float  # its coefficient, in parts of what it was
-    runs: int  # how many the readings have
-    another: str  # the run that would tell
+    term: Effect  # in the first model
+    added: tuple[Effect, ...]  # effects added since
+    tolerance: float  # with the added effects, over that without them
+    shift: float  # of its coefficient, standard uncertainties in the first model
+    ratio: float  # of its coefficient's magnitude, last model over first
+    runs: int  # number of runs in the readings
+    suggested_run: str  # the run that would separate the term from the added effects
 
     @property
-    def measured(self) -> bool:
+    def is_measured(self) -> bool:
         """Return whether the last model's coefficient is still that of the term.
 
-        A named effect is a cause of its own, and may well correct what the first model took for the term: it stands for
-        the term if it halved the coefficient, or left next to nothing of it, and moved it beyond chance, which grows
-        with 1/√(what is left). What has no name is no cause but a description: one that can take up the term describes
-        it too, and where it moves the coefficient beyond chance, the readings do not tell which of both values it has.
+        A named effect is a cause of its own and may rightly correct the coefficient: it replaces the term if it halved
+        the coefficient, or left it next to no tolerance, and shifted it beyond chance, which grows with 1/√tolerance.
+        An unnamed effect is a description, no cause: if collinear with the term it may describe the term itself, and if
+        it shifts the coefficient beyond chance, the readings cannot tell which of both values is right.
         """
-        # Estimates with and without further columns, whose effect is zero, differ by √(1/left − 1) former standard
-        # uncertainties by chance (J. Hausman, Econometrica 46 (1978) 1251): below 1/√left.
-        by_chance = self.moved**2 * min(self.tolerance, 1.0) <= MOVED_SD**2
-        if self.unnamed:
-            return by_chance and not self.confounded
-        return by_chance or not (self.confounded or self.ratio < CORRECTED_SHARE)
+        # Estimates with and without further columns of zero effect differ by chance by √(1/tolerance − 1) former
+        # standard uncertainties (J. Hausman, Econometrica 46 (1978) 1251): below 1/√tolerance.
+        is_chance = self.shift**2 * min(self.tolerance, 1.0) <= MAX_SHIFT_SD**2
+        if self.is_unnamed:
+            return is_chance and not self.is_confounded
+        return is_chance or not (self.is_confounded or self.ratio < MIN_RATIO)
 
     @property
-    def unnamed(self) -> bool:
-        """Return whether a description that may repeat from run to run was added."""
-        return any(e.unnamed and e.along != "time" for e in self.by)
+    def is_unnamed(self) -> bool:
+        """Return whether an unnamed effect that may repeat from run to run was added."""
+        return any(e.unnamed and e.along != "time" for e in self.added)
 
     @property
-    def confounded(self) -> bool:
-        """Return whether the readings hardly tell the term from what was added."""
-        return self.tolerance < LEFT_SHARE
+    def is_confounded(self) -> bool:
+        """Return whether the readings can hardly tell the term from the added effects."""
+        return self.tolerance < MIN_TOLERANCE
 
     @property
     def claim(self) -> Claim:
-        """Return why the term's coefficient is not measured, or what its uncertainty holds."""
-        by, column = tuple(e.name for e in self.by), self.term.varies
-        details = {"by": by, "column": column, "left": self.tolerance}
-        if self.measured:
+        """Return the claim on the term: why its coefficient is not measured, or that it is confounded."""
+        added, column = tuple(e.name for e in self.added), self.term.varies
+        details = {"by": added, "column": column, "left": self.tolerance}
+        if self.is_measured:
             return Claim("term.confounded", self.term.name, **details)
-        code = "term.replaced" if self.ratio < CORRECTED_SHARE else "term.replaceable"
-        details |= {"cure": "runs" if self.runs > 1 else "one run", "another": self.another}
-        return Claim(code, self.term.name, **details, kept=self.ratio, moved=self.moved)
+        code = "term.replaced" if self.ratio < MIN_RATIO else "term.replaceable"
+        details |= {"cure": "runs" if self.runs > 1 else "one run", "another": self.suggested_run}
+        return Claim(code, self.term.name, **details, kept=self.ratio, moved=self.shift)
 
 
-def taken_over(
+def find_replaced_terms(
     first: Calibration, last: Calibration, latent: Collection[str] = ()
-) -> list[TakenOver]:
+) -> list[TermComparison]:
     """Return terms of the first model that added effects may replace, the most shifted first."""
-    had = {e.name for e in first.model.effects}.union(latent)
-    added = [e for e in last.model.effects if e.name not in had]
-    terms: list[TakenOver] = []
+    first_effects = {e.name for e in first.model.effects}.union(latent)
+    added = [e for e in last.model.effects if e.name not in first_effects]
+    terms: list[TermComparison] = []
     for term in last.model.effects:
         if term.name not in first.model.names or term.shapes or len(term.coefficients) != 1:
             continue
         if not term.varies or term.coefficients[0].per:
             continue
-        by = [e for e in added if not _own_columns(e) & _own_columns(term)]
-        if by:
-            terms.append(_followed(term, by, first, last))
-    return sorted(terms, key=lambda taken: -taken.moved)
+        candidates = [e for e in added if not _own_columns(e) & _own_columns(term)]
+        if candidates:
+            terms.append(_compare_term(term, candidates, first, last))
+    return sorted(terms, key=lambda term: -term.shift)
 
 
 def _own_columns(effect: Effect) -> set[str]:
@@ -102,29 +102,30 @@ def _own_columns(effect: Effect) -> set[str]:
     return named | ({along} if along not in ("", "elapsed") else set())
 
 
-def _followed(
-    term: Effect, by: Sequence[Effect], before: Calibration, after: Calibration
-) -> TakenOver:
+def _compare_term(
+    term: Effect, added: Sequence[Effect], before: Calibration, after: Calibration
+) -> TermComparison:
     first, last = before.linear, after.linear
     is_term = np.array([owner == term.name for owner in last.owners])
-    theirs = np.isin(last.owners, [e.name for e in by])
+    is_added = np.isin(last.owners, [e.name for e in added])
     others = np.isin(last.owners, first.owners) & ~is_term
     column = last.white_nuisance[:, is_term].sum(axis=1)
-    # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
-    # took. Ridge regression by the priors' weights: c less what the others take of it, times c.
-    both = others, others | theirs
-    without, with_added = (float(column @ last.deflate(column, is_other)) for is_other in both)
-    # Where its one coefficient stands, in the unit of its prior.
+    # Tolerance with the added effects over that without them, by ridge regression with the priors' weights: the
+    # residual of the column c on the other columns, times c.
+    groups = others, others | is_added
+    without, with_added = (float(column @ last.deflate(column, is_other)) for is_other in groups)
+    tolerance = with_added / max(without, 1e-300)
+    # Its one coefficient, less the prior mean, in its unit.
     i, j = first.owners.index(term.name), last.owners.index(term.name)
-    m0, m1 = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
-    ratio = abs(m1) / abs(m0) if m0 else np.inf
-    tolerance, moved = with_added / max(without, 1e-300), abs(m1 - m0) / first.uncertainty(i)
+    first_mean, last_mean = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
+    ratio = abs(last_mean) / abs(first_mean) if first_mean else np.inf
+    shift = abs(last_mean - first_mean) / first.uncertainty(i)
     runs = len(after.readings.records.rows) if after.readings.has("time") else 1
-    another = another_run(after, term.varies)
-    return TakenOver(term, tuple(by), tolerance, moved, ratio, runs, another)
+    suggestion = suggest_run(after, term.varies)
+    return TermComparison(term, tuple(added), tolerance, shift, ratio, runs, suggestion)
 
 
-def repeated(readings: Measurements, column: str) -> bool:
+def has_repeated_profile(readings: Measurements, column: str) -> bool:
     """Return whether a temperature has the same profile over time in all runs, two or more."""
     if not (readings.has("time") and readings.has(column)):
         return False
@@ -143,25 +144,25 @@ def repeated(readings: Measurements, column: str) -> bool:
     return True
 
 
-def claims_of_profiles(calibration: Calibration) -> list[Claim]:
+def list_profile_claims(calibration: Calibration) -> list[Claim]:
     """Return a claim where all runs have one profile and the model changes within runs."""
     readings, model = calibration.readings, calibration.model
     thermal = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
     warm = [n for n in sorted(model.columns) if readings.has(n) and readings.unit(n) == "degC"]
-    warm = [n for n in warm if n != "temperature_point" and repeated(readings, n)]
+    warm = [n for n in warm if n != "temperature_point" and has_repeated_profile(readings, n)]
     if not (thermal and warm):
         return []
-    details = {"column": warm[0], "another": another_run(calibration, warm[:1])}
+    details = {"column": warm[0], "another": suggest_run(calibration, warm[:1])}
     return [Claim("profile.one", *(e.name for e in thermal), **details)]
 
 
-def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
-    """Return which run would tell most: over the range of a temperature, from its other end."""
+def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
+    """Suggest the run that would separate most: over the range of a temperature, from its other end."""
     column, *others = columns
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} otherwise in another run."
     values = calibration.readings[column]
-    begins = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
-    ends = sorted((values.max(), values.min()), key=lambda end: -abs(begins - end))
-    far, near = (number(float(end), 3) for end in ends)
-    return f"One run of another profile would tell: from {far} to {near} °C and back."
+    start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
+    ends = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
+    farther, nearer = (number(float(end), 3) for end in ends)
+    return f"One run of another profile would tell: from {farther} to {nearer} °C and back."

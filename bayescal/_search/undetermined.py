@@ -1,8 +1,9 @@
-"""What readings cannot tell of a model, before anything is fitted, and which poses would.
+"""Combinations of coefficients that planned readings do not determine, and poses that would determine them.
 
-The model, linearised at the means of its priors, says which combinations of coefficients move no planned reading by
-more than its noise. Of three axes a reading in each of 26 directions (along the axes, at 45° between two, along the
-diagonals), at the ends of the temperatures, adds information on these: greedily the most, the plainest where near.
+The model, linearised at the means of its priors, gives the combinations of coefficients that change no planned reading
+by more than its noise. For instruments of three axes a greedy algorithm then adds poses in 26 directions (along the
+axes, at 45° between two, along the diagonals) at the ends of the temperature range: each time the pose with the most
+information on these combinations, or a simpler one with nearly as much.
 """
 
 from __future__ import annotations
@@ -26,18 +27,16 @@ from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 from bayescal._model.vector import Vector
 
-# Information on a combination of coefficients, in units of its prior's, that poses to add must come to: its standard
-# deviation is then below 0.7 of the prior's.
+# Information on a combination of coefficients, in units of its prior's, from which it counts as determined: its
+# standard deviation is then below 0.7 of the prior's.
 DETERMINED_INFORMATION = 1.0
-# Share of the log volume that the best pose takes off, from which one that is easier to set does as well.
-PLAINER_SHARE = 0.5
+# Share of the best pose's reduction of log volume from which a pose that is simpler to set is preferred.
+SIMPLER_SHARE = 0.5
 
-DIRECTIONS = np.array(
-    sorted((d for d in product((1, 0, -1), repeat=3) if any(d)), key=lambda d: sum(map(abs, d))),
-    dtype=float,
-)
-TURNING = 100.0  # output unit, where no reading turns
-WARMER = 30.0  # °C, where all readings are at one temperature
+DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if any(d)])
+DIRECTIONS = DIRECTIONS[np.argsort(np.abs(DIRECTIONS).sum(axis=1), kind="stable")]
+DEFAULT_RATE = 100.0  # output unit, where no reading turns
+TEMPERATURE_STEP = 30.0  # °C, where all readings are at one temperature
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class AddedPose:
 
 @dataclass(frozen=True, repr=False)
 class Undetermined(Printed):
-    """What planned readings do not tell."""
+    """Combinations of coefficients that planned readings do not determine, and poses to add."""
 
     readings: int  # how many there are; poses, of an instrument of three axes
     combinations: tuple[str, ...]  # of coefficients, each a sentence
@@ -88,9 +87,9 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     """Find the coefficients that planned readings would not determine; nothing is fitted.
 
     Args:
-        model: with its priors: what is not determined against these.
-        readings: as planned. Of an instrument of three axes outputs are what acts in the poses; of poses that were
-            taken they may be as measured.
+        model: the model, with the priors against which a combination counts as not determined.
+        readings: planned readings. The outputs of an instrument of three axes are the acting quantity in each pose; for
+            poses already taken they may be the measured outputs.
 
     Raises:
         ModelError: an effect needs a column that the readings lack.
@@ -105,39 +104,39 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         return linearise_at_priors(Problem(layout, record))
 
     planned, vector = linear(readings), model.instrument.vector
-    in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
-    count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
+    is_log = readings.has(TURNED[0])  # a log of moves: it needs further moves, about any axis
+    count = len(readings) // (3 if readings.has(ACROSS[0]) and not is_log else 1)
     directions = null_vectors(planned, with_exact=False)[1] if layout.size else []
     claims = unidentified_claims(planned, levels, with_exact=False)
     combinations = tuple(claims[: len(directions)])  # none of a rig's errors
-    if vector is None or not directions or in_moves:
+    if vector is None or not directions or is_log:
         return Undetermined(count, combinations)
-    poses, rows = _candidates(model, vector, readings)
+    poses, rows = _list_poses(model, vector, readings)
     basis = np.linalg.qr(np.array(directions).T)[0]
     columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
     effort = [sum(d != 0 for d in p.direction) for p in poses]
-    chosen, open_count = _greedy(columns.reshape(len(poses), -1, basis.shape[1]), effort)
-    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), open_count)
+    chosen, remaining = _choose_poses(columns.reshape(len(poses), -1, basis.shape[1]), effort)
+    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), remaining)
 
 
-def _candidates(
+def _list_poses(
     model: Model, vector: Vector, readings: Measurements
 ) -> tuple[list[AddedPose], Measurements]:
-    """Return poses that may be added, and readings of them, in all else as the first."""
-    warm: list[float | None] = [None]
+    """Return the poses that may be added, and their readings, in all other columns equal to the first reading."""
+    ends: list[float | None] = [None]
     if any("temperature" in effect.columns for effect in model.effects):
         low, high = float(readings["temperature"].min()), float(readings["temperature"].max())
-        warm = [low, high if high > low else low + WARMER]
+        ends = [low, high if high > low else low + TEMPERATURE_STEP]
     per_pose, first, rate = 1, 0, None
     if vector.acting is not None:
-        per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or TURNING
+        per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or DEFAULT_RATE
     elif readings.has(ACROSS[0]):  # a magnitude: what an unknown direction leaves
         first = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
-    poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in warm for d in DIRECTIONS.tolist()]
+    poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in ends for d in DIRECTIONS.tolist()]
     units = np.array([p.direction for p in poses])
     units = units / np.linalg.norm(units, axis=1)[:, None]
     columns: dict[str, Any] = {}
-    if warm[0] is not None:
+    if ends[0] is not None:
         columns["temperature"] = np.array([p.temperature for p in poses])
     if rate is not None:
         columns |= {RATE: np.full(len(poses), rate)}
@@ -152,21 +151,22 @@ def _candidates(
     return poses, rows
 
 
-def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
-    """Choose candidates that determine k directions; return them and the count of directions left.
+def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
+    """Choose poses that determine k combinations; return their indices and the number of combinations left.
 
-    Of whitened columns, one set a candidate; those of less effort are taken where they add nearly as much.
+    `columns` are the whitened columns of c poses along the combinations; a pose of less `effort` to set is preferred if
+    it adds nearly as much information.
     """
     k = columns.shape[2]
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        open_ = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
-        inner = open_ @ open_.transpose(0, 2, 1)
-        gain = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
-        gain[chosen] = 0.0
-        if not gain.max() > np.log1p(DETERMINED_INFORMATION):
-            return chosen, open_.shape[2]
-        near = [i for i in range(len(gain)) if gain[i] > PLAINER_SHARE * gain.max()]
-        chosen.append(min(near, key=lambda i: (effort[i], i)))
+        remaining = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
+        inner = remaining @ remaining.transpose(0, 2, 1)
+        log_volumes = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
+        log_volumes[chosen] = 0.0
+        if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
+            return chosen, remaining.shape[2]
+        near_best = np.flatnonzero(log_volumes > SIMPLER_SHARE * log_volumes.max()).tolist()
+        chosen.append(min(near_best, key=lambda i: (effort[i], i)))
         information = information + columns[chosen[-1]].T @ columns[chosen[-1]]

@@ -1,7 +1,7 @@
-"""The walk over structures: add, add two, drop, exchange, change the noise law, from the most probable ones.
+"""Beam search over structures: add one or two effects, drop, swap, change the noise law, from the most probable ones.
 
-A table of the structures evaluated is its only memory. Nothing is decided by the order in which things were added. It
-is a generator: whoever consumes it ends it when it likes, and finds what was evaluated in the table.
+The search has no memory but the table of evaluated structures, so no result depends on the order of additions. It is a
+generator: the caller may end it at any structure, and reads the table.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ from bayescal._core.progress import stage, tell
 from bayescal._inference import memory
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
-from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
-from bayescal._search.structures import NEAR_NATS, OTHER_LAW_NATS, Structure, Structures, Weighed
+from bayescal._search.scores import MAX_STARTS, ScoredPoint, Scorer, mean_log_bayes_factor
+from bayescal._search.structures import LAW_WINDOW_NATS, EvaluatedStructure, Structure, Structures
 
-# Most probable structures whose neighbours are looked at; 4 find what enumeration finds (tests/search).
+# Most probable structures whose neighbours are evaluated; 4 find what enumeration finds (tests/search).
 BEAM_STRUCTURES = 4
-# Neighbours that are refitted of each structure looked at, at least and at most.
-REFITTED_NEIGHBOURS = (2, 10)
-REFITTED_PAIRS = 4  # pairs of effects among them, for those that show together alone
+# Neighbours of each structure of the beam that are fitted, at least and at most.
+FITTED_NEIGHBOURS = (2, 10)
+FITTED_PAIRS = 4  # pairs of effects among them, for effects that show only together
 
-LIKELIEST = 2  # finer noise laws that are weighed beside fewer effects than the best structure has
-FOLLOWED_SECONDS = 1.0  # between two reports of how the walk goes on
+LAWS_OF_REDUCED = 2  # finer noise laws evaluated without one of the best structure's effects
+FOLLOW_SECONDS = 1.0  # between two progress reports
+Evaluations = Generator[EvaluatedStructure, None, None]
 
-LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
+OUT_OF_TIME = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 NOT_BEGUN = "There was no time to search ({}): no structure but the first was evaluated."
 
@@ -42,129 +43,130 @@ def explore(
     start: Structure | None = None,
     follow: Callable[[], None] = lambda: None,
 ) -> str:
-    """Walk until the end or the deadline, and return why the walk ended early; empty where it did not.
+    """Search until the end or the deadline, and return why the search ended early; empty where it was completed.
 
-    The first structure is evaluated in any case; `follow` is called at times, and last of all.
+    The structure without added effects is evaluated in any case; `follow` is called once a second, and at the end.
     """
-    started, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
-    end = deadline.current()
+    started, last_call, structures, reason = time.monotonic(), 0.0, library.structures, ""
+    limit = deadline.current()
     with deadline.finishing():
-        structures.weigh(Structure())
-    end.defer_interrupt()
+        structures.evaluate(Structure())
+    limit.defer_interrupt()
     try:
         with stage("looking for missing effects"):
-            end.ask()
-            for _ in walk(library, max_effects, start):
-                if time.monotonic() > followed + FOLLOWED_SECONDS:
+            limit.ask()
+            for _ in beam_search(library, max_effects, start):
+                if time.monotonic() > last_call + FOLLOW_SECONDS:
                     follow()
-                    followed = time.monotonic()
-                end.ask()
-    except deadline.TimeIsUp as early:
-        ended = (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - started)
+                    last_call = time.monotonic()
+                limit.ask()
+    except deadline.TimeIsUp as stop:
+        reason = (STOPPED if limit.interrupted else OUT_OF_TIME).format(time.monotonic() - started)
         if len(structures.visited) == 1:
-            ended = NOT_BEGUN.format(early)
-        if end.interrupted:
+            reason = NOT_BEGUN.format(stop)
+        if limit.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
     structures.record.clear_cache()
     memory.trim()
-    return ended
+    return reason
 
 
-Evaluated = Generator[Weighed, None, None]
-
-
-def walk(library: Library, max_effects: int, start: Structure | None = None) -> Evaluated:
-    """Evaluate structures until the most probable ones have no neighbour left to look at; yield each.
+def beam_search(library: Library, max_effects: int, start: Structure | None = None) -> Evaluations:
+    """Evaluate structures until no neighbour of the most probable ones is left; yield each.
 
     Args:
-        library: the candidates; its structures keep what was evaluated.
+        library: the candidates; its structures keep the evaluated ones.
         max_effects: most effects to add.
-        start: one that is evaluated last: the walk goes on from there where it is probable, and is else what it would
-            be without.
+        start: structure evaluated last, from which the search continues if it is probable; it changes nothing before.
     """
     structures = library.structures
-    root = structures.weigh(Structure())
-    # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains, and
-    # hides it. So what has a name is looked for by itself, under the noise that is given, and then all together.
-    # A fourth power costs nothing to look for, and what is wrong with it the second walk exchanges.
+    root = structures.evaluate(Structure())
+    # Named effects first, under the given noise law: a curve or correlated noise, found first, would take up and hide
+    # what a second named effect explains. Then all candidates together. An unnamed polynomial added too early is
+    # replaced by swaps in the second pass.
     offered = structures.candidates.items()
-    named = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
-    physics, full = Scope(named, ("",)), Scope(frozenset(structures.candidates))
-    expanded: dict[Scope, set[Structure]] = {physics: set(), full: set()}
-    view = lru_cache(BEAM_STRUCTURES)(partial(View, library))  # of either scope
-    for among, later in ((physics, None), (full, None), (full, start)):
-        # From the base under a correlated law an effect is seen that slow residuals would otherwise hide.
-        for law in () if among is physics else correlated_laws(structures):
-            yield structures.weigh(Structure(noise=law), root)
-        if later:
-            # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
-            yield from map(structures.weigh, path(library, later))
-        # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time. Finer
-        # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
+    named_effects = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
+    named = Scope(max_effects, named_effects, ("",))
+    full = Scope(max_effects, frozenset(structures.candidates))
+    expanded: dict[Scope, set[Structure]] = {named: set(), full: set()}
+    make_scorer = lru_cache(BEAM_STRUCTURES)(partial(Scorer, library))  # shared by both scopes
+    for scope, final_start in ((named, None), (full, None), (full, start)):
+        # Under a correlated law the base shows an effect that slow residuals would otherwise hide.
+        for noise in () if scope is named else correlated_laws(structures):
+            yield structures.evaluate(Structure(noise=noise), root)
+        if final_start:
+            # Add the effects one by one: fitted all at once, their shapes may end at a lower maximum.
+            yield from map(structures.evaluate, find_path(library, final_start))
+        # `_next_in_beam` sorts anew each time, so that a structure joins the beam as soon as it is probable enough.
+        # Finer forms and laws come last: fitted to the residuals of a missing effect they would be of no use.
         while True:
-            if fresh := _next(structures, expanded[among], among):
-                structure = fresh.structure
-                earlier = [*expanded[among]] if structures.thrifty else []
-                expanded[among].add(structure)
-                if similar := [s for s in earlier if structures.have_same_effects(s, structure)]:
-                    yield from _follow(structures, fresh, similar[0])
+            count = len(structures.visited)
+            if current := _next_in_beam(structures, expanded[scope], scope):
+                structure = current.structure
+                previous = [*expanded[scope]] if structures.near_best_only else []
+                expanded[scope].add(structure)
+                if similar := [s for s in previous if structures.have_same_families(s, structure)]:
+                    yield from _repeat_move(structures, current, similar[0])
                 else:
-                    yield from _look_around(library, fresh, max_effects, among, view)
-            elif among is physics:
-                # Forms that no score tells of come last, as finer ones do.
-                before = len(structures.visited)
-                evaluated = (w for w in structures.visited.values() if physics.holds(w.structure))
-                yield from _weigh_forms(structures, max(evaluated, key=lambda w: w.total))
-                if len(structures.visited) == before:
-                    break
+                    yield from _evaluate_neighbours(library, current, scope, make_scorer)
+                continue
+            if scope is named:
+                # Forms without a score come last, as finer ones do.
+                fits = (w for w in structures.visited.values() if named.contains(w.structure))
+                yield from _try_forms(structures, max(fits, key=lambda w: w.log_posterior))
             else:
-                before = len(structures.visited)
-                yield from _weigh_forms(structures, structures.best, last=True)
-                if len(structures.visited) == before and not (yield from _refine(structures)):
-                    break
+                yield from _try_forms(structures, structures.best, last=True)
+                if len(structures.visited) == count and (yield from _evaluate_finer(structures)):
+                    continue
+            if len(structures.visited) == count:
+                break
 
 
 @on_one_thread
-def path(library: Library, to: Structure, start: Structure | None = None) -> list[Structure]:
-    """Return the way from one structure to a larger one: at each step what gains most, by refit where there is any."""
-    structures, steps, at = library.structures, [start or Structure()], None
+def find_path(library: Library, goal: Structure, start: Structure | None = None) -> list[Structure]:
+    """Return a path from one structure to a larger one: each step has the highest log posterior, fitted or by score."""
+    structures, steps, fit = library.structures, [start or Structure()], None
     while True:
         deadline.current().ask()
         current = steps[-1]
-        at = structures.weigh(current, at)
-        if current == to:
+        fit = structures.evaluate(current, fit)
+        if current == goal:
             return steps
-        names, totals = sorted(to.effects - current.effects), dict[Structure, float]()
-        view = View(library, at).without() if names and math.isfinite(at.total) else None
+        names, totals = sorted(goal.effects - current.effects), dict[Structure, float]()
+        has_scores = names and math.isfinite(fit.log_posterior)
+        reduced = Scorer(library, fit).reduced_model() if has_scores else None
         for name in names:
-            further = current.plus(name)
-            if view is None or further in structures.visited or name not in library.points:
-                totals[further] = structures.weigh(further, at).total
+            neighbour = current.with_effects(name)
+            if reduced is None or neighbour in structures.visited or name not in library.points:
+                totals[neighbour] = structures.evaluate(neighbour, fit).log_posterior
             else:
-                # Without a refit the score does: it decides only the order in which steps are shown.
-                gain = gain_of(view.scores([name])[name])
-                totals[further] = at.total + structures.log_odds[name] + gain
-        if current.noise != to.noise:
-            totals[current.under(to.noise)] = structures.weigh(current.under(to.noise), at).total
+                # The score stands for the fit: it decides only the order in which steps are shown.
+                factor = mean_log_bayes_factor(reduced.score_candidates([name])[name])
+                totals[neighbour] = fit.log_posterior + structures.log_odds[name] + factor
+        if current.noise != goal.noise:
+            neighbour = current.with_noise(goal.noise)
+            totals[neighbour] = structures.evaluate(neighbour, fit).log_posterior
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _next(structures: Structures, expanded: set[Structure], among: Scope) -> Weighed | None:
-    """Return the most probable structure of the beam that was not expanded yet, within a scope.
+def _next_in_beam(
+    structures: Structures, expanded: set[Structure], scope: Scope
+) -> EvaluatedStructure | None:
+    """Return the most probable structure of the beam in a scope that was not expanded yet; None if there is none.
 
-    Of the beam is also the best under each noise law: from the best under another one it would take several changes at
-    once to come there.
+    The beam also has the best structure under each noise law, which is several changes away from the best under
+    another law.
     """
-    evaluated = [w for w in structures.visited.values() if among.holds(w.structure)]
-    ordered = sorted(evaluated, key=lambda w: -w.total)
-    of_law = {w.structure.noise: w for w in reversed(ordered)}
+    fits = [w for w in structures.visited.values() if scope.contains(w.structure)]
+    ordered = sorted(fits, key=lambda w: -w.log_posterior)
+    best_by_law = {w.structure.noise: w for w in reversed(ordered)}
     for i, w in enumerate(ordered):
-        # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
-        if w.total <= ordered[0].total - NEAR_NATS:
+        # Outside of Occam's window a structure has no part of the probabilities that are printed.
+        if not w.is_in_window_of(ordered[0]):
             return None
-        in_beam = i < BEAM_STRUCTURES or of_law[w.structure.noise] is w
-        if structures.thrifty:
+        in_beam = i < BEAM_STRUCTURES or best_by_law[w.structure.noise] is w
+        if structures.near_best_only:
             in_beam = i < BEAM_STRUCTURES and w.structure.noise == ordered[0].structure.noise
         if in_beam and w.structure not in expanded:
             return w
@@ -172,260 +174,274 @@ def _next(structures: Structures, expanded: set[Structure], among: Scope) -> Wei
 
 
 class Scope(NamedTuple):
-    """Where a walk goes."""
+    """The candidates and noise laws that a search may use."""
 
-    effects: frozenset[str]  # candidates that it adds, drops and exchanges
-    laws: tuple[str, ...] | None = None  # names of the noise laws that it changes to; None for all
+    max_effects: int  # most effects to add
+    effects: frozenset[str]  # candidates to add, drop and swap
+    laws: tuple[str, ...] | None = None  # names of noise laws; None for all
 
-    def holds(self, structure: Structure) -> bool:
-        return structure.effects <= self.effects and self.has(structure.noise)
+    def contains(self, structure: Structure) -> bool:
+        return structure.effects <= self.effects and self.has_law(structure.noise)
 
-    def has(self, law: str) -> bool:
+    def has_law(self, law: str) -> bool:
         return self.laws is None or law in self.laws
 
 
 class Move(NamedTuple):
-    """A neighbour of a structure, what the linear model expects of it, and where its refit may begin."""
+    """A neighbour of a structure, its log posterior by the linear model, and starting coordinates of φ by name."""
 
-    to: Structure
-    total: float
-    hints: tuple[dict[str, float], ...] = ()
+    structure: Structure
+    log_posterior: float
+    starts: tuple[dict[str, float], ...] = ()
 
 
-def _look_around(
-    library: Library, at: Weighed, max_effects: int, among: Scope, view: Callable[[Weighed], View]
-) -> Evaluated:
-    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
-    structures, structure = library.structures, at.structure
-    # The same effects under each law: otherwise the walk would have to find them anew under each.
-    for law in filter(among.has, ("", *correlated_laws(structures))):
-        other = structure.under(law)
-        other = other.minus(*structures.barred(other))
-        if _is_open(structures, other, at):
-            yield structures.weigh(other, at)
-    if not math.isfinite(at.total):
+def _evaluate_neighbours(
+    library: Library, fit: EvaluatedStructure, scope: Scope, make_scorer: Callable[..., Scorer]
+) -> Evaluations:
+    """Evaluate the neighbours of a structure that may come near the best; store the scores of the others."""
+    structures, structure = library.structures, fit.structure
+    # Evaluate the same effects under each law: else the search would have to find them anew under each.
+    for law in filter(scope.has_law, ("", *correlated_laws(structures))):
+        neighbour = structure.with_noise(law)
+        neighbour = neighbour.without_effects(*structures.excluded_candidates(neighbour))
+        if _needs_fit(structures, neighbour, fit):
+            yield structures.evaluate(neighbour, fit)
+    if not math.isfinite(fit.log_posterior):
         return
-    all_laws = among.laws is None
+    all_laws = scope.laws is None
     if all_laws:
-        yield from _weigh_forms(structures, at)
-    changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
-    moves = [*_moves(view(at), max_effects, among)]
-    # Substitutes of what corrects a column are seen beside a refit without it, on which all that depends moves.
-    for name in sorted(filter(structures.moves_a_column, structure.effects)):
-        yield (reduced := structures.weigh(structure.minus(name), at))
-        if math.isfinite(reduced.total):
-            moves += _moves(View(library, reduced), max_effects, among)
-    # What no score tells of is looked at by a refit.
-    if len(structure.effects) < max_effects:
-        open_ = among.effects.intersection(structures.unscored, structures.open_to(structure))
-        moves += [Move(structure.plus(name), at.total) for name in sorted(open_)]
-    for move in (*moves, *changes):
-        structures.expect(move.to, move.total)
-    # Of another law a refit tells little more than was expected, unless it is to be used.
-    least = at.total
-    if structures.thrifty:
-        least = at.total - structures.near if at is structures.best else structures.best.total
-    moves += [move for move in changes if move.total > least]
-    # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
-    # (its noise too large, its shapes elsewhere) may be far too low.
-    moves.sort(key=lambda m: -m.total)
-    for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
-        near = move.total > structures.best.total - structures.near
-        near = near or i < REFITTED_NEIGHBOURS[0]
-        if near and _is_open(structures, move.to, at):
-            yield (evaluated := structures.weigh(move.to, at, move.hints))
+        yield from _try_forms(structures, fit)
+    proposed = _propose_noise_laws(structures, fit)
+    noise_moves = [move for move in proposed if scope.has_law(move.structure.noise)]
+    moves = [*_propose_moves(make_scorer(fit), scope)]
+    # Without an effect that corrects a column all that depends on the column shifts: a substitute is scored beside a
+    # fit without that effect.
+    for name in sorted(filter(structures.corrects_column, structure.effects)):
+        yield (reduced := structures.evaluate(structure.without_effects(name), fit))
+        if math.isfinite(reduced.log_posterior):
+            moves += _propose_moves(Scorer(library, reduced), scope)
+    # Candidates without a score are evaluated by a fit.
+    if len(structure.effects) < scope.max_effects:
+        candidates = scope.effects.intersection(structures.candidates_for(structure))
+        names = sorted(candidates.intersection(structures.unscored_candidates))
+        moves += [Move(structure.with_effects(name), fit.log_posterior) for name in names]
+    for move in (*moves, *noise_moves):
+        structures.store_score(move.structure, move.log_posterior)
+    # A fit under another law tells little more than its score, unless it is to be used.
+    least, best = fit.log_posterior, structures.best
+    if structures.near_best_only:
+        least = best.log_posterior - structures.window_nats * (fit is best)
+    moves += [move for move in noise_moves if move.log_posterior > least]
+    # The first ones are fitted whatever their scores, which may be far too low at the φ̂ of a model that lacks an
+    # effect (its noise too large, its shapes elsewhere).
+    moves.sort(key=lambda move: -move.log_posterior)
+    for i, move in enumerate(moves[: FITTED_NEIGHBOURS[1]]):
+        is_near = structures.is_in_window(move.log_posterior, structures.window_nats)
+        is_near = is_near or i < FITTED_NEIGHBOURS[0]
+        if is_near and _needs_fit(structures, move.structure, fit):
+            yield (neighbour_fit := structures.evaluate(move.structure, fit, move.starts))
             if all_laws:
-                yield from _weigh_forms(structures, evaluated)
-    # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
-    if at is structures.best and not structures.noise(structure).independent:
-        for name in sorted(structure.effects):
-            if _is_open(structures, structure.minus(name), at):
-                yield structures.weigh(structure.minus(name), at)
+                yield from _try_forms(structures, neighbour_fit)
+    # Correlated noise may take up what a dropped effect explained; a score, which holds the noise, cannot tell.
+    if fit is structures.best and not structures.noise_law(structure).independent:
+        for neighbour in map(structure.without_effects, sorted(structure.effects)):
+            if _needs_fit(structures, neighbour, fit):
+                yield structures.evaluate(neighbour, fit)
 
 
-def _is_open(structures: Structures, to: Structure, at: Weighed) -> bool:
-    """Return whether a neighbour is to be refitted: unless it is known to be improbable without.
+def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStructure) -> bool:
+    """Return whether to fit a neighbour of a structure: False where it is known to be improbable without a fit.
 
-    Under a law that no table tells a refit passes over the readings a hundred times, and what an effect is worth hangs
-    little on the finer form: it is known by the law that this refines. Of many devices a change is known by what it
-    came to beside another form of the same effects.
+    Under a law without a table a fit passes over the readings a hundred times, while the evidence of an effect depends
+    little on a law's finer form: the change of the log evidence is taken from the law that it refines. Of many devices
+    it is taken from another form of the same effects.
     """
-    law = structures.noise(to)
-    if to in structures.visited:
+    law, current = structures.noise_law(neighbour), fit.structure
+    if neighbour in structures.visited:
         return True
-    if to in structures.earlier:
-        return structures.total(to) > structures.best.total - NEAR_NATS
-    if structures.thrifty and (gain := _beside_another(structures, to, at.structure)) is not None:
-        structures.expect(to, at.total + gain)
-        return at.total + gain > structures.best.total
-    if law.refines not in structures.laws or to.noise != at.structure.noise:
+    if neighbour in structures.previous_round:
+        return structures.is_in_window(structures.log_posterior(neighbour))
+    change = _past_change(structures, neighbour, current) if structures.near_best_only else None
+    if change is not None:
+        structures.store_score(neighbour, fit.log_posterior + change)
+        return fit.log_posterior + change > structures.best.log_posterior
+    if law.refines not in structures.noise_laws or neighbour.noise != current.noise:
         return True
     if structures.record.nodes(law) is not None:
         return True
-    by_plainer = [structures.weigh(s.under(law.refines), at) for s in (to, at.structure)]
-    total = at.total + by_plainer[0].total - by_plainer[1].total
-    structures.expect(to, total)
-    return total > structures.best.total - NEAR_NATS
+    changed = structures.evaluate(neighbour.with_noise(law.refines), fit)
+    plain = structures.evaluate(current.with_noise(law.refines), fit)
+    log_posterior = fit.log_posterior + changed.log_posterior - plain.log_posterior
+    structures.store_score(neighbour, log_posterior)
+    return structures.is_in_window(log_posterior)
 
 
-def _beside_another(structures: Structures, to: Structure, structure: Structure) -> float | None:
-    """Return what a change gained beside other forms of the same effects; None if never tried."""
-    come, gone = to.effects - structure.effects, structure.effects - to.effects
-    own_families = structures.families(structure.effects)
-    of_form = come and structures.families(to.effects) == own_families
-    for s, gain in _known_gains(structures, gone, come, to.noise):
+def _past_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
+    """Return the change of the log posterior by a move beside other forms of the same effects; None if never tried."""
+    added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
+    own_families = structures.families(current.effects)
+    adds_form = added and structures.families(neighbour.effects) == own_families
+    for s, change in _known_changes(structures, removed, added, neighbour.noise):
         families = structures.families(s.effects)
-        is_similar = families == own_families or (of_form and families < own_families)
-        if s.noise == structure.noise and is_similar:
-            return gain
+        is_similar = families == own_families or (adds_form and families < own_families)
+        if s.noise == current.noise and is_similar:
+            return change
     return None
 
 
-def _known_gains(
-    structures: Structures, gone: frozenset[str], come: frozenset[str], noise: str | None = None
+def _known_changes(
+    structures: Structures, removed: frozenset[str], added: frozenset[str], noise: str | None = None
 ) -> Iterator[tuple[Structure, float]]:
-    """Yield evaluated structures with what an exchange of effects, and of the noise law if given, gained in each."""
-    for s, evaluated in structures.visited.items():
-        if gone <= s.effects and not come & s.effects:
-            to = Structure(s.effects - gone | come, s.noise if noise is None else noise)
-            exchanged = structures.visited.get(to)
-            if exchanged is not None and math.isfinite(exchanged.total - evaluated.total):
-                yield s, exchanged.total - evaluated.total
+    """Yield evaluated structures with the change of log posterior by a swap of effects, and of the law if given."""
+    for s, fit in structures.visited.items():
+        if removed <= s.effects and not added & s.effects:
+            neighbour = Structure(s.effects - removed | added, s.noise if noise is None else noise)
+            if (swapped := structures.visited.get(neighbour)) is not None:
+                change = swapped.log_posterior - fit.log_posterior
+                if math.isfinite(change):
+                    yield s, change
 
 
-def _follow(structures: Structures, at: Weighed, similar: Structure) -> Evaluated:
-    """Weigh what came near the best beside other forms of the same effects: no more than that does beside these."""
-    gone, come = similar.effects - at.structure.effects, at.structure.effects - similar.effects
-    for s, evaluated in [*structures.visited.items()]:
-        near = evaluated.total > structures.best.total - structures.near
-        if near and gone <= s.effects and len(s.effects ^ similar.effects) == 1:
-            yield structures.weigh(Structure(s.effects - gone | come, s.noise), at)
+def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
+    """Evaluate the moves that came near the best from a similar structure, of the same families, and no others."""
+    effects, others = fit.structure.effects, other.effects
+    for s, known_fit in [*structures.visited.items()]:
+        is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
+        if is_near and others - effects <= s.effects and len(s.effects ^ others) == 1:
+            changed = s.effects - (others - effects) | (effects - others)
+            yield structures.evaluate(Structure(changed, s.noise), fit)
 
 
-def _weigh_forms(structures: Structures, at: Weighed, last: bool = False) -> Evaluated:
-    """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
+def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = False) -> Evaluations:
+    """Evaluate a structure with other forms of its effects that have no score, one form replaced at a time.
 
-    None, where the structure is so improbable that no form could make it anything else. Forms of several shapes, which
-    take ten times as long, and one that lost so much wherever it was tried that as much would put it out of sight,
-    wait for the `last` look around.
+    Nothing is evaluated where the structure is too improbable for any form to matter. Two kinds of form are left to the
+    `last` pass: with several shapes, which take ten times as long; and tried elsewhere with such a loss of log
+    posterior that as much would put this structure outside of Occam's window.
     """
-    behind = structures.near if structures.thrifty else OTHER_LAW_NATS
-    if not at.total > structures.best.total - behind:
+    structure = fit.structure
+    window = structures.window_nats if structures.near_best_only else LAW_WINDOW_NATS
+    if not structures.is_in_window(fit.log_posterior, window):
         return
-    independent = structures.noise(at.structure).independent
-    for name in sorted(at.structure.effects):
-        for to in structures.other_forms(at.structure, name):
-            (other,) = come = to.effects - at.structure.effects
-            shapes = structures.candidates[other].column_shapes
-            if not structures.moves_a_column(other) or (len(shapes) > 1 and not last):
+    independent = structures.noise_law(structure).independent
+    for name in sorted(structure.effects):
+        for neighbour in structures.other_forms(structure, name):
+            (form,) = added = neighbour.effects - structure.effects
+            shapes = structures.candidates[form].column_shapes
+            if not structures.corrects_column(form) or (len(shapes) > 1 and not last):
                 continue
-            known = () if last else _known_gains(structures, frozenset({name}), come)
-            gains = (gain for s, gain in known if structures.noise(s).independent == independent)
-            expected = at.total + max(gains, default=math.inf)
-            if to not in structures.visited and expected < structures.best.total - NEAR_NATS:
-                structures.expect(to, expected)
-            elif _is_open(structures, to, at):
-                # Its shapes may be where those of the same name are in the form that the structure has.
-                places = at.problem.layout.index_in_phi
-                pairs = ((f"{other}.{s.name}", f"{name}.{s.name}") for s in shapes)
-                hint = {n: float(at.mode.v[places[o]]) for n, o in pairs if o in places}
-                yield structures.weigh(to, at, [hint])
+            pairs = () if last else _known_changes(structures, frozenset({name}), added)
+            changes = (c for s, c in pairs if structures.noise_law(s).independent == independent)
+            expected = fit.log_posterior + max(changes, default=math.inf)
+            if neighbour not in structures.visited and not structures.is_in_window(expected):
+                structures.store_score(neighbour, expected)
+            elif _needs_fit(structures, neighbour, fit):
+                # Begin its shapes where those of the same name are in the form to be replaced.
+                index = fit.problem.layout.index_in_phi
+                names = ((f"{form}.{s.name}", f"{name}.{s.name}") for s in shapes)
+                start = {n: float(fit.mode.v[index[o]]) for n, o in names if o in index}
+                yield structures.evaluate(neighbour, fit, [start])
 
 
 def correlated_laws(structures: Structures) -> list[str]:
-    """Return names of further correlated noise laws, which only a refit can judge."""
-    return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
+    """Return the names of further correlated noise laws, which have no score."""
+    return [n for n, law in structures.noise_laws.items() if not (law.independent or law.refines)]
 
 
-def _refine(structures: Structures) -> Generator[Weighed, None, bool]:
-    """Weigh finer noise laws beside the effects of the best structure, and beside fewer; whether any was left to weigh.
+def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, None, bool]:
+    """Evaluate finer noise laws with the best structure's effects and with fewer; return whether any was left to do.
 
-    What an effect explains under plain noise a finer law may explain without it.
+    A finer law may explain without an effect what that effect explains under plain noise.
     """
-    best, fewest = structures.best, structures.best.total - NEAR_NATS
-    moves = sorted(_finer_laws(structures, best), key=lambda m: -m.total)
-    chosen = [(move, best) for move in moves if move.total > best.total]
+    best = structures.best
+    moves = sorted(_propose_finer(structures, best), key=lambda move: -move.log_posterior)
+    pairs = [(move, best) for move in moves if move.log_posterior > best.log_posterior]
     plain = Structure(noise=best.structure.noise)
-    reduced = {best.structure.minus(name) for name in best.structure.effects} - {plain}
-    likeliest = [move.to.noise for move in moves[:LIKELIEST]]
-    for fewer in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
-        at = structures.visited.get(fewer)
-        if at is not None and at is not best:
-            laws = None if fewer == plain else likeliest
-            chosen += [(m, at) for m in _finer_laws(structures, at, laws) if m.total > fewest]
-    for move in (*moves, *(move for move, _ in chosen)):
-        structures.expect(move.to, move.total)
-    chosen = [(move, at) for move, at in chosen if move.to not in structures.visited]
-    for move, at in sorted(chosen, key=lambda c: -c[0].total)[: REFITTED_NEIGHBOURS[1]]:
-        yield structures.weigh(move.to, at, move.hints)
-    return bool(chosen)
+    reduced = {*map(best.structure.without_effects, best.structure.effects)} - {plain}
+    likely_laws = [move.structure.noise for move in moves[:LAWS_OF_REDUCED]]
+    for smaller in (plain, *sorted(reduced, key=lambda s: sorted(s.effects))) if moves else ():
+        fit = structures.visited.get(smaller)
+        if fit is not None and fit is not best:
+            proposed = _propose_finer(structures, fit, None if smaller == plain else likely_laws)
+            pairs += [(m, fit) for m in proposed if structures.is_in_window(m.log_posterior)]
+    for move in (*moves, *(move for move, _ in pairs)):
+        structures.store_score(move.structure, move.log_posterior)
+    pairs = [(move, fit) for move, fit in pairs if move.structure not in structures.visited]
+    for move, fit in sorted(pairs, key=lambda c: -c[0].log_posterior)[: FITTED_NEIGHBOURS[1]]:
+        yield structures.evaluate(move.structure, fit, move.starts)
+    return bool(pairs)
 
 
-def _finer_laws(
-    structures: Structures, at: Weighed, among: Sequence[str] | None = None
+def _propose_finer(
+    structures: Structures, fit: EvaluatedStructure, allowed: Sequence[str] | None = None
 ) -> Iterator[Move]:
-    """Yield finer forms of a structure's correlated law, by their gain on the residuals under it.
+    """Yield finer forms of a structure's correlated law, scored by the change of log evidence on its residuals.
 
-    None where the noise is as probably not correlated at all; of `among` alone, if given.
+    Nothing is yielded where uncorrelated noise is as probable; only `allowed` laws are, if given.
     """
-    current, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
+    structure, laws = fit.structure, structures.noise_laws
+    current = structures.noise_law(structure)
+    plain = structures.visited.get(structure.with_noise(""))
     family = current.refines or current.name
-    finer = [n for n, law in structures.laws.items() if law.refines == family and n != current.name]
-    finer = [n for n in finer if among is None or n in among]
-    correlated = not current.independent and (plain is None or at.total > plain.total)
-    if not (correlated and finer and math.isfinite(at.total)):
+    finer = [n for n, law in laws.items() if law.refines == family and n != current.name]
+    finer = [n for n in finer if allowed is None or n in allowed]
+    is_correlated = plain is None or fit.log_posterior > plain.log_posterior
+    is_correlated = is_correlated and not current.independent
+    if not (is_correlated and finer and math.isfinite(fit.log_posterior)):
         return
-    # Evidence of either law on the residuals alone: the coefficients' volume is nearly the same.
-    evidence = structures.law_on_residuals(at, at.structure.noise)
+    # Evidence of both laws on the residuals alone: the coefficients' posterior volumes are nearly equal.
+    evidence = structures.fit_law(fit, structure.noise)
     for name in finer:
-        fit = structures.law_on_residuals(at, name)
-        odds = log_prior(structures.laws, name) - log_prior(structures.laws, current.name)
-        gain = fit.log_evidence - evidence.log_evidence
-        yield Move(at.structure.under(name), at.total + gain + odds, (fit.hint,))
+        law_fit = structures.fit_law(fit, name)
+        change = law_fit.log_evidence - evidence.log_evidence
+        change += log_prior(laws, name) - log_prior(laws, current.name)
+        yield Move(structure.with_noise(name), fit.log_posterior + change, (law_fit.start,))
 
 
-def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
-    """Yield other independent noise laws, by their gain on the residuals under the given law."""
-    plain = structures.visited.get(at.structure.under(""))
-    if not structures.laws or plain is None or not math.isfinite(plain.total):
+def _propose_noise_laws(structures: Structures, fit: EvaluatedStructure) -> Iterator[Move]:
+    """Yield other independent noise laws, scored by the change of log evidence on residuals under the given law."""
+    structure, laws = fit.structure, structures.noise_laws
+    plain = structures.visited.get(structure.with_noise(""))
+    if not laws or plain is None or not math.isfinite(plain.log_posterior):
         return
-    evidence = structures.law_on_residuals(plain, "")
-    for name, law in structures.laws.items():
-        if law.independent and name != at.structure.noise:
-            fit = structures.law_on_residuals(plain, name)
-            # The law is judged on residuals of the fit under the given law, coefficients held: an outlier has pulled
-            # these, so that the gain is rather too low.
-            total = plain.total + fit.log_evidence - evidence.log_evidence
-            to = at.structure.under(name)
-            yield Move(to, total + log_prior(structures.laws, name), (fit.hint,))
+    evidence = structures.fit_law(plain, "")
+    for name, law in laws.items():
+        if law.independent and name != structure.noise:
+            law_fit = structures.fit_law(plain, name)
+            # Coefficients are held at the fit under the given law, which outliers have pulled: the change is rather
+            # too low.
+            change = law_fit.log_evidence - evidence.log_evidence + log_prior(laws, name)
+            yield Move(structure.with_noise(name), plain.log_posterior + change, (law_fit.start,))
 
 
-def _moves(view: View, max_effects: int, among: Scope) -> Iterator[Move]:
-    """Yield additions, pairs, drops and exchanges, with their expected totals."""
-    structures, at = view.library.structures, view.at
-    structure, odds = at.structure, structures.log_odds
-    names = [n for n in view.library.points if n in among.effects]
-    open_ = [n for n in structures.open_to(structure) if n in names]
-    room = max_effects - len(structure.effects)
-    if room > 0 and open_:
-        reduced = view.without()
-        scores = reduced.scores(open_)
+def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
+    """Yield additions of one effect and of pairs, drops and swaps, with their log posteriors by score."""
+    structures, fit = scorer.library.structures, scorer.fit
+    structure, log_odds, total = fit.structure, structures.log_odds, fit.log_posterior
+    names = [n for n in scorer.library.points if n in scope.effects]
+    candidates = [n for n in structures.candidates_for(structure) if n in names]
+    free_slots = scope.max_effects - len(structure.effects)
+    if free_slots > 0 and candidates:
+        reduced = scorer.reduced_model()
+        scores = reduced.score_candidates(candidates)
         for name, points in scores.items():
-            yield _addition(structure.plus(name), at.total + odds[name], points)
-        if room > 1:
+            yield _make_addition(structure.with_effects(name), total + log_odds[name], points)
+        if free_slots > 1:
             named = {n: p for n, p in scores.items() if not structures.candidates[n].is_placeholder}
-            for gain, a, b in reduced.pairs(named)[:REFITTED_PAIRS]:
-                total = at.total + gain + odds[a.effect] + odds[b.effect]
-                yield Move(structure.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
-    # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.
-    for name in sorted(n for n in structure.effects if n in view.library.points):
-        without = view.without(name)
-        yield Move(structure.minus(name), at.total + without.dropped - odds[name])
-        others = set(structures.open_to(structure.minus(name))) - {name}
-        for other, points in without.scores([n for n in names if n in others]).items():
-            total = at.total + odds[other] - odds[name]
-            yield _addition(structure.minus(name).plus(other), total, points)
+            for factor, a, b in reduced.score_pairs(named)[:FITTED_PAIRS]:
+                both = total + factor + log_odds[a.effect] + log_odds[b.effect]
+                pair, start = structure.with_effects(a.effect, b.effect), {**a.start, **b.start}
+                yield Move(pair, both, (start,))
+    # Drops and swaps begin at the model without the effect; a drop has no log determinant of new columns.
+    for name in sorted(n for n in structure.effects if n in scorer.library.points):
+        smaller, reduced = structure.without_effects(name), scorer.reduced_model(name)
+        yield Move(smaller, total + reduced.drop_log_bayes_factor - log_odds[name])
+        others = set(structures.candidates_for(smaller)) - {name}
+        for other, points in reduced.score_candidates([n for n in names if n in others]).items():
+            swapped = smaller.with_effects(other)
+            yield _make_addition(swapped, total + log_odds[other] - log_odds[name], points)
 
 
-def _addition(to: Structure, total: float, points: list[ScoredPoint]) -> Move:
-    return Move(to, total + gain_of(points), tuple(p.hint for p in points[:HINTS]))
+def _make_addition(structure: Structure, total: float, points: list[ScoredPoint]) -> Move:
+    starts = tuple(point.start for point in points[:MAX_STARTS])
+    return Move(structure, total + mean_log_bayes_factor(points), starts)

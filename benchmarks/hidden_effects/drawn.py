@@ -34,15 +34,15 @@ def by_law(
     rng = np.random.default_rng([seed, 1])
     structures, _ = structures_over(model, readings, reference_of(readings))
     odds = math.exp(structures.log_prior(Structure(noise=WANDER)))
-    wanders = WANDER in structures.laws and bool(rng.random() < odds / (1 + odds))
-    barred = structures.barred(Structure(noise=WANDER if wanders else ""))
+    wanders = WANDER in structures.noise_laws and bool(rng.random() < odds / (1 + odds))
+    barred = structures.excluded_candidates(Structure(noise=WANDER if wanders else ""))
     names = list[str]()
     for forms in structures.forms.values():
-        open_ = [n for n in forms if n not in barred and n not in structures.barred(_with(names))]
-        odds_ratios = np.exp([structures.log_odds[n] for n in open_])
-        total = odds_ratios.sum()
-        if open_ and rng.random() < total / (1 + total):
-            names.append(str(rng.choice(open_, p=odds_ratios / total)))
+        excluded = barred | structures.excluded_candidates(_with(names))
+        open_ = [n for n in forms if n not in excluded]
+        odds = np.exp([structures.log_odds[n] for n in open_])
+        if open_ and rng.random() < odds.sum() / (1 + odds.sum()):
+            names.append(str(rng.choice(open_, p=odds / odds.sum())))
     added, adds = _effects(structures, names, rng) if names else (np.zeros(len(readings)), {})
     if wanders:
         added += _wander(structures, rng)
@@ -57,8 +57,8 @@ def _effects(
     structures: Structures, names: list[str], rng: np.random.Generator
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Return the effects' contribution to the expected output at the fitted baseline, and what each adds."""
-    base = structures.weigh(Structure())
-    model = structures.model(Structure(frozenset(names)))
+    base = structures.evaluate(Structure())
+    model = structures.build_model(Structure(frozenset(names)))
     sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
@@ -95,7 +95,7 @@ def _effects(
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     """Simulate correlated noise with diffusion and time from the wandering law's priors."""
     record: Record = structures.record
-    priors = structures.laws[WANDER].parameters()
+    priors = structures.noise_laws[WANDER].parameters()
     values = {
         n: float(p.value(draw_prior(p, rng, 1)[0])) for n, p in priors.items() if n != "noise.white"
     }

@@ -43,8 +43,8 @@ def measure(case: tuple[str, str, int]) -> dict[str, Any]:
     row = {
         "added": sorted(searched.chosen.effects),
         "sets": [[list(s.effects), s.probability] for s in searched.sets],
-        "law": searched.structures.noise(searched.chosen).in_words,
-        "nothing": searched.posterior.complete(),
+        "law": searched.structures.noise_law(searched.chosen).in_words,
+        "nothing": searched.posterior.completeness(),
     }
     if how == "wandering noise":
         white = Searched.of(instrument.baseline(), readings, widen_noise=False)

@@ -18,7 +18,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._model.summed_noise import OrnsteinUhlenbeck
-from bayescal._search.structures import NAMELESS_RMS, Structure
+from bayescal._search.structures import MAX_UNNAMED_RMS, Structure
 from benchmarks import pages
 from benchmarks.bank import Bank
 from benchmarks.hidden_effects import bank, false_discoveries, triads
@@ -62,8 +62,8 @@ def stated(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
         "hidden": sorted(map(searched.structures.family, hidden)),
         "adds": {searched.structures.family(n): rms for n, rms in adds.items()},
         "wanders": wanders,
-        "nothing": searched.posterior.complete(),
-        "stated_wanders": searched.posterior.noise(WANDER),
+        "nothing": searched.posterior.completeness(),
+        "stated_wanders": searched.posterior.law_probability(WANDER),
         "probabilities": searched.probabilities,
         "sets": [[list(s.effects), s.probability] for s in searched.sets],
         "final": searched.reported_names(searched.chosen),
@@ -81,12 +81,12 @@ def campaign(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
     trial = Searched.of(model, readings)
     final, sets, probabilities = trial.chosen, trial.sets, trial.probabilities
     seconds = time.perf_counter() - start
-    p_complete, structures = trial.posterior.complete(), trial.structures
+    p_complete, structures = trial.posterior.completeness(), trial.structures
     missing = [bank.OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))
     against = _against(trial, missing, False)
     base, later = trial.base, Later.of(trial, second)
-    oracle = structures.weigh(truth).log_evidence - base.log_evidence
+    oracle = structures.evaluate(truth).log_evidence - base.log_evidence
     return {
         "seed": case.seed,
         "kind": case.kind,
@@ -113,23 +113,23 @@ def _against(trial: Searched, missing: list[str], wanders: bool) -> dict[str, An
     truth = Structure(frozenset(missing), WANDER if wanders else "")
     if truth == best.structure or not set(missing) <= set(structures.candidates):
         return None
-    weighed = truth in structures.visited
-    true, fresh = (structures.weigh(truth, trial.base), structures._refitted(truth, None, ()))
+    weighed, true = truth in structures.visited, structures.evaluate(truth, trial.base)
+    fresh = structures._fit_structure(truth, None, ())
     return {
         "weighed": weighed,
         "best": [sorted(best.structure.effects), best.structure.noise],
-        "total": true.total - best.total,
+        "total": true.log_posterior - best.log_posterior,
         "evidence": true.log_evidence - best.log_evidence,
         "prior": true.log_prior - best.log_prior,
-        "fresh": fresh.total - best.total,
+        "fresh": fresh.log_posterior - best.log_posterior,
     }
 
 
 def _oracles(trial: Searched, truth: Structure) -> list[float]:
     """Return the true structure's log Bayes factor against itself without each hidden effect."""
-    weigh = trial.structures.weigh
-    whole = weigh(truth).log_evidence
-    return [whole - weigh(truth.minus(n), trial.base).log_evidence for n in sorted(truth.effects)]
+    evaluate, base = trial.structures.evaluate, trial.base
+    reduced = map(truth.without_effects, sorted(truth.effects))
+    return [evaluate(truth).log_evidence - evaluate(s, base).log_evidence for s in reduced]
 
 
 def hidden_in(row: dict[str, Any]) -> str:
@@ -178,7 +178,7 @@ def _complete(rows: Rows, low: float, high: float) -> str:
     """Return how often nothing was missing: no named effect, and no curve that adds more than is stated to count."""
     law = of_kind(rows, "law")
     counted = (
-        [a for n, a in r["adds"].items() if n[:7] != "unknown" or a > NAMELESS_RMS] for r in law
+        [a for n, a in r["adds"].items() if n[:7] != "unknown" or a > MAX_UNNAMED_RMS] for r in law
     )
     pairs = ((r["nothing"], not missing) for r, missing in zip(law, counted, strict=True))
     return stated_and_true(pairs, low, high)

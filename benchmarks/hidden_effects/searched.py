@@ -19,7 +19,7 @@ from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.posterior import Finding, Posterior
 from bayescal._search.scores import Library
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 from bayescal._search.walk import explore
 
 MOST = 5  # effects, as by default
@@ -53,17 +53,17 @@ class Searched:
         return cls(model, readings, structures, library)
 
     @property
-    def base(self) -> Weighed:
-        return self.structures.weigh(Structure())
+    def base(self) -> EvaluatedStructure:
+        return self.structures.evaluate(Structure())
 
     @cached_property
     def posterior(self) -> Posterior:
         """Return the posterior over the structures that the search evaluated, not those evaluated later."""
-        return Posterior.of(self.structures)
+        return Posterior.from_structures(self.structures)
 
     @cached_property
     def chosen(self) -> Structure:
-        return self.posterior.chosen
+        return self.posterior.median_structure
 
     @property
     def sets(self) -> tuple[Finding, ...]:
@@ -80,7 +80,7 @@ class Searched:
 
     def error(self, structure: Structure, later: Later) -> float:
         """Return a structure's root mean square error on a second record of unseen runs."""
-        weighed = self.structures.weigh(structure)
+        weighed = self.structures.evaluate(structure)
         return later.error(weighed)
 
 
@@ -107,7 +107,7 @@ class Later:
         records = (Record(first.instrument, f, y) for f in (unseen, frame))
         return cls(*records)
 
-    def expected(self, weighed: Weighed) -> np.ndarray:
+    def expected(self, weighed: EvaluatedStructure) -> np.ndarray:
         """Return a structure's expected output on the record."""
         mode = weighed.mode
         _, posterior = Density(weighed.problem, mode.x, mode.flat).condition_at(mode.v)
@@ -115,12 +115,12 @@ class Later:
         later_problem = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
         return later_problem.linearise(x, later_problem.hyper(mode.v)).mean
 
-    def error(self, weighed: Weighed) -> float:
+    def error(self, weighed: EvaluatedStructure) -> float:
         return float(np.sqrt(np.mean((self.record.y - self.expected(weighed)) ** 2)))
 
 
 def noise_of(model: bc.Model, readings: bc.Measurements) -> float:
     """Return the standard deviation of the baseline's white noise."""
     structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
-    base = structures.weigh(Structure())
+    base = structures.evaluate(Structure())
     return base.problem.hyper(base.mode.v)["noise.white"]

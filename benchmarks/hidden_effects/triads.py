@@ -77,11 +77,11 @@ def measure(case: tuple[str, int]) -> dict[str, Any]:
     row = {
         "hidden": hidden,
         "final": searched.reported_names(searched.chosen),
-        "nothing": searched.posterior.complete(),
+        "nothing": searched.posterior.completeness(),
         "sets": [[list(s.effects), s.probability] for s in searched.sets],
     }
     if hidden:
-        truth = searched.structures.weigh(Structure(frozenset({kind})), searched.base)
+        truth = searched.structures.evaluate(Structure(frozenset({kind})), searched.base)
         row["oracle"] = truth.log_evidence - searched.base.log_evidence
     return row
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models.inclinometer
-from bayescal._search.structures import NAMELESS_RMS
+from bayescal._search.structures import MAX_UNNAMED_RMS
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from benchmarks import pages
 from benchmarks.bank import Bank
@@ -196,7 +196,7 @@ def _complete(rows: Rows, low: float, high: float) -> str:
     """Return how often a model of a stated probability to be complete had all that can be seen and matters."""
     pairs = []
     for row in rows:
-        counted = {e for e in row["hidden"] if row["adds"][e] > NAMELESS_RMS} - {*row["unseen"]}
+        counted = {e for e in row["hidden"] if row["adds"][e] > MAX_UNNAMED_RMS} - {*row["unseen"]}
         if row["complete"] is not None:
             has_all = {*map(_family, counted)} <= {*map(_family, row["final"])}
             pairs.append((row["complete"], has_all))

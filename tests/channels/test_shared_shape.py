@@ -12,10 +12,10 @@ from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.shared_shape import (
     SHARES,
-    FromOthers,
+    CavityPrior,
     ShapeEvidence,
     SharedShape,
-    evidence_of,
+    evaluate_shape,
     log_mass,
 )
 from bayescal._search.structures import Structures
@@ -41,11 +41,11 @@ def enumerated(shared: SharedShape) -> dict[tuple[bool, ...], np.ndarray]:
     """Probability, by which channels show it, and by its shape; all False twice: the unit may not have it."""
     mass = np.exp(log_mass(shared.v))
     found = {}
-    for shown in itertools.product((False, True), repeat=len(shared.says)):
+    for shown in itertools.product((False, True), repeat=len(shared.log_ratios)):
         there = np.zeros(shared.v.size)
         for share in SHARES[:, 0]:
             one = shared.prior * mass / SHARES.size
-            for log_ratio, holds in zip(shared.says.values(), shown, strict=True):
+            for log_ratio, holds in zip(shared.log_ratios.values(), shown, strict=True):
                 one = one * (share * np.exp(log_ratio) if holds else 1 - share)
             there += one
         found[shown] = there
@@ -64,9 +64,9 @@ def test_the_unit_has_it_as_enumeration_says() -> None:
 
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
     shared = three_channels()
-    log_ratio, shape = shared.says["in doubt"], shared.shape
-    found = ShapeEvidence(shared.v, log_ratio).conclude(
-        FromOthers(0.0, shape.low, shape.high), shape
+    log_ratio, shape = shared.log_ratios["in doubt"], shared.shape
+    found = ShapeEvidence(shared.v, log_ratio).update(
+        CavityPrior(0.0, shape.low, shape.high), shape
     )
     weight = np.exp(log_ratio - 0.5 * shared.v**2)
     ratio = weight.sum() * 0.1 / np.sqrt(2 * np.pi)
@@ -80,12 +80,12 @@ def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> N
     """Prior odds from the others times a channel's own evidence over their range: what enumeration gives it."""
     shared, found = three_channels(), enumerated(three_channels())
     total = sum(one.sum() for one in found.values()) + 1 - shared.prior
-    for i, name in enumerate(shared.says):
+    for i, name in enumerate(shared.log_ratios):
         expected = sum(one.sum() for shown, one in found.items() if shown[i]) / total
-        told = shared.from_others(name)
+        told = shared.cavity_prior(name)
         low, high = (shared.shape.prior.coordinate(end) for end in (told.low, told.high))
         mass = log_mass(shared.v, (low + high) / 2, (high - low) / (2 * 1.959963984540054))
-        own = np.logaddexp.reduce(mass + shared.says[name])
+        own = np.logaddexp.reduce(mass + shared.log_ratios[name])
         here = 1 / (1 + np.exp(-(told.log_odds + own)))
         assert here == pytest.approx(expected, abs=0.02), name  # their range is taken as normal
 
@@ -105,7 +105,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     made = weighed(readings)
     effect = made.candidates[LAG]
     assert effect.shared_shape is not None
-    v, log_ratio = evidence_of(made, LAG, effect.shared_shape)
+    v, log_ratio = evaluate_shape(made, LAG, effect.shared_shape)
     assert LAG in made.best.structure.effects
     prior = effect.shared_shape.prior
     peak = v[int(np.argmax(log_ratio))]
@@ -113,11 +113,11 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     for value in map(float, prior.value(np.array([peak - 0.3, peak, peak + 0.3]))):
         narrow = effect.ranging({"tau": (0.999 * value, 1.001 * value)})
         fixed = Structures(
-            made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.laws
+            made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.noise_laws
         )
-        with_it = [fixed.weigh(s) for s in made.visited if LAG in s.effects]
-        without = [fixed.weigh(s) for s in made.visited if LAG not in s.effects]
-        totals = [np.logaddexp.reduce([w.total for w in ws]) for ws in (with_it, without)]
+        with_it = [fixed.evaluate(s) for s in made.visited if LAG in s.effects]
+        without = [fixed.evaluate(s) for s in made.visited if LAG not in s.effects]
+        totals = [np.logaddexp.reduce([w.log_posterior for w in ws]) for ws in (with_it, without)]
         held.append(totals[0] - fixed.log_odds[LAG] - totals[1])
     found = np.interp([peak - 0.3, peak, peak + 0.3], v, log_ratio)
     np.testing.assert_allclose(found, held, atol=0.7)

@@ -61,7 +61,7 @@ def added(steps: list[dict]) -> set[str]:
 @pytest.mark.usefixtures("at_a_terminal")
 def test_ctrl_c_returns_the_best_structure(readings, calls, tmp_path, monkeypatch) -> None:
     # How many are weighed in a second hangs on the machine.
-    monkeypatch.setattr("bayescal._search.walk.FOLLOWED_SECONDS", 0.0)
+    monkeypatch.setattr("bayescal._search.walk.FOLLOW_SECONDS", 0.0)
     shown = []
 
     def follow(trail: bc.SearchPath) -> None:

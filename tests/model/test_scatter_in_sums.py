@@ -11,7 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import still_sensor
-from tests.support.inside import Record, build_sum, frame_of, on_residuals
+from tests.support.inside import Record, build_sum, fit_to_residuals, frame_of
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 LEVEL = effects.constant("bias", 30.0, "ug", source="none")
@@ -48,7 +48,7 @@ def gain(readings: bc.Measurements) -> float:
     frame = frame_of(readings)
     record = Record(SENSOR, frame, np.asarray(readings["output"]))
     left = readings["output"] - readings["output"].mean()
-    with_it, without = (on_residuals(one, record.of_noise(left)) for one in (law(), law("")))
+    with_it, without = (fit_to_residuals(one, record.of_noise(left)) for one in (law(), law("")))
     return with_it.log_evidence - without.log_evidence
 
 
@@ -118,9 +118,11 @@ def evidence_of_tone(amplitude: float, seed: int) -> tuple[float, dict[str, floa
         )
         for terms in (("correlated",), ("correlated", "tone"))
     }
-    plain, with_it = (on_residuals(law, fit.problem.record.of_noise(left)) for law in sums.values())
+    plain, with_it = (
+        fit_to_residuals(law, fit.problem.record.of_noise(left)) for law in sums.values()
+    )
     priors = sums["correlated", "tone"].parameters()
-    values = {name: float(priors[name].value(v)) for name, v in with_it.hint.items()}
+    values = {name: float(priors[name].value(v)) for name, v in with_it.start.items()}
     return with_it.log_evidence - plain.log_evidence, values
 
 

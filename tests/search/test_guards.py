@@ -15,7 +15,7 @@ from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import Subject
 from bayescal._calibration.leave_group_out import leave_one_group_out
-from bayescal._search.gate import gate
+from bayescal._search.gate import assess_last
 from bayescal.effects import deviation
 from bayescal_models import mems_gyro, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
@@ -195,7 +195,7 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     mended = replace(line, mode=line.mode._replace(indefinite=True))
     (reason,) = judgement.multimodality(mended)
     assert reason.code == "mode.indefinite"
-    assert not gate(steps(line, {}, {"multimodality": (reason,)})).ok
+    assert not assess_last(steps(line, {}, {"multimodality": (reason,)})).ok
 
 
 @pytest.mark.parametrize(
@@ -211,12 +211,12 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
     ],
 )
 def test_a_step_that_does_harm_shuts_the_gate(line, first, last, code) -> None:
-    assert code in codes(gate(steps(line, first, last)))
+    assert code in codes(assess_last(steps(line, first, last)))
     nearly = {
         k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
         for k, v in last.items()
     }
-    assert gate(steps(line, first, nearly)).ok
+    assert assess_last(steps(line, first, nearly)).ok
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,10 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, code) -> None:
 def test_groups_left_out_are_judged_by_their_density(line, score: float, ok: bool) -> None:
     """The odds of a hundred to one are 4.6 nats, of all three groups together."""
     first, last = groups_left_out(1.0, 0.0), groups_left_out(1.3, score)
-    assert gate(steps(line, {"leave_one_group_out": first}, {"leave_one_group_out": last})).ok is ok
+    assert (
+        assess_last(steps(line, {"leave_one_group_out": first}, {"leave_one_group_out": last})).ok
+        is ok
+    )
 
 
 @pytest.mark.parametrize(("p", "ok"), [(0.02, True), (0.005, False)])
@@ -233,7 +236,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
     nothing = SimpleNamespace(p=0.5, ratio=1.0, scatter=1.0, coefficient="")
     test = SimpleNamespace(paired_test=lambda _: p, contradiction=nothing)
     first, last = ({"holdout_rmse": rmse, "holdout_test": test} for rmse in (1.0, 1.3))
-    assert gate(steps(line, first, last)).ok is ok
+    assert assess_last(steps(line, first, last)).ok is ok
 
 
 @pytest.mark.parametrize(
@@ -249,19 +252,19 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
 def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], code: str) -> None:
     (only, _) = steps(line, {}, {})
     only.check = SimpleNamespace(**{**vars(only.check), **what})
-    assert code in codes(gate([only]))
+    assert code in codes(assess_last([only]))
 
 
 def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
     found = SimpleNamespace(p=0.5, ratio=1.0, scatter=2.5, coefficient="bias.temperature")
     kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(contradiction=found)}
     (_, step) = steps(line, {}, kept)
-    shut = gate([step])
+    shut = assess_last([step])
     assert codes(shut) == {"holdout.scatters"}
     found.p, found.ratio, found.scatter = 0.005, 3.0, 1.0
-    assert codes(gate([step])) == {"holdout.contradicts"}
+    assert codes(assess_last([step])) == {"holdout.contradicts"}
     found.p = 0.02
-    assert gate([step]).ok
+    assert assess_last([step]).ok
 
 
 @pytest.mark.parametrize("between", [True, False])
@@ -272,7 +275,7 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
     moved = readings.with_column("output", readings["output"] + 5.0 * (time >= begins))
     model = INSTRUMENT.for_readings(moved).baseline() + "unknown(time, jump)"
     stepped = bc.fit(model, moved, bc.LeastSquares(draws=200), strict=False)
-    found = gate(steps(stepped, {}, {}))
+    found = assess_last(steps(stepped, {}, {}))
     assert found.ok is not between, found.reason
     assert ("runs.apart" in codes(found)) is between
 
@@ -288,7 +291,7 @@ def test_readings_of_two_devices_shut_the_gate_where_no_spread_has_a_name(named:
         other = readings["run"] == np.unique(readings["run"])[-1]
         mixed = readings.with_column("output", readings["output"] + apart * other)
         fitted = bc.fit(model, mixed, bc.LeastSquares(draws=200), strict=False)
-        return gate(steps(fitted, {}, {"leave_one_group_out": leave_one_group_out(fitted)}))
+        return assess_last(steps(fitted, {}, {"leave_one_group_out": leave_one_group_out(fitted)}))
 
     found = judged(4.0)
     assert ("runs.unlike" in {one.code for one in found.claims}) is not named, found.reason

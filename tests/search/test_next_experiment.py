@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import Outlook, divergence
+from tests.support.inside import CampaignPrediction, divergence
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 RIVALS = ("bias.thermal_lag", "bias.reference_voltage")
@@ -20,8 +20,8 @@ def line() -> bc.Calibration:
     return bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares())
 
 
-def normal(mean, covariance) -> Outlook:
-    return Outlook(np.asarray(mean, float), np.asarray(covariance, float))
+def normal(mean, covariance) -> CampaignPrediction:
+    return CampaignPrediction(np.asarray(mean, float), np.asarray(covariance, float))
 
 
 def test_the_divergence_is_that_of_two_normals() -> None:

@@ -18,9 +18,9 @@ from bayescal._inference.problem import Problem
 from bayescal._search import library
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
-from bayescal._search.noise_laws import on_residuals
+from bayescal._search.noise_laws import fit_to_residuals
 from bayescal._search.posterior import Posterior
-from bayescal._search.scores import View, gain_of
+from bayescal._search.scores import Scorer, mean_log_bayes_factor
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import explore
 from bayescal_models import inclinometer, mems_gyro, still_sensor
@@ -72,15 +72,15 @@ def test_the_walk_finds_what_enumeration_finds(
     walked = structures(readings, few)
     explore(Library(walked), max_effects=5)
     whole = structures(readings, few)
-    root = whole.weigh(Structure())
+    root = whole.evaluate(Structure())
     for count in range(len(few) + 1):
         for names in itertools.combinations(few, count):
-            for law in ("", *whole.laws):
-                whole.weigh(Structure(frozenset(names), law), root)
-    found, exact = Posterior.of(walked), Posterior.of(whole)
+            for law in ("", *whole.noise_laws):
+                whole.evaluate(Structure(frozenset(names), law), root)
+    found, exact = Posterior.from_structures(walked), Posterior.from_structures(whole)
     assert found.best == exact.best
     assert len(walked.visited) < len(whole.visited)
-    assert found.complete() == pytest.approx(exact.complete(), abs=0.05)
+    assert found.completeness() == pytest.approx(exact.completeness(), abs=0.05)
     for name in few:
         assert found.inclusion(name) == pytest.approx(exact.inclusion(name), abs=0.05)
 
@@ -88,7 +88,7 @@ def test_the_walk_finds_what_enumeration_finds(
 def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     made = structures(hidden(2), ("bias.temperature_quadratic",))
     structure = Structure(frozenset(made.candidates))
-    layout = made.weigh(structure).problem.layout
+    layout = made.evaluate(structure).problem.layout
     each = [
         math.log(share)
         + find_mode(
@@ -106,11 +106,11 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
     made = structures(readings, effects=(twin,))
     made.candidates = {n: made.candidates[n] for n in ("bias.thermal_lag", "bias.twin")}
     explore(Library(made), max_effects=3)
-    posterior = Posterior.of(made)
+    posterior = Posterior.from_structures(made)
     (found,) = posterior.findings
     assert set(found.effects) == {"bias.thermal_lag", "bias.twin"}
     assert found.probability >= bc.Settings().found_probability
-    assert len(posterior.chosen.effects) == 1
+    assert len(posterior.median_structure.effects) == 1
 
 
 def test_a_long_record_is_looked_over_by_means(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,14 +123,14 @@ def test_a_long_record_is_looked_over_by_means(monkeypatch: pytest.MonkeyPatch) 
     made = structures(bc.Measurements.from_arrays(INSTRUMENT, columns, output=output))
     toggle = {n for n in made.candidates if "supply" in n}
     for law in ("", WANDER):  # on an even clock, though written to a third of a step
-        at, gains = made.weigh(Structure(noise=law)), []
-        assert made.record.nodes(made.noise(at.structure)) is not None
-        for most in (library.MEANS, n):
-            monkeypatch.setattr(library, "MEANS", most)
-            view = View(known := Library(made), at)
-            assert known.blurred >= (toggle if most < n else set())
-            found = view.without().scores([*known.points])
-            gains.append(np.array([gain_of(points) for points in found.values()]))
+        at, gains = made.evaluate(Structure(noise=law)), []
+        assert made.record.nodes(made.noise_law(at.structure)) is not None
+        for most in (library.MEANS_COUNT, n):
+            monkeypatch.setattr(library, "MEANS_COUNT", most)
+            view = Scorer(known := Library(made), at)
+            assert known.unaveraged >= (toggle if most < n else set())
+            found = view.reduced_model().score_candidates([*known.points])
+            gains.append(np.array([mean_log_bayes_factor(points) for points in found.values()]))
         assert np.argmax(gains[0]) == np.argmax(gains[1])
         np.testing.assert_allclose(gains[0], gains[1], rtol=0.01, atol=0.2)
 
@@ -141,15 +141,15 @@ def test_of_a_hundred_empty_campaigns_hardly_any_gains_an_effect() -> None:
     for seed in range(500, 600):
         made = structures(hidden(seed))
         explore(Library(made), max_effects=5)
-        reported += bool(Posterior.of(made).chosen.effects)
+        reported += bool(Posterior.from_structures(made).median_structure.effects)
     assert reported <= 3
 
 
 def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     made = structures(hidden())
-    assert "unknown(time)" in made.open_to(Structure())
-    assert "unknown(time)" not in made.open_to(Structure(noise=WANDER))
-    assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
+    assert "unknown(time)" in made.candidates_for(Structure())
+    assert "unknown(time)" not in made.candidates_for(Structure(noise=WANDER))
+    assert "unknown(time, jump)" in made.candidates_for(Structure(noise=WANDER))
 
 
 def with_noise(seed: int, law: str) -> bc.Measurements:
@@ -169,24 +169,24 @@ def with_noise(seed: int, law: str) -> bc.Measurements:
 def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     made = structures(with_noise(seed, law), FEW)
     explore(Library(made), max_effects=3)
-    posterior = Posterior.of(made)
-    kind = made.laws[law].law
-    assert made.noise(posterior.best).law == kind
-    of_kind = [n for n, other in made.laws.items() if other.law == kind]
-    assert sum(posterior.noise(n) for n in of_kind) > bc.Settings().found_probability
+    posterior = Posterior.from_structures(made)
+    kind = made.noise_laws[law].law
+    assert made.noise_law(posterior.best).law == kind
+    of_kind = [n for n, other in made.noise_laws.items() if other.law == kind]
+    assert sum(posterior.law_probability(n) for n in of_kind) > bc.Settings().found_probability
     assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
 
 
 def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
     for seed in (5, 6):
         made = structures(hidden(seed))
-        base = made.weigh(Structure())
+        base = made.evaluate(Structure())
         left = linear_model(base.problem, base.mode).residual
-        own = on_residuals(made.base.noise, made.record.of_noise(left)).log_evidence
-        for name, law in made.laws.items():
+        own = fit_to_residuals(made.base.noise, made.record.of_noise(left)).log_evidence
+        for name, law in made.noise_laws.items():
             if law.independent:
-                found = on_residuals(law, made.record.of_noise(left))
-                refit = made.weigh(Structure(noise=name), base, (found.hint,))
+                found = fit_to_residuals(law, made.record.of_noise(left))
+                refit = made.evaluate(Structure(noise=name), base, (found.start,))
                 gain = refit.log_evidence - base.log_evidence
                 assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name
 
@@ -197,7 +197,7 @@ def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain(
     for seed in range(40, 48):
         made = structures(hidden(seed), FEW)
         explore(Library(made), max_effects=3)
-        if Posterior.of(made).noise("") < 0.5:
+        if Posterior.from_structures(made).law_probability("") < 0.5:
             taken += 1
         else:
             tried = [s for s in made.visited if s.noise not in ("", WANDER)]
@@ -207,9 +207,9 @@ def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain(
 
 def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest() -> None:
     made = structures(hidden())
-    kinds = {law.law for law in made.laws.values()}
+    kinds = {law.law for law in made.noise_laws.values()}
     shares = dict.fromkeys(kinds, 0.0)
-    for name, law in made.laws.items():
+    for name, law in made.noise_laws.items():
         shares[law.law] += math.exp(made.log_prior(Structure(noise=name)))
     assert kinds == {"student_t", "ornstein_uhlenbeck", "heteroscedastic"}
     assert all(share == pytest.approx(1 / 3) for share in shares.values())
@@ -221,14 +221,14 @@ def test_evidence_of_random_structures_is_that_of_readings(monkeypatch, of: Any)
     model = of.INSTRUMENT.for_readings(readings).baseline()
     made = structures_over(model, readings, constants_of(readings))[0]
     random = np.random.default_rng(1)
-    laws = ["", *(n for n, law in made.laws.items() if made.record.nodes(law) is not None)]
+    laws = ["", *(n for n, law in made.noise_laws.items() if made.record.nodes(law) is not None)]
     for _ in range(3):
         structure = Structure()
         for _ in range(2):
-            structure = structure.plus(str(random.choice(made.open_to(structure))))
-        structure = structure.under(str(random.choice(laws)))
+            structure = structure.with_effects(str(random.choice(made.candidates_for(structure))))
+        structure = structure.with_noise(str(random.choice(laws)))
         made.visited.clear()
-        found = made.weigh(structure.minus(*made.barred(structure)))
+        found = made.evaluate(structure.without_effects(*made.excluded_candidates(structure)))
         with monkeypatch.context() as patched:
             patched.setattr(Density, "tabulated", None)
             mode, problem = found.mode, found.problem

@@ -10,7 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import taken_over
+from tests.support.inside import find_replaced_terms
 
 QUICK = bc.LeastSquares(draws=100)
 
@@ -48,9 +48,9 @@ def of_a_bad_thermometer() -> tuple[bc.Calibration, bc.Calibration]:
 
 
 def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer() -> None:
-    (found,) = taken_over(*of_a_bad_thermometer())
+    (found,) = find_replaced_terms(*of_a_bad_thermometer())
     assert found.term.name == "bias.temperature"
-    assert not found.measured
+    assert not found.is_measured
     assert found.ratio < 0.1
     assert (found.claim.code, found.claim.subjects) == ("term.replaced", ("bias.temperature",))
     assert found.claim.numbers["by"] == ("unknown(elapsed)",)
@@ -59,8 +59,8 @@ def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer
 def test_what_has_no_name_and_repeats_as_the_profile_does_is_confounded_with_it_by_design() -> None:
     """A slow lag, described by a function of the time within runs: of another profile it says nothing."""
     readings = still_sensor.simulate({"bias.thermal_lag_slow": 8.0}, seed=4)
-    (found,) = taken_over(*fits(readings, "unknown(elapsed)"))
-    assert found.confounded and not found.measured
+    (found,) = find_replaced_terms(*fits(readings, "unknown(elapsed)"))
+    assert found.is_confounded and not found.is_measured
     assert found.claim.code == "term.replaceable"
     str(found.claim)
     str(found._replace(runs=1).claim)
@@ -71,26 +71,28 @@ def test_what_has_no_name_and_repeats_as_the_profile_does_is_confounded_with_it_
 )
 def test_a_cause_that_corrects_a_term_takes_nothing_over(hidden: str, size: float) -> None:
     readings = still_sensor.simulate({hidden: size}, seed=5)
-    assert all(one.measured for one in taken_over(*fits(readings, hidden)))
+    assert all(one.is_measured for one in find_replaced_terms(*fits(readings, hidden)))
 
 
 def test_effects_of_the_same_column_take_nothing_over() -> None:
     readings = still_sensor.simulate({"bias.temperature_quadratic": 0.4}, seed=5)
-    assert taken_over(*fits(readings, "bias.temperature_quadratic", "bias.thermal_lag")) == []
+    assert (
+        find_replaced_terms(*fits(readings, "bias.temperature_quadratic", "bias.thermal_lag")) == []
+    )
 
 
 def test_a_second_thermometer_that_is_a_cause_takes_nothing_over() -> None:
     readings = mems_gyro.simulate({"bias.reference_voltage": 0.02}, seed=5)
-    found = taken_over(*fits(readings, "bias.reference_voltage"))
-    assert [one.measured for one in found] == [True]
+    found = find_replaced_terms(*fits(readings, "bias.reference_voltage"))
+    assert [one.is_measured for one in found] == [True]
 
 
 def test_a_description_that_moves_a_coefficient_beyond_chance_leaves_it_unmeasured() -> None:
     """A cause with a name may; which of both values is right, what has none does not tell."""
-    (found,) = taken_over(*of_a_bad_thermometer())
+    (found,) = find_replaced_terms(*of_a_bad_thermometer())
     for moved, left, measured in ((3.0, 0.9, True), (8.0, 0.9, False), (8.0, 0.2, True)):
-        one = found._replace(moved=moved, tolerance=left, ratio=0.9)
-        assert (one.unnamed, one.measured) == (True, measured)
+        one = found._replace(shift=moved, tolerance=left, ratio=0.9)
+        assert (one.is_unnamed, one.is_measured) == (True, measured)
 
 
 def test_runs_that_are_alike_surprise_none_of_the_others() -> None:

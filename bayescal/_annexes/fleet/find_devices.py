@@ -85,12 +85,12 @@ def search_device(
     structures, _ = ws.structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
-    structures = replace(structures, thrifty=True)
+    structures = replace(structures, near_best_only=True)
     if stopped := ws.explore(ws.Library(structures), find.max_effects):
         raise ws.deadline.TimeIsUp(stopped)
-    posterior = ws.Posterior.of(structures)
-    chosen = posterior.chosen
-    weighed = structures.weigh(chosen)
+    posterior = ws.Posterior.from_structures(structures)
+    chosen = posterior.median_structure
+    weighed = structures.evaluate(chosen)
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in forms]))
         for n, forms in structures.forms.items()
@@ -110,7 +110,7 @@ def _weighed(
 ) -> dict[tuple[str, ...], float]:
     """Return log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
-    for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
+    for structure, log_posterior in zip(posterior.structures, posterior.log_posterior, strict=True):
         effects = tuple(sorted(posterior.space.families(structure.effects)))
         log_evidence = log_posterior - sum(log_odds[name] for name in effects)
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), log_evidence))

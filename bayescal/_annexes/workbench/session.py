@@ -66,12 +66,12 @@ class Change:
 SEARCHES = 4  # number of the latest searches in the cache
 
 
-def _structure_of(model: bc.Model, search: ws.Loop) -> ws.Structure | None:
+def _structure_of(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
     """Return the structure of a search that equals a model, among the subsets of its choice; else None."""
-    structures, goal = search.structures, search.goal
+    structures, goal = search.structures, search.chosen_structure
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
-    laws = {n: structures.noise(ws.Structure(noise=n)) for n in ("", goal.noise)}
+    laws = {n: structures.noise_law(ws.Structure(noise=n)) for n in ("", goal.noise)}
     law = next((n for n, noise in laws.items() if noise == model.noise), None)
     if law is None or not names <= goal.effects or model.fixed != base.fixed:
         return None
@@ -117,7 +117,7 @@ class Session:
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
-    _loops: list[ws.Loop] = field(default_factory=list)  # with the structures weighed over models
+    _loops: list[ws.StepwiseSearch] = field(default_factory=list)  # with evaluated structures
     _trails: dict[int, bc.SearchPath] = field(default_factory=dict)
     _decisions: dict[int, bc.Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
@@ -283,7 +283,7 @@ class Session:
         fit = before.calibration
         start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
         how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
-        method = loop.quick(change.model)
+        method = loop.step_method(change.model)
         after = bc.fit(change.model, self.readings, method, strict=False, **how)
         return Preview(before, after, change.added)
 
@@ -322,7 +322,7 @@ class Session:
         with self._in_time():  # another page may look for the same
             if (discovery := self.states[number].discovery) is None:
                 loop, at = self._weighed(self.states[number])
-                discovery = loop.missing(at)
+                discovery = loop.find_missing(at)
                 self._keep_found(number, discovery)
         return discovery
 
@@ -335,18 +335,18 @@ class Session:
             ModelError: nothing can be learnt from the current model.
         """
         begin = self.current
-        if begin.step.failures and not self._loop.freed(begin.step):
+        if begin.step.failures and not self._loop.free_contradicted(begin.step):
             raise bc.ModelError(f"nothing is looked for: {' '.join(begin.step.failures)}")
         with self._in_time():
             loop, at = self._weighed(begin, follow)
             steps, number = [begin.step], begin.number
-            for before, to, discovery in loop.way(loop.goal, at):
+            for before, to, discovery in loop.iterate_path(loop.chosen_structure, at):
                 if before is None:
                     self._keep_found(number, discovery)
                     continue
-                steps.append(loop.fitted(to, before))
+                steps.append(loop.fit_structure(to, before))
                 number = self._append(steps[-1], number, discovery).number
-                follow(loop.trail(steps=steps))
+                follow(loop.build_path(steps=steps))
 
     @contextmanager
     def _in_time(self) -> Iterator[None]:
@@ -356,7 +356,7 @@ class Session:
 
     def _weighed(
         self, state: State, follow: Callable[[bc.SearchPath], None] | None = None
-    ) -> tuple[ws.Loop, ws.Structure]:
+    ) -> tuple[ws.StepwiseSearch, ws.Structure]:
         """Return the search for effects missing from a state, and the state's structure in it.
 
         It is that of `calibrate` over the first model, so that states towards its choice share one posterior with it.
@@ -378,18 +378,18 @@ class Session:
         core: bc.Model,
         effects: Sequence[bc.Effect],
         follow: Callable[[bc.SearchPath], None] | None,
-    ) -> ws.Loop:
+    ) -> ws.StepwiseSearch:
         """Evaluate structures over a model, those with given effects among them; cached."""
         search = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
         if is_new := search is None:
             same = (s.step for s in self.states.values() if s.model == core)
             search = replace(self._loop, reconsidered=tuple(effects), stopped="not begun")
-            first = next(same, None) or search.step(core, search.quick(core))
-            extra = (*self.effects.values(), *search.freed(self.states[0].step))
-            search.open(first, extra, self.settings.widen_noise)
+            first = next(same, None) or search.fit_step(core, search.step_method(core))
+            extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
+            search.list_structures(first, extra, self.settings.widen_noise)
         if search.stopped and (is_new or follow is not None):
             with ws.deadline.sooner(ws.SEARCH):
-                search.look(lambda: None if follow is None else follow(search.trail()))
+                search.run_search(lambda: None if follow is None else follow(search.build_path()))
             self._loops = [*(s for s in self._loops if s is not search), search][-SEARCHES:]
         return search
 
@@ -434,20 +434,20 @@ class Session:
 
     def _judged(self, state: State) -> bc.SearchPath:
         loop, way = self._loop, self.path(state.number)
-        step = loop.step(state.model, loop.method, state.calibration.start or {})
+        step = loop.fit_step(state.model, loop.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, description=state.step.description)
         weighed = None
         if step.calibration.verdict.ok:
             with suppress(ws.deadline.TimeIsUp), self._in_time():
                 weighed = self._weighed(state)
-                self._keep_found(state.number, weighed[0].missing(weighed[1]))
+                self._keep_found(state.number, weighed[0].find_missing(weighed[1]))
                 way = self.path(state.number)
         steps = [*(s.step for s in way[:-1]), step]
         steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        if weighed is None or weighed[1].effects != weighed[0].goal.effects:
+        if weighed is None or weighed[1].effects != weighed[0].chosen_structure.effects:
             return bc.SearchPath(*ws.judged(steps), self.holdout)
         with self._looking:
-            return weighed[0].averaged(steps, weighed[1])
+            return weighed[0].average_path(steps, weighed[1])
 
     def verdict(self) -> str:
         """State whether the current model may be used, and the verdict of its fit."""
@@ -501,15 +501,15 @@ class Session:
         return bc.compensator(trail.calibration).export(folder / file)
 
     @property
-    def _loop(self) -> ws.Loop:
+    def _loop(self) -> ws.StepwiseSearch:
         s = self.settings
         options = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
-        return ws.Loop(*options, accepted=frozenset(s.accept_conflicts))
+        return ws.StepwiseSearch(*options, accepted_conflicts=frozenset(s.accept_conflicts))
 
     def _become(self, change: Change, parent: int | None) -> State:
         """Fit a model as a child of a state, and make it the current one."""
         loop = self._loop
-        step = loop.step(change.model, loop.quick(change.model))
+        step = loop.fit_step(change.model, loop.step_method(change.model))
         return self._append(replace(step, added=change.added, description=change.in_words), parent)
 
     def _append(
