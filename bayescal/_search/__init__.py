@@ -1,1 +1,1 @@
-"""Which effects are missing: structures, the walk over them, their posterior, the gate, channels."""
+"""Search for missing effects: structures, beam search, their posterior, acceptance checks, channels."""

@@ -49,7 +49,7 @@ class Channels(Printed):
     @property
     def ok(self) -> bool:
         """Return whether every channel's result is reliable."""
-        return all(trail.ok for trail in self.search_paths.values())
+        return all(path.ok for path in self.search_paths.values())
 
     if TYPE_CHECKING:
 
@@ -71,7 +71,7 @@ class Channels(Printed):
         laws = (t.final.calibration.model.noise.law for t in self.search_paths.values())
         rows = self._errors()
         for name in self.effects:
-            sizes = (_size(trail, name) for trail in self.search_paths.values())
+            sizes = (_size(path, name) for path in self.search_paths.values())
             cells = ("–" if mean is None else with_error(mean, sd) for mean, sd in sizes)
             rows.append([name, *cells])
         rows.append(["noise", *laws])
@@ -88,7 +88,7 @@ class Channels(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return columns with a row for each channel's last model: errors, and mean sizes of effects in their units."""
-        finals = [trail.final for trail in self.search_paths.values()]
+        finals = [path.final for path in self.search_paths.values()]
         return {
             "channel": list(self.search_paths),
             "unit": [s.calibration.unit for s in finals],
@@ -102,13 +102,13 @@ class Channels(Printed):
         }
 
     def _errors(self) -> list[list[str]]:
-        trails, columns = self.search_paths.values(), self._columns()
+        paths, columns = self.search_paths.values(), self._columns()
         row_names = ["as fitted, first model", "as fitted, last"]
-        if any(t.final.rmse > APART_RATIO * t.final.rmse_fitted for t in trails):
+        if any(p.final.rmse > APART_RATIO * p.final.rmse_fitted for p in paths):
             row_names.append("new run, last")
-        if any(t.holdout is not None for t in trails):
+        if any(p.holdout is not None for p in paths):
             row_names += ["held out, first", "held out, last"]
-            columns["held out, first"] = [t.steps[0].holdout_rmse for t in trails]
+            columns["held out, first"] = [p.steps[0].holdout_rmse for p in paths]
             columns["held out, last"] = columns["held out"]
         rows = [[name, *map(number, columns[name])] for name in (*row_names, "noise floor")]
         return [["unit", *map(unit_label, columns["unit"])], *rows]
@@ -280,8 +280,8 @@ class _Channel:
             current = new.evaluate(fit.structure)
             changes[fit.structure.effects & changed] = current.log_evidence - fit.log_evidence
         new.evaluate(Structure())
-        # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence by
-        # the shapes' new ranges in the most probable structure with the same of the changed effects.
+        # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence, as
+        # in the most probable structure that has exactly these of the effects with a new range.
         for s, fit in earlier.items():
             earlier[s] = corrected(fit, changes.get(s.effects & changed, 0.0))
             new.store_score(s, earlier[s].log_posterior)

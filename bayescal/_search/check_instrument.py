@@ -129,7 +129,7 @@ def check_instrument(
                 continue
             except BayescalError as error:
                 check.errors.append(f"{names or 'the response'}: {error}")
-            except Exception as error:  # of the author's functions: said, not shown as a traceback
+            except Exception as error:  # in the author's functions: reported without a traceback
                 check.errors.append(f"{names or 'the response'} fails: {format_error(error)}")
             if first:
                 break

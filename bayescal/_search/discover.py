@@ -133,7 +133,7 @@ class Discovery(Printed):
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Return named candidates that these readings can say nothing of."""
+        """Return the named candidates on which these readings have no information."""
         return tuple(c.effect for c in self.candidates if c.unseen and c.role != "unnamed")
 
     @property
@@ -257,7 +257,7 @@ def structures_over(
     listed = (*instrument.candidates, *instrument.effects)
     by_name = {e.name: e for e in with_forms((*listed, *effects))}
     by_name |= {e.name: e for e in list_placeholders(model, readings) if e.name not in by_name}
-    given_names = {e.name for e in effects}  # who gives an effect says what it depends on
+    given_names = {e.name for e in effects}  # their columns count even if they are to be ignored
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:

@@ -1,7 +1,7 @@
-"""From an unknown dependence to an effect with a name: the shape that was found, as a few lines of Python to edit.
+"""Draft a named effect from an unknown dependence: its fitted shape as a few lines of Python to edit.
 
-What `unknown(covariate)` adds to the readings is compared with a few simple curves; the simplest one that has nearly
-all of its variance becomes the basis of a first draft.
+The contribution of `unknown(covariate)` is compared with a few simple curves; the simplest one that explains nearly all
+of its variance becomes the basis of the draft.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import strip_rate
 
-SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
+SIMPLE_SHARE = 0.97  # share of a free curve's variance from which a simple formula is used
 
 MAX_POINTS = 1000  # readings that formulas are tried on, evenly spread
 PERIODS = np.geomspace(0.06, 2.0, 300)  # of a sine, in parts of the range
@@ -24,11 +24,11 @@ WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
 
 
 def draft_effect(calibration: Calibration, name: str) -> str:
-    """Return a user's own effect, drafted from an unknown dependence; to be edited and given with --effects.
+    """Return Python code of an effect drafted from an unknown dependence, to be edited and given with --effects.
 
     Args:
-        calibration: of a model that holds it.
-        name: such as "unknown(humidity)".
+        calibration: of a model with the unknown dependence.
+        name: of the unknown dependence, such as "unknown(humidity)".
 
     Raises:
         ModelError: the model has no unknown dependence of that name.
@@ -68,7 +68,7 @@ effect = bc.Effect({label}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.
 
 
 def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
-    """Return what a curve over x, −½ … ½, resembles, in words, and the basis as Python."""
+    """Return the formula that a curve over x, −½ … ½, resembles most, in words, and its basis as Python code."""
     forms = [("a line", "x", x), ("a parabola", "x**2", x**2), ("a cubic", "x**3", x**3)]
     for w in WIDTHS:
         basis = f"bc.xp.exp(-(x + 0.5) / {w:g})"
@@ -91,7 +91,7 @@ def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
 
 
 def _fit_columns(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the share of a curve's variance that a constant and columns have, and their coefficients."""
+    """Fit a constant and columns to a curve; return the share of its variance explained, and the coefficients."""
     matrix = np.column_stack([np.ones_like(curve), *columns])
     coefficients = np.linalg.lstsq(matrix, curve, rcond=None)[0]
     return 1 - float((curve - matrix @ coefficients).var() / max(curve.var(), 1e-300)), coefficients

@@ -31,7 +31,7 @@ from bayescal._search.library import Library
 from bayescal._search.structures import RMS_SCALE_FACTOR, Structure, Structures, has_prior_scale
 
 FLAT_NORM = 1e6  # norm of a whitened column of which no prior is stated
-MAX_SPANNING = 2  # effects in whose span another one is looked for
+MAX_SPANNING = 2  # effects whose span is tested for another effect
 MAX_READINGS = 4096  # readings compared, evenly spread
 MAX_EXPERIMENT_READINGS = 1500  # readings of an experiment compared, evenly spread
 Array = Float[np.ndarray, "n k"]

@@ -31,7 +31,7 @@ from bayescal._model.frame import build_frame
 VERY_STRONG_NATS = 5.0
 
 POSTERIOR_DRAWS = 300  # of each member: enough to rank campaigns, as noise is in closed form
-# Readings of a campaign that are looked at, evenly spread: their covariances are n × n.
+# Readings of a campaign that are predicted, evenly spread: their covariances are n × n.
 MOST_READINGS = 1500
 
 
@@ -157,8 +157,8 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
     frame = build_frame(readings, calibration.reference)
-    # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
-    # deviations come back as covariance between readings of one member.
+    # Group members in a future campaign are new: the means have no deviations, which are added as covariance between
+    # readings of one member.
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
     problem = calibration.problem_on(unseen)

@@ -1,6 +1,6 @@
-"""Python files of the user's own: effects and noise laws that they define, an instrument. Run where the user asks.
+"""Load the user's own Python files, which define effects, noise laws or an instrument, on request.
 
-Light: commands load it before anything heavy.
+The module imports nothing heavy at the top: commands load it at start.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _RAN: dict[tuple[str, str], ModuleType] = {}  # in this process, by path and SHA
 
 
 def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
-    """Return the effects that a user's file defines: its EFFECTS, or every Effect in it; none of one of noise laws.
+    """Run a user's file and return its effects: EFFECTS, or every Effect in it; none if it defines only noise laws.
 
-    A noise law is known by its class's name once its file was run, and searches weigh it where the file offers it.
+    A noise law is registered by its class name once the file was run; searches include it where the file offers it.
 
     Raises:
-        InputError: no such file, it fails, or it defines neither.
+        InputError: the file does not exist, fails, or defines neither effects nor noise laws.
     """
     if path is None:
         return ()
@@ -49,7 +49,7 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
 
 
 def instrument_named(name: str) -> Instrument:
-    """Return an installed instrument, or one in a file, my.py:INSTRUMENT; raise InputError where there is none."""
+    """Return an installed instrument, or one in a file (my.py:INSTRUMENT); raise InputError if it does not exist."""
     if not in_a_file(name):
         from bayescal._model.installed import installed_instrument
 
@@ -64,15 +64,15 @@ def instrument_named(name: str) -> Instrument:
 
 
 def in_a_file(name: str) -> bool:
-    """Return whether an instrument is one in a file: my.py:INSTRUMENT."""
+    """Return whether an instrument's name refers to a file: my.py:INSTRUMENT."""
     return name.rpartition(":")[0].endswith(".py")
 
 
 def run_file(path: Path) -> ModuleType:
-    """Run a user's Python file, once in a process as long as its bytes are the same; leave no compiled copy beside it.
+    """Run a user's Python file, once per process and content, without writing a compiled copy.
 
     Raises:
-        InputError: it is not there, or fails, or would end the program; says in which line.
+        InputError: the file does not exist, fails, or would end the program; with the line number.
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}")
@@ -80,11 +80,11 @@ def run_file(path: Path) -> ModuleType:
     if ran not in _RAN:
         module = _RAN[ran] = ModuleType(path.stem)
         module.__file__ = file
-        # So that what the file defines can be pickled by its module's name; a module that is there stays.
+        # Objects defined in the file can then be pickled by the module's name; a loaded module is not replaced.
         sys.modules.setdefault(path.stem, module)
         try:
             exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
-        except BaseException as error:  # SystemExit too: what a file does wrong is said in words
+        except BaseException as error:  # SystemExit, too, is reported as an error of the file
             where = f", line {line}" if (line := own_file_line(error)[1]) else ""
             del _RAN[ran]
             raise InputError(f"{path}{where} could not be run: {format_error(error)}") from None
@@ -92,7 +92,7 @@ def run_file(path: Path) -> ModuleType:
 
 
 def own_file_line(error: BaseException) -> tuple[str, int]:
-    """Return the last line of a user's file, which this process has run, in an error: file and line, or ("", 0)."""
+    """Return the innermost line of an error in a user's file that this process has run: file and line, or ("", 0)."""
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))
@@ -101,6 +101,6 @@ def own_file_line(error: BaseException) -> tuple[str, int]:
 
 
 def format_error(error: BaseException) -> str:
-    """Return an error of a user's own file as text: its kind and what it says."""
+    """Format an error of a user's own file as its type and message."""
     message = error.msg if isinstance(error, SyntaxError) else str(error)
     return f"{type(error).__name__}{': ' if message else ''}{message}"
