@@ -82,7 +82,7 @@ def _effects(
     baseline = base.problem.linearise(base.mode.x, base.problem.hyper(base.mode.v))
     changed = problem.linearise(x, hyper)
     moved = np.sqrt(problem.extra(changed)) * rng.standard_normal(structures.record.size)
-    line, adds = structures.line(base), dict[str, float]()
+    line, adds = structures.linearise(base), dict[str, float]()
     for name in names:
         own = [t.effect.name == name for t in problem.in_x for _ in range(t.size)]
         without = problem.linearise(np.where(own, 0.0, x), hyper).mean
