@@ -138,7 +138,7 @@ def _climb(
     # A step of `xtol` standard deviations changes the log density by about xtol²/2.
     min_gain = max(MIN_GAIN_NATS, 0.5 * xtol**2)
     # The Hessian at the mode is more sensitive to its location than the density.
-    ftol = max(CONVERGED_NATS, 0.01 * min_gain)
+    ftol = max(CONVERGED_NATS, 0.1 * min_gain)
     density = Density(problem, x, flat, starts[0], like=near)
     # The linearisation of an affine output is exact: one maximisation, no alternation.
     if problem.affine:
