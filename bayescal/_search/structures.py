@@ -24,6 +24,7 @@ from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.means import Means
 from bayescal._inference.newton import Nearby
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -52,6 +53,7 @@ SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 # Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
 RMS_SCALE_FACTOR = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
+FORM_ROWS = 700  # block means of a longer record, on which forms of an effect are compared
 XTOL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 
 
@@ -274,6 +276,23 @@ class Structures:
             neighbour = self.previous_round.get(structure, neighbour)
             self.visited[structure] = self._fit_structure(structure, neighbour, starts)
         return self.visited[structure]
+
+    @cached_property
+    def on_means(self) -> Structures | None:
+        """Return the structures over block means of a long record, on which forms are compared; None of a short one."""
+        if (count := self.record.size // FORM_ROWS) < 2:
+            return None
+        record = Means.from_record(self.record, count).record
+        return replace(self, record=record, visited={}, expected={}, previous_round={})
+
+    def change_on_means(self, neighbour: Structure, fit: EvaluatedStructure) -> float:
+        """Return the change of the log posterior from a fit to a neighbour, on block means; ∞ for a short record."""
+        if self.on_means is None:
+            return math.inf
+        law = self.noise_law(neighbour).refines or neighbour.noise  # the plainer law has a spectrum
+        before = self.on_means.evaluate(fit.structure.with_noise(law), fit)
+        after = self.on_means.evaluate(neighbour.with_noise(law), before)
+        return after.log_posterior - before.log_posterior
 
     @cached_property
     def linearise(self) -> Callable[[EvaluatedStructure], LinearModel]:

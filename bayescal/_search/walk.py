@@ -27,6 +27,7 @@ BEAM_STRUCTURES = 4
 FITTED_NEIGHBOURS = (2, 10)
 FITTED_PAIRS = 4  # pairs of effects among them, for effects that show only together
 
+FORM_NATS = 3.0  # by which the means of a long record tell that a form is better, or no worse
 LAWS_OF_REDUCED = 2  # finer noise laws evaluated without one of the best structure's effects
 FOLLOW_SECONDS = 1.0  # between two progress reports
 Evaluations = Generator[EvaluatedStructure, None, None]
@@ -323,19 +324,24 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
     window = structures.window_nats if structures.near_best_only else LAW_WINDOW_NATS
     if not structures.is_in_window(fit.log_posterior, window):
         return
-    independent = structures.noise_law(structure).independent
+    independent, means = structures.noise_law(structure).independent, structures.on_means
+    # By means a form that gains is fitted at once, one that is near the best in the `last` pass.
+    window = () if means is None else (FORM_NATS if last else -FORM_NATS,)
     for name in sorted(structure.effects):
         for neighbour in structures.other_forms(structure, name):
             (form,) = added = neighbour.effects - structure.effects
             shapes = structures.candidates[form].column_shapes
             if not structures.corrects_column(form) or (len(shapes) > 1 and not last):
                 continue
-            pairs = () if last else _known_changes(structures, frozenset({name}), added)
-            changes = (c for s, c in pairs if structures.noise_law(s).independent == independent)
-            expected = fit.log_posterior + max(changes, default=math.inf)
-            if neighbour not in structures.visited and not structures.is_in_window(expected):
+            pairs = () if last else _known_changes(means or structures, frozenset({name}), added)
+            changes = [c for s, c in pairs if structures.noise_law(s).independent == independent]
+            change = max(changes) if changes else structures.change_on_means(neighbour, fit)
+            expected = fit.log_posterior + change
+            if neighbour not in structures.visited and not structures.is_in_window(
+                expected, *window
+            ):
                 structures.store_score(neighbour, expected)
-            elif _needs_fit(structures, neighbour, fit):
+            elif means is not None or _needs_fit(structures, neighbour, fit):
                 # Begin its shapes where those of the same name are in the form to be replaced.
                 index = fit.problem.layout.index_in_phi
                 names = ((f"{form}.{s.name}", f"{name}.{s.name}") for s in shapes)

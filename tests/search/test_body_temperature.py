@@ -12,6 +12,10 @@ import pytest
 from scipy.signal import lfilter
 
 import bayescal as bc
+from bayescal._model.frame import reference_of
+from bayescal._search.discover import structures_over
+from bayescal._search.structures import Structure
+from bayescal._search.walk import FORM_NATS
 from bayescal.effects.thermal import BODIES
 from bayescal_models import mems_gyro, still_sensor
 from tests.support.inside import frame_of, why_not_testable
@@ -50,6 +54,20 @@ def campaign(seed: int) -> tuple[bc.Measurements, float, float]:
 
 
 BODY = "bias.thermal_lag.body"
+
+
+@pytest.mark.slow
+def test_block_means_tell_a_better_form_as_all_readings_do(monkeypatch) -> None:
+    monkeypatch.setitem(globals(), "STEP", 15.0)
+    readings = campaign(3)[0]
+    model = GYRO.for_readings(readings).baseline()
+    structures, _ = structures_over(model, readings, reference_of(readings))
+    body = structures.evaluate(Structure(frozenset({BODY, "bias.temperature_quadratic"})))
+    for to in structures.other_forms(body.structure, BODY):
+        change = structures.change_on_means(to, body)
+        exact = structures.evaluate(to, body).log_posterior - body.log_posterior
+        both = sorted((change, exact))
+        assert both[1] - both[0] < 2.0 or both[0] > FORM_NATS or both[1] < -FORM_NATS, (to, both)
 
 
 def found(seed: int) -> tuple[bool, bool, bool]:
