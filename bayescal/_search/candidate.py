@@ -24,8 +24,7 @@ from bayescal._search.structures import EvaluatedStructure, Structures
 LEAD_PROBABILITY = 0.2
 # Cosine of two fitted contributions from which readings cannot tell them apart: a tenth of the squares is left.
 PARALLEL_COSINE = 0.95
-# Minimum detectable size, in plausible sizes, beyond which this experiment cannot test an effect; a plausible size is
-# known to an order of magnitude.
+# Minimum detectable size in plausible sizes (each known to an order of magnitude), beyond which no effect is tested.
 MAX_DETECTABLE_SIZES = 10.0
 
 SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # of a group's spread to the best grid point
@@ -182,8 +181,7 @@ def _group_spread(
     values, vectors = np.linalg.eigh(information)
     values, squares = np.maximum(values, 0.0), (vectors.T @ score) ** 2
     variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale
-    # Along an eigenvector of the members' information K, eigenvalue λ, the score has variance λ + λ²τ² under a spread
-    # τ: the log Bayes factor of τ is a sum over eigenvectors.
+    # Along an eigenvector of the members' information K, eigenvalue λ, the score has variance λ + λ²τ² under spread τ.
     logs = squares * variance / (1 + values * variance) - np.log1p(values * variance)
     log_factors = 0.5 * np.sum(logs, axis=1)
     log_factors += np.log(size) - 0.5 * (size / prior) ** 2  # log prior density of log τ
@@ -260,8 +258,7 @@ def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
     for p in top_points:
         sd = p.prior_scale.sd
         score, information = p.standardised
-        # Fitted contribution at the most probable grid point, nuisances projected out: candidates are indistinguishable
-        # where these vectors are parallel, whatever their columns look like.
+        # Fitted contributions, nuisances projected out: candidates are indistinguishable where these are parallel.
         fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, score)
         columns.append(rows.whiten(p.scorer.columns(rows, [p.point])) @ fitted)
         projections.append(p.projection @ fitted)
@@ -284,8 +281,7 @@ def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | No
         return candidate
     scales = (s.high for s in effect.shapes if s.name == effect.measure)
     plausible = next(scales, effect.coefficients[0].size)
-    # Visible means that ten plausible sizes would be found. Where nuisances take all but a hundredth of the information
-    # the remainder depends on their exact form, and one plausible size must be enough.
+    # Visible: ten plausible sizes would be found; one, where nuisances take all but a hundredth of the information.
     is_hidden = (candidate.visibility or 0.0) < UNDECIDED_SHARE
     most, least = MAX_DETECTABLE_SIZES * plausible, candidate.minimum_detectable
     if least is None or least > (plausible if is_hidden else most):

@@ -150,8 +150,7 @@ def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield claims on errors that the last effect increased: as fitted, leave-one-group-out, hold-out."""
     *earlier, last = steps
     unit, left_out = last.calibration.unit, last.leave_one_group_out
-    # Under another noise law readings have other weights, and correlated noise takes up what an effect explained: the
-    # plain error may well be larger.
+    # Under another noise law readings have other weights, and an effect's part may be noise: the error may be larger.
     noise = last.calibration.model.noise
     comparable = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     lowest = min((s.rmse_fitted for s in comparable), default=math.inf)

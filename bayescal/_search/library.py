@@ -249,8 +249,7 @@ def _shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
     count = SHAPE_POINTS if len(shapes) == 1 else SOBOL_POINTS
     count = RAGGED_POINTS if any(s.ragged for s in shapes) else count
     if len(shapes) == 1:
-        # Φ⁻¹ of the middles of equal parts: shapes are standard normal in their coordinates, so each point stands for
-        # the same prior mass, and the mean over points is the integral over the prior.
+        # Φ⁻¹ of the middles of equal parts: each point has the same prior mass, so that means are prior integrals.
         return ndtri((np.arange(count) + 0.5) / count)[:, None]
     return ndtri(sobol_points(len(shapes))[:count])
 

@@ -26,8 +26,7 @@ from bayescal._inference.noise_on_record import whitening
 from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame
 
-# Nats from which a log Bayes factor settles a question: odds of a hundred and fifty (Kass and Raftery, J. Am. Stat.
-# Assoc. 90 (1995) 773).
+# Log Bayes factor that settles a question: odds of 150 (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773).
 VERY_STRONG_NATS = 5.0
 
 POSTERIOR_DRAWS = 300  # of each member: enough to rank campaigns, as noise is in closed form
@@ -157,8 +156,7 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
     frame = build_frame(readings, calibration.reference)
-    # Group members in a future campaign are new: the means have no deviations, which are added as covariance between
-    # readings of one member.
+    # Group members of a planned campaign are new ones: their deviations become covariance between their readings.
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
     problem = calibration.problem_on(unseen)

@@ -117,8 +117,7 @@ def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
     residuals = record.y
     scale = float(np.sqrt(np.mean(residuals**2)))
     if law.independent:
-        # 1.5 times the median absolute value estimates the standard deviation robustly, the rms that of a law without
-        # outliers: one of both is near the maximum.
+        # Robust standard deviation (1.5 × median absolute value), or the rms: one of both is near the maximum.
         scales = (scale, 1.5 * float(np.median(np.abs(residuals))))
         return [{next(iter(law.parameters())): s} for s in scales if s > 0]
     # Slow noise hardly changes between neighbouring readings: their differences are mainly those of the white part.

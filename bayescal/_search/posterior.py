@@ -190,8 +190,7 @@ class Posterior:
         effects = frozenset(self.condition)
         candidates = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
-            # Inclusion given the chosen effects: the most probable family, then its form. Without the condition two
-            # substitutes of one half each would both be out.
+            # Inclusion given the chosen effects: else two substitutes of one half each would both be out.
             sets, masses = [s.effects - effects for s, _ in candidates], [p for _, p in candidates]
             of_form = _sum_by_name(sets, masses)
             of_family = _sum_by_name(map(self.space.families, sets), masses)

@@ -208,8 +208,7 @@ class ReducedModel(NamedTuple):
 
     def _log_bayes_factor(self, log_volume: Any, explained: Any) -> Any:
         """Return the log Bayes factor by the log volume and explained sum of squares of some columns."""
-        # With the noise variance at its maximum of the likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for
-        # constants.
+        # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
         rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
         return self.volume_change - log_volume - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
 

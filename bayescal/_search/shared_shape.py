@@ -54,8 +54,7 @@ class ShapeEvidence(NamedTuple):
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
         v = _distinct(np.concatenate([self.v, middle + sd * FINE_GRID_SD]))
-        # Cavity prior mass times the channel's own ratio, on a grid refined where the prior lies, which may be narrower
-        # than any step of the channel's grid.
+        # Cavity prior mass times the channel's own ratio, on a grid refined where the prior lies.
         joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
         log_ratio = float(np.logaddexp.reduce(joint))
         weight = np.exp(joint - log_ratio)
@@ -104,8 +103,7 @@ class SharedShape:
 
     def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
         """Return the log joint probability of share, shape and some channels' readings, if the unit has the effect."""
-        # A channel shows the effect with probability s, the share: its likelihood ratio is (1 − s) + s·ratio(v). The
-        # ratios multiply, since given v and s the channels are independent.
+        # A channel shows the effect with probability s: likelihood ratio (1 − s) + s·ratio(v), independent given v, s.
         logs = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.log_ratios[n]) for n in names)
         return log_mass(self.v) - math.log(SHARES.size) + sum(logs) + math.log(self.prior)
 
@@ -174,9 +172,8 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
     # An effect that was never worth a fit has the log posterior below which none is.
     with_it = [np.full(len(v), structures.best.log_posterior - LAW_WINDOW_NATS)]
     for fit in with_effect:
-        # A fit gives the integral over v, the score the form over v: the form is scaled so that its prior mean is the
-        # evidence of the fit, and left flat far behind the best. For structures to which no fit adds the effect the
-        # score gives both.
+        # A fit gives the integral over v, the score the form over v, scaled so that its prior mean is the evidence of
+        # the fit, and flat far behind the best. For structures to which no fit adds the effect the score gives both.
         is_near = structures.is_in_window(fit.log_posterior, COARSE_NATS)
         factors = _score_shape(library, fit, name) if is_near else np.zeros(len(v))
         log_posterior = fit.log_posterior - structures.log_odds[name]

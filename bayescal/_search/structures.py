@@ -37,11 +37,9 @@ from bayescal._search.noise_laws import NO_FIT, ResidualFit, fit_to_residuals, l
 
 # Share of unnamed effects in the prior probability of missing effects: a known formula is likelier than an unknown one.
 UNNAMED_PRIOR_SHARE = 0.1
-# Largest rms of an unnamed effect, in units of the noise, with which a model counts as complete: the noise is then
-# larger by a fiftieth.
+# Largest rms of an unnamed effect, in units of the noise, with which a model is complete: the noise grows by 1/50.
 MAX_UNNAMED_RMS = 0.2
-# Nats of log posterior behind the best, up to which a structure is fitted (Occam's window; D. Madigan and A. Raftery,
-# J. Am. Stat. Assoc. 89 (1994) 1535): e⁻⁶ = 0.0025.
+# Nats behind the best up to which a structure is fitted (Occam's window: D. Madigan, A. Raftery, JASA 89 (1994) 1535).
 OCCAM_WINDOW_NATS = 6.0
 # Nats of log posterior behind the best, from which a structure under another noise law is not fitted.
 LAW_WINDOW_NATS = 100.0
@@ -156,8 +154,7 @@ class Structures:
         log_odds = {}
         for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for names in families:
-                # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to the power of the
-                # group's part, so that the product over both groups is prior_complete.
+                # k candidates of odds o are all out with probability (1 + o)⁻ᵏ: prior_complete to its power `part`.
                 odds = math.expm1(-math.log(settings().prior_complete) * part / len(families))
                 for name in names:
                     log_odds[name] = self.stated_log_odds.get(name, math.log(odds / len(names)))
@@ -283,7 +280,7 @@ class Structures:
         if (count := self.record.size // FORM_ROWS) < 2:
             return None
         record = Means.from_record(self.record, count).record
-        return replace(self, record=record, visited={}, expected={}, previous_round={})
+        return replace(self, record=record, visited={}, scores={}, previous_round={})
 
     def change_on_means(self, neighbour: Structure, fit: EvaluatedStructure) -> float:
         """Return the change of the log posterior from a fit to a neighbour, on block means; ∞ for a short record."""
@@ -451,8 +448,7 @@ def starting_points(
     inside = ({n: v for n, v in start.items() if n in names} for start in starts)
     points = [base, *({**base, **start} for start in inside)]
     for h in problem.hypers:
-        # Shapes are tried to either side, as a neighbour's effects may have shifted them; a new spread or noise
-        # parameter below and above its scale.
+        # Shapes are tried to either side; a new spread or noise parameter below and above its scale.
         offsets: tuple[float, ...] = ()
         if h.kind == "shape" and h.name in coordinates:
             same = h.prior == priors[h.name]

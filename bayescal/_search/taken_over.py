@@ -110,8 +110,7 @@ def _compare_term(
     is_added = np.isin(last.owners, [e.name for e in added])
     others = np.isin(last.owners, first.owners) & ~is_term
     column = last.white_nuisance[:, is_term].sum(axis=1)
-    # Tolerance with the added effects over that without them, by ridge regression with the priors' weights: the
-    # residual of the column c on the other columns, times c.
+    # Tolerance with the added effects over that without: residual of the column c on the others, times c (ridge).
     groups = others, others | is_added
     without, with_added = (float(column @ last.deflate(column, is_other)) for is_other in groups)
     tolerance = with_added / max(without, 1e-300)

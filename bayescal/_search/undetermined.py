@@ -27,8 +27,7 @@ from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 from bayescal._model.vector import Vector
 
-# Information on a combination of coefficients, in units of its prior's, from which it counts as determined: its
-# standard deviation is then below 0.7 of the prior's.
+# Information on a combination of coefficients over its prior's, from which it is determined: 0.7 of the prior's sd.
 DETERMINED_INFORMATION = 1.0
 # Share of the best pose's reduction of log volume from which a pose that is simpler to set is preferred.
 SIMPLER_SHARE = 0.5

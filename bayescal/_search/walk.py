@@ -83,9 +83,8 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
     """
     structures = library.structures
     root = structures.evaluate(Structure())
-    # Named effects first, under the given noise law: a curve or correlated noise, found first, would take up and hide
-    # what a second named effect explains. Then all candidates together. An unnamed polynomial added too early is
-    # replaced by swaps in the second pass.
+    # Named effects first, under the given noise law: a curve or correlated noise would hide a second named effect.
+    # Then all candidates together, where swaps replace an unnamed polynomial that was added too early.
     offered = structures.candidates.items()
     named_effects = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
     named = Scope(max_effects, named_effects, ("",))
@@ -99,8 +98,7 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
         if final_start:
             # Add the effects one by one: fitted all at once, their shapes may end at a lower maximum.
             yield from map(structures.evaluate, find_path(library, final_start))
-        # `_next_in_beam` sorts anew each time, so that a structure joins the beam as soon as it is probable enough.
-        # Finer forms and laws come last: fitted to the residuals of a missing effect they would be of no use.
+        # `_next_in_beam` sorts anew each time. Finer forms and laws come last: they would fit what is still missing.
         while True:
             count = len(structures.visited)
             if current := _next_in_beam(structures, expanded[scope], scope):
@@ -215,8 +213,7 @@ def _evaluate_neighbours(
     proposed = _propose_noise_laws(structures, fit)
     noise_moves = [move for move in proposed if scope.has_law(move.structure.noise)]
     moves = [*_propose_moves(make_scorer(fit), scope)]
-    # Without an effect that corrects a column all that depends on the column shifts: a substitute is scored beside a
-    # fit without that effect.
+    # Without a column's correction all that depends on the column shifts: substitutes are scored beside such a fit.
     for name in sorted(filter(structures.corrects_column, structure.effects)):
         yield (reduced := structures.evaluate(structure.without_effects(name), fit))
         if math.isfinite(reduced.log_posterior):
@@ -233,8 +230,7 @@ def _evaluate_neighbours(
     if structures.near_best_only:
         least = best.log_posterior - structures.window_nats * (fit is best)
     moves += [move for move in noise_moves if move.log_posterior > least]
-    # The first ones are fitted whatever their scores, which may be far too low at the φ̂ of a model that lacks an
-    # effect (its noise too large, its shapes elsewhere).
+    # The first ones are fitted whatever their scores, which are too low where noise and shapes lack an effect.
     moves.sort(key=lambda move: -move.log_posterior)
     for i, move in enumerate(moves[: FITTED_NEIGHBOURS[1]]):
         is_near = structures.is_in_window(move.log_posterior, structures.window_nats)
@@ -414,8 +410,7 @@ def _propose_noise_laws(structures: Structures, fit: EvaluatedStructure) -> Iter
     for name, law in laws.items():
         if law.independent and name != structure.noise:
             law_fit = structures.fit_law(plain, name)
-            # Coefficients are held at the fit under the given law, which outliers have pulled: the change is rather
-            # too low.
+            # Coefficients are held at a fit that outliers have pulled: the change is rather too low.
             change = law_fit.log_evidence - evidence.log_evidence + log_prior(laws, name)
             yield Move(structure.with_noise(name), plain.log_posterior + change, (law_fit.start,))
 

@@ -170,9 +170,7 @@ def ended(
     begun, at, said = time.monotonic(), limit, folder / "stderr.txt"
     with said.open("w") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", "bayescal", *words],
-            stdout=subprocess.DEVNULL,
-            stderr=file,
+            [sys.executable, "-m", "bayescal", *words], stdout=subprocess.DEVNULL, stderr=file
         )
     while process.poll() is None:
         since = time.monotonic() - begun

@@ -61,9 +61,8 @@ def trail(name: str) -> bc.SearchPath:
 def on_the_page(text: str) -> dict[str, tuple[str, str]]:
     """Of each unknown of the table of coefficients: "value ± U", and its unit."""
     table = text.partition("shapes, noise</caption>")[2].partition("</table>")[0]
-    cells = (
-        r'<tr><th scope="row" class="t">(.*?)</th><td class="t">(.*?)</td><td class="n">(.*?)</td>'
-    )
+    head = r'<tr><th scope="row" class="t">(.*?)</th>'
+    cells = head + r'<td class="t">(.*?)</td><td class="n">(.*?)</td>'
     rows = re.findall(cells, html.unescape(table))
     return {n: (value.replace("−", "-"), unit) for n, unit, value in rows}
 

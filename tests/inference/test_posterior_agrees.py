@@ -230,8 +230,7 @@ def test_pointwise_likelihood_is_that_of_scipy(marginal, table) -> None:
     assert found["output"].shape == (4, 250, 18)
     draws = marginal.tree["posterior"].to_dataset().isel(draw=slice(None, None, 4))
     t = table["temperature"] - 57
-    mean = (
-        draws["bias.constant"].values[..., None] + draws["bias.temperature"].values[..., None] * t
-    )
+    bias, slope = (draws[f"bias.{n}"].values[..., None] for n in ("constant", "temperature"))
+    mean = bias + slope * t
     exact = stats.norm.logpdf(table["output"], mean, draws["noise.white"].values[..., None])
     np.testing.assert_allclose(found["output"], exact, rtol=1e-9, atol=1e-9)

@@ -200,9 +200,7 @@ def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> No
     time = np.arange(120) * 30.0
     supply = 5 + 0.3 * np.sin(time / 700) + 0.02 * random.normal(size=time.size)
     temperature = 25 + 20 * np.sin(time / 1500)
-    output = (
-        20 + 0.05 * (temperature - 25) + 0.8 * (supply - 5) + 0.02 * random.normal(size=time.size)
-    )
+    output = 20 + 0.05 * (temperature - 25) + 0.8 * (supply - 5) + random.normal(0, 0.02, time.size)
     table = {
         "time [s]": time,
         "temperature [degC]": temperature,

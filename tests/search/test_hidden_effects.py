@@ -131,8 +131,7 @@ OTHERS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "effect"),
-    [(name, effect) for name, found in OTHERS.items() for effect in found],
+    ("name", "effect"), [(name, effect) for name, found in OTHERS.items() for effect in found]
 )
 def test_effects_hidden_in_campaigns_of_other_instruments(name: str, effect: str) -> None:
     elsewhere(name, effect, seed=11)
