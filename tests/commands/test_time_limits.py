@@ -150,7 +150,7 @@ def shown(structure: dict) -> str:
 
 
 BEST = re.compile(
-    r"(bayescal: (?P<channel>\w+), channel \d of )?.*best so far: (?P<best>.*?), [^ ]+ \S+ rms"
+    r"(bayescal: (?P<channel>\w+), channel )?.*best so far: (?P<best>.*?), [^ ]+ \S+ rms"
 )
 
 

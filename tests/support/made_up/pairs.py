@@ -16,8 +16,8 @@ def made_up(
     random = np.random.default_rng(seed)
     count, time = outer + inner, np.linspace(0.0, 600.0, 30)
     u = 1000.0 * (0.6 + np.sin(time / 170.0 + random.uniform(0, 6)))
-    sensitivity = 1 + 0.2 * random.standard_normal(count)
-    sensitivity = sensitivity + 0.02 * random.standard_normal((draws, count))
+    typical = 1 + 0.2 * random.standard_normal(count)
+    sensitivity = typical + 0.02 * random.standard_normal((draws, count))
     drift = np.stack([np.ones(30), time / 300 - 1], axis=0)
     own = 30.0 * random.standard_normal((count, 2)) + 8.0 * random.standard_normal(
         (draws, count, 2)
