@@ -149,9 +149,7 @@ def shown(structure: dict) -> str:
     return "+ " + " + ".join(named) if named else "nothing to add"
 
 
-BEST = re.compile(
-    r"(bayescal: (?P<channel>\w+), channel )?.*best so far: (?P<best>.*?), [^ ]+ \S+ rms"
-)
+BEST = re.compile(r"(bayescal: (?P<channel>\w+), ch)?.*best so far: (?P<best>.*?), \S+ \S+ rms")
 
 
 class Ended(NamedTuple):
