@@ -69,6 +69,7 @@ def explore(
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
     structures.record.clear_cache()
+    vars(structures).pop("on_means", None)
     memory.trim()
     return reason
 
@@ -83,8 +84,7 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
     """
     structures = library.structures
     root = structures.evaluate(Structure())
-    # Named effects first, under the given noise law: a curve or correlated noise would hide a second named effect.
-    # Then all candidates together, where swaps replace an unnamed polynomial that was added too early.
+    # Named effects first: a curve or correlated noise would hide a second. Then all: swaps replace early polynomials.
     offered = structures.candidates.items()
     named_effects = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
     named = Scope(max_effects, named_effects, ("",))
