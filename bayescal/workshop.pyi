@@ -198,6 +198,7 @@ from ._tables.raw_table import option as option
 from ._tables.raw_table import unusable as unusable
 
 # an equation in use
+from ._use.budget import list_inputs as list_inputs
 from ._use.budget import notes_on as notes_on
 
 # corrections, and the files that they are written to

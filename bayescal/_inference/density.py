@@ -190,7 +190,7 @@ class Density(ByValues):
         problem, noise, record, x = self.problem, self.problem.noise, self.problem.record, self.x
         hyper = problem.hyper(vs.T)
         prior = problem.prior(hyper, self.flat, (len(vs),))
-        lines = [self._linearise_at(v, problem.hyper(v)) for v in vs]
+        lines = [*map(self._linearise_at, vs, problem.hyper_of_each(vs))]
         jacobian = np.stack([line.jacobian for line in lines])
         residual = record.y - np.stack([line.mean for line in lines])
         extras = (np.broadcast_to(self._input_variance(line), (record.size,)) for line in lines)

@@ -30,9 +30,7 @@ TERM_TOLERANCE = 1e-9  # smallest term, relative to the largest element
 TOLERANCE = 1e-8  # largest error, relative to the largest element
 DIFFERENCE = 2e-3  # step of a coordinate, for Taylor series by central differences
 TEST_DRAWS = 12  # draws at which fitted polynomials are tested
-RANK_TOLERANCE = (
-    1e-7  # smallest principal component of polynomial coefficients, relative to the largest
-)
+RANK_TOLERANCE = 1e-7  # smallest principal component of polynomials, relative to the largest
 BOX_SD = 5.0  # half width of the region of polynomials, standard deviations of a Gaussian fit of φ
 # Polynomial degrees tried in turn, by the number of shapes.
 DEGREES = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}

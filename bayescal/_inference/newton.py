@@ -138,7 +138,12 @@ class ByValues:
     similar density where these are small or the point is close.
     """
 
-    def __init__(self, values: Values, scale: Any = 1.0, like: Nearby | None = None) -> None:
+    def __init__(
+        self,
+        values: Values,
+        scale: Float[np.ndarray, "d"] | float = 1.0,
+        like: Nearby | None = None,
+    ) -> None:
         self.values = values
         self.scale = scale
         self._begin(like)

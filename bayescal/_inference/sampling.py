@@ -30,8 +30,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
-# Log density above the mode's, from which a draw shows that there is a higher mode; the error of polynomial columns is
-# 0.02.
+# Log density above the mode's that shows a higher mode; the error of polynomial columns is 0.02.
 HIGHER_NATS = 1.0
 
 USUAL_ROUNDS = 3  # rounds of adaptation; more only if the latest weights are unsound
@@ -112,8 +111,7 @@ class Mixture(NamedTuple):
         # Density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
         norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * dim * math.log(freedom * math.pi)
         centres, counts = np.unique(self.centre, axis=0, return_counts=True)
-        # |z − c|² = |z|² − 2·zᵀc + |c|², a matrix product; relative to the middle there is no cancellation. Resampled
-        # centres repeat.
+        # |z − c|² = |z|² − 2·zᵀc + |c|², without cancellation relative to the middle; resampled centres repeat.
         z, c = (_whiten(self.chol, v - self.middle), _whiten(self.chol, centres - self.middle))
         c, offset = c.T * (-2 / freedom), 1 + np.sum(c**2, axis=1) / freedom
         kernel_sums = np.empty(len(v))

@@ -158,10 +158,8 @@ class Instrument:
         columns = [
             [c.name, unit_label(c.unit) if c.unit else "label", c.meaning] for c in self.columns
         ]
-        table, effects = (
-            plain_table(["column", "unit", "meaning"], columns, left=3),
-            self.known.values(),
-        )
+        table = plain_table(["column", "unit", "meaning"], columns, left=3)
+        effects = self.known.values()
         return as_html([f"{self.name}: {self.title}", table, effects_table(effects)])
 
     def for_readings(self, readings: Measurements) -> Instrument:

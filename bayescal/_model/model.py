@@ -80,6 +80,10 @@ class Model(Printed):
     def names(self) -> tuple[str, ...]:
         return tuple(effect.name for effect in self.effects)
 
+    def form_note(self, name: str) -> str:
+        """Return what marks an effect's name where other forms of it are in the model: " (basic form)", else ""."""
+        return " (basic form)" * any(effect.family == name for effect in self.effects)
+
     @property
     def columns(self) -> frozenset[str]:
         """Return the columns of the readings that the effects depend on."""
@@ -160,10 +164,8 @@ class Model(Printed):
             stated = "; its own is taken from the readings, or flat" * (size > 0)
             raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
         # rounded, so that a saved size makes the same priors again
-        coefficients = (
-            _resize(c, float(f"{c.size / first.size:.12g}") * size) for c in effect.coefficients
-        )
-        resized = replace(effect, coefficients=tuple(coefficients))
+        ratios = ((c, float(f"{c.size / first.size:.12g}")) for c in effect.coefficients)
+        resized = replace(effect, coefficients=tuple(_resize(c, r * size) for c, r in ratios))
         return replace(self, effects=tuple(resized if e is effect else e for e in self.effects))
 
     @property

@@ -28,7 +28,6 @@ from bayescal._search.search_path import format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED = 14  # coefficients on the page that is signed
-BASIC = " (basic form)"  # of an effect beside others of its forms
 UNUSED = "recorded; the model does not use it"
 OUTPUT_PART = "what was read"
 DERIVED_PART = "follows from the above"
@@ -98,7 +97,6 @@ def files(chapter: Chapter) -> ResultTable:
 def coefficients(chapter: Chapter) -> ResultTable:
     """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
     not_measured = coefficients_not_measured(chapter.used)
-    families = {e.family for e in chapter.used.model.effects}
     summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
         empty = dict.fromkeys(("u", "k2", "credible"), "–")
@@ -108,7 +106,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
             continue
         mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], given_text(r, K)
         is_held = not sd > 1e-9 * abs(mean)
-        note = BASIC * (r["effect"] in families) + " (held)" * is_held
+        note = chapter.used.model.form_note(r["effect"]) + " (held)" * is_held
         note += " (mostly its prior)" * (name in not_measured)
         note += f" (if it is there {conditional})" if conditional else ""
         note += f" (probability {probability(inclusion)})" * (inclusion < 1 and not conditional)
@@ -181,12 +179,12 @@ def convergence(chapter: Chapter) -> ResultTable:
 
 def effects(chapter: Chapter) -> ResultTable:
     """Tabulate the effects of the model: equation, unknowns with priors, source, the step that added the effect."""
-    added_at, families = dict[str, str](), {e.family for e in chapter.used.model.effects}
+    added_at, model = dict[str, str](), chapter.used.model
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
             added_at.setdefault(name, f"step {i}" if i else "the start")
     columns = (
-        TableColumn("effect", lambda e: e.name + BASIC * (e.name in families)),
+        TableColumn("effect", lambda e: e.name + model.form_note(e.name)),
         TableColumn("slot", lambda e: e.slot, left=True),
         TableColumn("equation", lambda e: e.equation or "–", left=True),
         TableColumn("unknowns and their priors", lambda e: "\n".join(_prior_lines(e)), left=True),

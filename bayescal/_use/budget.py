@@ -71,6 +71,12 @@ class SourceShare:
     share: float
 
 
+def list_inputs(values: Mapping[str, str]) -> str:
+    """List input quantities with their formatted values; equal lags T̃ − T of a column are named once."""
+    names = {name: re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", name) for name in values}
+    return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
+
+
 @renamed(shown="in_output_unit")
 @dataclass(frozen=True, repr=False)
 class Budget(Printed):
@@ -178,9 +184,8 @@ class Budget(Printed):
     @property
     def place(self) -> str:
         """Format the operating point as text; equal lags of a column are named once."""
-        names = {n: re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", n) for n in self.at}
-        rows = ((names[n], number(v, 4), unit_label(self.at_units[n])) for n, v in self.at.items())
-        return ", ".join(dict.fromkeys(f"{n} = {v} {unit}".strip() for n, v, unit in rows))
+        units = {n: unit_label(unit) for n, unit in self.at_units.items()}
+        return list_inputs({n: f"{number(v, 4)} {units[n]}" for n, v in self.at.items()})
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """Return the tables by coefficient and by source, without the smallest shares."""
@@ -241,7 +246,6 @@ def budget(
     sd = np.sqrt(np.diag(covariance))
     shares = gradient * (covariance @ gradient) / (variance or np.inf)
     columns = (used._moments.mean, sd, gradient, np.abs(gradient) * sd, shares)
-    unknowns = used.equation.unknowns
     return Budget(
         stimulus=used.stimulus,
         unit=used.unit,
@@ -254,7 +258,7 @@ def budget(
         k=float(k),
         coefficients=tuple(
             Contribution(u.name, u.unit, *map(float, figures))
-            for u, *figures in zip(unknowns, *columns, strict=True)
+            for u, *figures in zip(used.equation.unknowns, *columns, strict=True)
         ),
         sources=_split_by_source(used, point, gradient, variance),
         covariance=covariance,

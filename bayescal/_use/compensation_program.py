@@ -79,15 +79,13 @@ class Input:
     name: str  # name, unit, meaning: as printed and in firmware
     unit: str
     meaning: str
-    # "column"; or computed from a record: "rate", "lag", "lag slope" (the lag's derivative by its time constant,
-    # which propagates that constant's uncertainty; 0 omits it), "elapsed"
+    # "column"; or computed of a record: "rate", "lag", "lag slope" (derivative by its τ, 0 omits it), "elapsed"
     kind: str
     column: str  # its column, or the one that it is computed from
     low: float  # low, high: range in the calibration, in `unit`
     high: float
     tau: float | None = None  # time constant of a lag, s; of a rate, its window
-    # of a lag, the longest gap over which the column is interpolated, s: in a longer one it steps at the start; None:
-    # always interpolated, as in exports before 0.3.0
+    # of a lag, the longest gap over which the column is interpolated, s; None: always, as before 0.3.0
     silence: float | None = None
     settled: bool = False  # of an elapsed time: at `high` its effects have decayed
     held: bool = False  # of a lag, whether the column is constant between readings
@@ -279,8 +277,7 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
 def averaged_over(calibration: Calibration) -> list[Claim]:
     """Return a claim that values average over structures, with inclusion probabilities; empty otherwise."""
     shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
-    families = {e.family for e in calibration.model.effects}
-    named = (f"{n}{' (basic form)' * (n in families)} {p:.2f}" for n, p in shares.items())
+    named = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in shares.items())
     return [Claim("use.averaged", *shares, named=tuple(named))] if shares else []
 
 

@@ -64,10 +64,8 @@ def program_text(
 ) -> str:
     """Render the C99 header or the Python module from its template."""
     equation = program.equation
-    outputs = (
-        (equation.expected, equation.slope),
-        (equation.noise, *equation.gradient) * uncertainty,
-    )
+    with_noise = (equation.noise, *equation.gradient) * uncertainty
+    outputs = (equation.expected, equation.slope), with_noise
     if not uncertainty:  # without inputs that only the uncertainty needs
         needed = program.graph.inputs(outputs[0])
         program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))

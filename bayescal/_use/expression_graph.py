@@ -112,8 +112,7 @@ PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
 }
 
 
-# ("const", value), ("input", name), ("call", function, *nodes), or an operation and the node indices of its arguments,
-# which precede it.
+# ("const", value), ("input", name), ("call", function, *nodes), or (operation, *nodes) with preceding nodes.
 Node = tuple[Any, ...]
 
 

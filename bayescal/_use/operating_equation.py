@@ -151,8 +151,10 @@ class OperatingEquation:
     def shapes(self) -> dict[str, tuple[float, float, float]]:
         """Return each shape's mean and standard deviation, given its effect, and the effect's probability."""
         keys = {u.key for u in self.unknowns if u.kind == "shape"}
-        rows = (row for row in summary(self.calibration)[1] if row["name"] in keys)
-        return {row["name"]: (*row["given"].values(), row["probability"]) for row in rows}
+        rows = summary(self.calibration)[1] if keys else ()
+        return {
+            n: (*r["given"].values(), r["probability"]) for r in rows if (n := r["name"]) in keys
+        }
 
     @property
     def use(self) -> Use:

@@ -25,8 +25,7 @@ KINDS = ("single", "empty", "pair", "outside", "prior", "law", "several")
 COUNTS = dict(zip(KINDS, (5, 120, 24, 24, 60, 120, 12), strict=True))
 PACE = dict(zip(KINDS, (25, 20, 6, 6, 10, 20, 3), strict=True))  # in turn
 FIRST_SEED = dict(zip(KINDS, (1000, 2000, 3000, 4000, 5000, 6000, 8000), strict=True))
-# What no catalogue has, and the placeholder that is nearest to it. A wave and a step have a form of their own among
-# the placeholders; a shock that dies away has none.
+# What no catalogue has, and the placeholder nearest to it; a shock that dies away has no form of its own.
 OUTSIDE = {
     "column": "unknown(humidity)",
     "periodic": "unknown(time, cycle)",

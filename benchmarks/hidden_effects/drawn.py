@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 import bayescal as bc
+from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import draw_prior
@@ -18,6 +19,7 @@ from bayescal._search.discover import structures_over
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 
 WANDER = OrnsteinUhlenbeck.law
+Added = tuple[np.ndarray, dict[str, float]]  # a sum of effects, and what each of them adds
 
 
 def by_law(
@@ -53,9 +55,7 @@ def _with(names: list[str]) -> Structure:
     return Structure(frozenset(names))
 
 
-def _effects(
-    structures: Structures, names: list[str], rng: np.random.Generator
-) -> tuple[np.ndarray, dict[str, float]]:
+def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> Added:
     """Return the effects' contribution to the expected output at the fitted baseline, and what each adds."""
     base = structures.evaluate(Structure())
     model = structures.build_model(Structure(frozenset(names)))
@@ -86,10 +86,15 @@ def _effects(
     for name in names:
         own = [t.effect.name == name for t in problem.in_x for _ in range(t.size)]
         without = problem.linearise(np.where(own, 0.0, x), hyper).mean
-        part = line.whiten((changed.mean - without + moved * (not any(own)))[:, None])[:, 0]
-        left = line.deflate(part, np.ones(len(line.owners), dtype=bool))
+        left = not_held(line, changed.mean - without + moved * (not any(own)))
         adds[name] = float(np.sqrt(np.mean(left**2)))
     return changed.mean - baseline.mean + moved, adds
+
+
+def not_held(linear: LinearModel, part: np.ndarray) -> np.ndarray:
+    """Return what of a part of the output the model cannot hold, whitened (n,)."""
+    white = linear.whiten(part[:, None])[:, 0]
+    return linear.deflate(white, np.ones(len(linear.owners), dtype=bool))
 
 
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:

@@ -51,8 +51,8 @@ def stated(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
     if case.kind == "law":
         readings, adds, wanders = bank.by_law(instrument, case)
     else:
-        readings, adds, wanders = bank.simulated(instrument, case), dict(case.hidden), False
-    hidden = list(adds)
+        readings, adds, wanders = bank.simulated(instrument, case), {}, False
+    hidden = list(adds or case.hidden)
     start = time.perf_counter()
     searched = Searched.of(instrument.for_readings(readings).baseline(), readings)
     seconds = time.perf_counter() - start

@@ -27,9 +27,7 @@ above that without the family's. *Coefficients*: of effects in the final model, 
 function or a noise law is no name.
 """
 STRANGE = "What no family describes, hidden in the same test: a column, a resonance, a step, a swing after power-on."
-GOOD = (
-    "Records with nothing wrong in them, of six instruments, in chambers that step, ramp and hold."
-)
+GOOD = "Records without a fault, of six instruments, in chambers that step, ramp and hold."
 
 
 def lost(row: dict[str, Any], least: float = CLEAR) -> list[str]:

@@ -107,9 +107,7 @@ def render() -> pages.Texts:
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]
     totals = pages.claims_table(groups, [("all that are spoilt", _total)], "records")
-    text = (
-        "Sixty further kinds: faults of thermometer, clock, hold-out and logger; a random sample."
-    )
+    text = "Sixty more kinds: faults of thermometer, clock, hold-out and logger; a random sample."
     sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
     together = {"all instruments": [row for rows in groups.values() for row in rows]}
     parts = (totals, text, sixty, "By kind:", pages.claims_table(together, claims, "records"))

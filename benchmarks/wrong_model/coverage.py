@@ -17,6 +17,7 @@ from bayescal._search.structures import MAX_UNNAMED_RMS
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from benchmarks import pages
 from benchmarks.bank import Bank
+from benchmarks.hidden_effects.drawn import not_held
 from benchmarks.pages import Claim, Rows, share, stated_and_true
 from benchmarks.wrong_model.worlds import NO_FORMULA, World, gyro, inclinometer, quartz
 
@@ -104,10 +105,10 @@ def added(case: tuple[str, int], world: World, baseline: bc.Calibration) -> dict
     (name, seed), rms, line = case, dict[str, float](), baseline.linear
     for effect in world.hidden:
         part = world.truth - WORLDS[name][1](seed, without=effect).truth
-        white = line.whiten(part[:, None])[:, 0]
-        left = line.deflate(white, np.ones(len(line.owners), dtype=bool))
         # Beside the baseline the effect counts as noise: by the true noise, not by what a fit that lacks it finds.
-        rms[effect] = float(np.sqrt(np.mean(left**2 * line.variance))) / NOISE[name]
+        rms[effect] = (
+            float(np.sqrt(np.mean(not_held(line, part) ** 2 * line.variance))) / NOISE[name]
+        )
     return rms
 
 

@@ -202,7 +202,8 @@ class DrawnQuantity:
 
     values: Float[np.ndarray, "d g"]  # in each draw at each place of the range that the limit names
     scatter: Float[np.ndarray, "g"]  # standard deviation of single readings at each place, or 0
-    scores: Float[np.ndarray, "g m"] | None = None  # normal, `DEVIATIONS` sd above; None: normal
+    # normal scores of readings `DEVIATIONS` standard deviations above it, at each place; None if they are normal
+    scores: Float[np.ndarray, "g m"] | None = None
 
     @property
     def estimate(self) -> tuple[float, float]:

@@ -17,7 +17,6 @@ nothing changes with time, the reason is said (ILAC-G24/OIML D 10:2022 leaves th
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -175,9 +174,7 @@ class Decision:
     why: str  # in words
     risk: float | None  # the specific risk: that the decision is wrong; None where none was made
     at: dict[str, tuple[float, float, str]]  # operating point: name → lowest, highest value, unit
-    worst_at: dict[
-        str, tuple[float, float, str]
-    ]  # that of them with the end of a k = 2 interval nearest a limit
+    worst_at: dict[str, tuple[float, float, str]]  # where a k = 2 interval ends nearest a limit
     population: tuple[float, float] | None  # mean, sd of the devices; None if not given or a range
     global_risks: GlobalRisks | None  # over the devices of a population; None where none is given
     recalibration: Recalibration
@@ -308,14 +305,13 @@ def statement_lines(d: Decision) -> list[str]:
 
 
 def _places(at: Mapping[str, tuple[float, float, str]]) -> str:
-    """Format values or ranges by name; equal lags of a column are named once, as in a budget."""
-    texts = dict[str, None]()
+    """Format values or ranges by name, angles in degrees."""
+    texts = dict[str, str]()
     for name, (*ends, unit) in at.items():
         ends, unit = ([*map(math.degrees, ends)], "deg") if unit == "rad" else (ends, unit)
         value = " to ".join(dict.fromkeys(ws.number(end, 4) for end in ends))
-        name = re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", name)
-        texts[f"{name} = {value} {ws.unit_label(unit)}".strip()] = None
-    return ", ".join(texts)
+        texts[name] = f"{value} {ws.unit_label(unit)}"
+    return ws.list_inputs(texts)
 
 
 def percent(p: float, error: float = 0.0) -> str:
