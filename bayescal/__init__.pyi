@@ -34,7 +34,6 @@ from ._use.compensator import load_compensator as load_compensator
 from ._annexes.imu.vector_series import vector_correction as vector_correction
 from ._annexes.imu.still_stretches import poses as poses
 from ._annexes.imu.moves import moves as moves
-from ._annexes.imu.body_frame import in_frame_of as in_frame_of
 from ._annexes.imu.vector_files import export_vector as export_vector
 from ._annexes.imu.vector_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget

@@ -55,7 +55,6 @@ from ._core import deadline as deadline
 
 # JSON, and the type that it must have
 from ._core.as_json import as_json as as_json
-from ._core.as_json import json_text as json_text
 from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results

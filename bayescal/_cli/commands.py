@@ -536,7 +536,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         [], help="Folders of results, calibrations (.nc), exports: one, one an axis, or a unit's."
     )
     format_: str | None = opt(
-        "json, c or python; of three axes yaml, openvins, realsense, ros; px4-params or ardupilot-params; dcc.",
+        "json, c or python; of three axes yaml; px4-params or ardupilot-params; dcc.",
         *(None, "--format"),
     )
     out: Path | None = opt("File to write; standard output if none.", None, "--out", "-o")

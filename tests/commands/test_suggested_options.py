@@ -23,7 +23,7 @@ def pasted(printed: str) -> list[str]:
     for name, value in OPTION.findall(printed):
         (value,) = shlex.split(value)
         ours, _, theirs = value.partition("=")
-        if name in ("--columns", "--accelerometers", "--gyroscopes", "--magnetometers"):
+        if name in ("--columns", "--accelerometers", "--gyroscopes"):
             found.setdefault((name, ours), value)
         elif name == "--unit" and theirs == "UNIT":
             found.setdefault((name, ours), f"{ours}={'s' if 'time' in ours else 'deg/s'}")
@@ -69,11 +69,10 @@ def test_log_of_a_whole_unit_needs_no_options(tmp_path: Path) -> None:
     kinds = {
         "sensor_gyro": ("gyro", np.pi / 180),
         "sensor_accel": ("accel", 9.80665),
-        "sensor_mag": ("mag", 0.01),  # gauss
     }
     topics = {t: {a: s * log[f"{k}_{a}"] for a in "xyz"} for t, (k, s) in kinds.items()}
     path = write_ulog_topics(tmp_path / "unit.ulg", log["time"] + 1.0, topics)
     done = run("imu", path, "--baseline", "--out", tmp_path / "out")
     assert done.status == 0, done.err
-    for name in ("accelerometer", "gyroscope", "magnetometer"):
+    for name in ("accelerometer", "gyroscope"):
         assert (tmp_path / "out" / name / "correction.json").is_file()

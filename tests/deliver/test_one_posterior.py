@@ -23,7 +23,7 @@ import bayescal as bc
 from bayescal.workshop import number, summary, unit_label, with_error
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from tests.support.contract_cases import Case
-from tests.support.inside import d_si, dcc_of, result_of, screen_of, text_of, triad_text
+from tests.support.inside import Triad, d_si, dcc_of, result_of, screen_of, text_of
 from tests.support.stated import STATED
 
 # An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
@@ -194,7 +194,7 @@ def triad_trail() -> bc.SearchPath:
 def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
     yaml, trail = pytest.importorskip("yaml"), made()
     correct = bc.vector_correction(trail.calibration)
-    text = triad_text(trail, correct)
+    text = str(Triad(trail, correct, trail.calibration.readings))
     screen = dict(re.split("  +", line)[:2] for line in text.splitlines() if "  " in line)
     data = json.loads(json.dumps(result_of(trail)))["vector"]
     data = data["averaged"] or data

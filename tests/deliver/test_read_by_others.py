@@ -5,7 +5,6 @@ Each reader here follows the source of what reads the file: its keys, the order 
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,24 +49,6 @@ def kalibr_noise(text: str) -> dict[str, float]:
     return data
 
 
-def opencv(text: str) -> Any:
-    """cv::FileStorage: the first line says what it is; OpenVINS has its values below imu0."""
-    head, _, rest = text.partition("\n")
-    if not head.startswith("%YAML:1."):
-        raise RuntimeError("Input file is invalid")
-    return yaml.safe_load(rest)["imu0"]
-
-
-def openvins(text: str) -> dict[str, np.ndarray]:
-    """ov_msckf/VioManagerOptions.h: a key that is missing stops it; Dw and Da are kept as lower triangles."""
-    imu = opencv(text)
-    every = ("Tw", "Ta", "R_IMUtoACC", "R_IMUtoGYRO", "Tg")
-    found = {name: np.array(imu[name], float).reshape(3, 3) for name in every}
-    for name in ("Tw", "Ta"):
-        found[f"D{name[1]}"] = np.tril(np.linalg.inv(found[name]))
-    return found
-
-
 def test_noise_for_kalibr_is_read_by_kalibr() -> None:
     found = kalibr_noise(bc.kalibr_yaml({"x": told("rad/s"), "y": told("m/s^2")}, topic="/imu/raw"))
     assert found["rostopic"] == "/imu/raw"
@@ -86,47 +67,6 @@ def test_kalibrs_intrinsics() -> None:
         np.array(gyro["M"]) @ to_gyro, (measured(GYROSCOPE) - gyro["bias"] - acts).T
     )
     np.testing.assert_allclose(rate.T @ turn, corrected(GYROSCOPE, GRAVITY), **CLOSE)
-
-
-def test_openvins() -> None:
-    """a = R_ACCtoIMU·Da·(y − ba), ω = R_GYROtoIMU·Dw·(y − bg − Tg·a); it estimates its biases."""
-    text = text_of(ACCELEROMETER, "openvins", others=[GYROSCOPE])
-    found = openvins(text)
-    bias = [json.loads(line) for line in re.findall(r"# bias of .*?(\[.*?\])", text)]
-    a = (measured(ACCELEROMETER) - bias[0]) @ found["Da"].T @ found["R_IMUtoACC"]
-    np.testing.assert_allclose(a, corrected(ACCELEROMETER), **CLOSE)
-    acts = found["Tg"] @ GRAVITY * STANDARD_GRAVITY
-    rate = (measured(GYROSCOPE) - bias[1] - acts) @ found["Dw"].T @ found["R_IMUtoGYRO"]
-    np.testing.assert_allclose(rate, corrected(GYROSCOPE, GRAVITY), **CLOSE)
-    noise = bc.kalibr_yaml({"x": told("rad/s"), "y": told("m/s^2")})
-    whole = text + re.sub(r"(?m)^(?=[a-z])", "  ", noise)
-    assert opencv(whole)["update_rate"] > 0 and np.array_equal(openvins(whole)["Ta"], found["Ta"])
-    with pytest.raises(RuntimeError, match="invalid"):
-        openvins(text_of(ACCELEROMETER, "yaml"))
-
-
-@pytest.mark.parametrize("c", [ACCELEROMETER, replace(GYROSCOPE, beside=(), terms=GYROSCOPE.terms[:, :12],
-    covariance=GYROSCOPE.covariance[:12, :12])], ids=["accelerometer", "gyroscope"])  # fmt: skip
-def test_realsense(c: bc.VectorCorrection) -> None:
-    """rs-imu-calibration.py: X = [scale_and_alignment by rows; bias], and corrected = [y, −1]·X."""
-    imu = json.loads(text_of(c, "realsense"))["imus"][0]
-    own, other = ("accelerometer", "gyroscope")[:: 1 if c.unit == "g" else -1]
-    x = np.array([*imu[own]["scale_and_alignment"], *imu[own]["bias"]]).reshape(4, 3)
-    found = np.column_stack([measured(c), -np.ones(len(OUTPUTS))]) @ x
-    np.testing.assert_allclose(found, corrected(c), **CLOSE)
-    assert np.array_equal(imu[other]["scale_and_alignment"], np.eye(3).ravel())
-
-
-def test_ros() -> None:
-    """imu_calib, accel_calib.cpp: nine and three numbers in a row; corrected = SM·y − bias."""
-    found = yaml.safe_load(text_of(ACCELEROMETER, "ros"))
-    assert len(found["SM"]) == 9 and len(found["bias"]) == 3
-    by_ros = measured(ACCELEROMETER) @ np.reshape(found["SM"], (3, 3)).T - found["bias"]
-    np.testing.assert_allclose(by_ros, corrected(ACCELEROMETER), **CLOSE)
-    with pytest.raises(bc.InputError):
-        text_of(GYROSCOPE, "ros")
-    with pytest.raises(bc.InputError):
-        text_of(triad("magnetometer_triad"), "realsense")
 
 
 def px4(text: str) -> dict[str, float]:

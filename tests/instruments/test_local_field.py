@@ -70,8 +70,9 @@ def test_of_a_field_that_is_not_stated_ratios_are_measured(field: float, tmp_pat
     one, other = correct(output, noise=0.0), known(output, noise=0.0)
     size, of_size = one.magnitude
     assert 0.04 < of_size[0] / size[0] < 0.06
-    assert one.heading[0][0] == pytest.approx(other.heading[0][0], abs=1e-3)
-    assert one.heading[1][0] == pytest.approx(other.heading[1][0], rel=0.1)
+    for angle in ("roll", "pitch"):
+        assert one.tilt[angle][0][0] == pytest.approx(other.tilt[angle][0][0], abs=1e-3)
+        assert one.tilt[angle][1][0] == pytest.approx(other.tilt[angle][1][0], rel=0.1)
 
 
 @pytest.mark.parametrize("field", slow_but(FIELDS[1:2], FIELDS))

@@ -9,22 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import bayescal as bc
 from bayescal.workshop import UNCERTAINTY
-from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
+from bayescal_models import accelerometer_triad, gyro_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
-from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE
-from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import CorrectedVector
 from tests.support.triad_truth import TRUE, matrix_of
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
-FIELD = magnetometer_triad.INSTRUMENT
 FEW = MovesByHand(poses=12, still=3.0, move=2.0)
 
 
@@ -146,78 +141,28 @@ def test_nothing_is_invented_and_all_is_determined() -> None:
 @pytest.mark.slow
 @needs_installation
 @pytest.mark.usefixtures("unpainted")
-def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
+def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
     log = simulate_log(seed=5, campaign=FEW)
     header = ",".join(
         ["time [s]"]
-        + [
-            f"{n}{a} [{unit}]"
-            for n, unit in (("w", "deg/s"), ("f", "g"), ("m", "uT"))
-            for a in "xyz"
-        ]
+        + [f"{n}{a} [{unit}]" for n, unit in (("w", "deg/s"), ("f", "g")) for a in "xyz"]
     )
     table = np.column_stack(
-        [log["time"]] + [log[f"{n}_{a}"] for n in ("gyro", "accel", "mag") for a in "xyz"]
+        [log["time"]] + [log[f"{n}_{a}"] for n in ("gyro", "accel") for a in "xyz"]
     )
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
     done = run(
         *("imu", path, "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
-        *("--magnetometers", "mx,my,mz", "--baseline", "--out", tmp_path / "unit"),
+        *("--baseline", "--out", tmp_path / "unit"),
     )
     assert done.status == 0, done.err
-    for name in ("imu.yaml", "imu.py", "imu.h", "report.html", "magnetometer/poses.csv"):
+    for name in ("imu.yaml", "imu.py", "imu.h", "report.html", "gyroscope/poses.csv"):
         assert (tmp_path / "unit" / name).is_file()
     correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
     true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
     sd = correct.uncertainty[0, [3, 7, 11]]
     assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
-
-
-def magnetometers(seed: int) -> tuple[bc.Measurements, bc.VectorCorrection, bc.VectorCorrection]:
-    """Their log, their correction in their own axes and in those of the true accelerometers."""
-    log = simulate_log(seed=seed)
-    forces, _ = both(log)
-    outputs: dict[str, Any] = {f"output_{a}": log[f"mag_{a}"] for a in "xyz"}
-    drawn = bc.Measurements.from_arrays(FIELD, time=log["time"], magnitude=50.0, **outputs)
-    own = bc.vector_correction(bc.fit(FIELD.baseline(), bc.poses(drawn, FIELD)))
-    return drawn, own, bc.in_frame_of(own, drawn, exact(), forces)
-
-
-@pytest.mark.slow
-def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
-    chi = []
-    for seed in range(4):
-        _, own, turned = magnetometers(70 + seed)
-        found = re.search(r"by a field ([\d.]+)° below", turned.notes[0])
-        assert found is not None and abs(float(found[1]) - 65.0) < 0.5
-        true = matrix_of(MAGNETOMETERS) @ Rotation.from_rotvec(MOUNTED).as_matrix()
-        apart = (turned.matrix - true).ravel()
-        assert np.max(np.abs(own.matrix - true)) > 0.02  # it is turned by more than it is unsure of
-        chi.append(apart @ np.linalg.solve(turned.covariance[3:12, 3:12], apart) / 9)
-        assert np.all(turned.uncertainty[0, 3:12] < 0.01)
-    assert 0.2 < np.mean(chi) < 2.2  # of 36
-
-
-def test_heading_and_its_uncertainty_in_any_attitude() -> None:
-    """As of vectors drawn about the mean; a level body that looks east has the field on its left."""
-
-    def of(vectors: Any, covariance: np.ndarray) -> CorrectedVector:
-        vectors = np.atleast_2d(np.asarray(vectors, float))
-        each = np.broadcast_to(covariance, (len(vectors), 3, 3))
-        return CorrectedVector(vectors, each, "1", np.zeros(len(vectors), bool))
-
-    none = np.zeros((3, 3))
-    heading, _ = of([0.0, 20.0, -45.0], none).heading_over(of([0.0, 0.0, 1.0], none))
-    assert heading[0] == pytest.approx(np.pi / 2)
-    random = np.random.default_rng(8)
-    up, field = np.array([0.3, -0.4, 0.8]), np.array([20.0, 5.0, -40.0])
-    a, b = 2e-3 * random.standard_normal((3, 3)), 0.2 * random.standard_normal((3, 3))
-    _, sd = of(field, b @ b.T).heading_over(of(up, a @ a.T))
-    ups = up + random.standard_normal((20_000, 3)) @ a.T
-    fields = field + random.standard_normal((20_000, 3)) @ b.T
-    drawn, _ = of(fields, none).heading_over(of(ups, none))
-    assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
 
 
 @pytest.mark.slow

@@ -5,26 +5,35 @@ Light: heavy modules load inside.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import bayescal as bc
 from bayescal import workshop as ws
 
 MAX_EFFECTS_ADDED = 5  # effects that are added
-SENSORS = {
-    "accelerometer_triad": "accelerometers",
-    "gyro_triad": "gyroscopes",
-    "magnetometer_triad": "magnetometers",
-}
+SENSORS = {"accelerometers": "accelerometer_triad", "gyroscopes": "gyro_triad"}
+OUTPUTS = ("output_x", "output_y", "output_z")
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
+UNIT_FILES = ("imu.h", "imu.py", "imu.yaml")  # of all triads of a unit
 REPORT = "report.html"
 
 
+class Triad(NamedTuple):
+    """A calibrated triad: its search, its correction, and the readings of poses or moves."""
+
+    trail: bc.SearchPath
+    correction: bc.VectorCorrection
+    readings: bc.Measurements
+
+    def __str__(self) -> str:
+        """Format the search, the coefficients, and offset and matrix as exports have them."""
+        return f"{self.trail}\n\n{ws.coefficients_text(self.trail)}\n\n{self.correction}"
+
+
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
-    """Options of the commands for three axes, of one triad or of all triads of a unit."""
+    """Options of the commands for three axes, of one triad or of both triads of a unit."""
 
     shortest: float | None = ws.opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
     baseline: bool = ws.opt("Look for no effect beside bias, scale, misalignment.", False)
@@ -38,6 +47,46 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         ws.sensor_name(self.name, "")
         if self.shortest is not None and not self.shortest > 0:
             raise bc.InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
+
+    def calibrate(self, model: bc.Model, readings: bc.Measurements, uncalibrated: int = 1) -> Triad:
+        """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
+
+        Args:
+            model: start of the search.
+            readings: of poses or moves.
+            uncalibrated: number of triads of the unit that are not calibrated yet, and share the time.
+        """
+        undetermined = bc.undetermined(model, readings)
+        if undetermined.add:
+            ws.print_notes([str(undetermined)])
+        # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
+        # nothing to tell the noise by, so would draws.
+        is_open = len(readings) <= sum(len(e.coefficients) for e in model.effects)
+        method = bc.LeastSquares() if is_open else bc.Marginal(chains=not undetermined.add)
+        limit = 0 if self.baseline or is_open else MAX_EFFECTS_ADDED
+        with ws.deadline.sooner(1 / uncalibrated):
+            trail = bc.calibrate(model, readings, method=method, seed=self.seed, max_effects=limit)
+        # Averaged over the structures.
+        triad = Triad(trail, bc.vector_correction(trail.calibration), readings)
+        ws.print_notes(triad.correction.notes)
+        if not self.json_:
+            print(triad)
+        return triad
+
+    def finish(self, triads: Mapping[str, Triad], folder: Path | None) -> ws.Answer:
+        """Write and draw triads, by their subfolders of a folder, if there is one; return the command's answer."""
+        drawn = True
+        if folder is not None:
+            with ws.whole_folder(folder) as hidden:
+                _write(triads, hidden, self.name)
+            drawn = _draw(triads, folder)
+            for place in dict.fromkeys((*triads, "")) if not self.json_ else ():
+                names = (*ws.files_of(folder / place), ws.MANIFEST)
+                print(f"written: {folder / place}/{', '.join(names)}")
+        why = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
+        data = {place: triad.correction.data() for place, triad in triads.items()}
+        json_data = data.get("", data) if self.json_ else None
+        return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=drawn)
 
 
 class TriadCommand(TriadOptions, ws.Command):
@@ -64,186 +113,77 @@ class TriadCommand(TriadOptions, ws.Command):
         if self.dry_run:
             return ws.Answer(str(bc.undetermined(model, readings)))
         with ws.result_folder(self.out) as folder:
-            trail, correction = _calibrate(model, readings, self)
-            if folder is not None:
-                with ws.whole_folder(folder) as hidden:
-                    _write(hidden, trail, correction, readings, self.name)
-            return _answer({"": trail}, correction.data(), folder, self)
+            return self.finish({"": self.calibrate(model, readings)}, folder)
 
 
 class ImuCommand(TriadOptions, ws.Command):
-    """Calibrate the sensors of a unit by one log, in one frame."""
+    """Calibrate accelerometers and gyroscopes of a unit by one log, in one frame."""
 
     example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
     accelerometers: str | None = ws.opt(
         "Their three columns, as ax,ay,az; else by the usual names."
     )
     gyroscopes: str | None = ws.opt("Their three columns, as gx,gy,gz; else by the usual names.")
-    magnetometers: str | None = ws.opt("Their three columns, mx,my,mz; of a log, those it has.")
 
     def answer(self) -> ws.Answer:
         self.refuse_options()
         with ws.result_folder(self.out) as folder:
-            logs = self.logs()
-            (force, forces), (turns, rates), *others = logs.values()
-            options, count = {"shortest": self.shortest}, len(logs)
-            poses = bc.poses(forces, force, **options)
+            (force, forces), (turns, rates) = self.logs()
+            poses = bc.poses(forces, force, shortest=self.shortest)
             ws.print_notes(poses.flags)
-            model = force.for_readings(poses).baseline()
-            (trail, first) = _calibrate(model, poses, self, uncalibrated=count)
-            triads = {"accelerometer": (trail, first, poses)}
-            moves = bc.moves(rates, turns, forces, first, **options)
+            first = self.calibrate(force.for_readings(poses).baseline(), poses, uncalibrated=2)
+            moves = bc.moves(rates, turns, forces, first.correction, shortest=self.shortest)
             ws.print_notes(moves.flags)
-            model = dict(turns.structures)["moves"]()
-            triads["gyroscope"] = (*_calibrate(model, moves, self, uncalibrated=count - 1), moves)
-            for field, log in others:
+            second = self.calibrate(dict(turns.structures)["moves"](), moves)
+            return self.finish({"accelerometer": first, "gyroscope": second}, folder)
 
-                def rotate(correction: Any, log: Any = log) -> Any:
-                    return bc.in_frame_of(correction, log, first, forces, **options)
-
-                at_rest = bc.poses(log, field, **options)
-                ws.print_notes(at_rest.flags)
-                model = field.for_readings(at_rest).baseline()
-                triads["magnetometer"] = (*_calibrate(model, at_rest, self, rotate), at_rest)
-            if folder is not None:
-                vectors = [correction for _, correction, _ in triads.values()]
-                c_names = ws.names_in_unit(self.name, vectors)
-                with ws.whole_folder(folder) as hidden:
-                    for (name, triad), c_name in zip(triads.items(), c_names, strict=True):
-                        _write(hidden / name, *triad, c_name)
-                    for file in ("imu.h", "imu.py"):
-                        bc.export_vector(first, hidden / file, others=vectors[1:], name=self.name)
-                    bc.export_vector(first, hidden / "imu.yaml", others=vectors[1:2])
-            data = {name: correction.data() for name, (_, correction, _) in triads.items()}
-            return _answer(
-                {name: trail for name, (trail, _, _) in triads.items()}, data, folder, self
-            )
-
-    def logs(self) -> dict[str, tuple[Any, Any]]:
-        """Read each sensor's columns of the log; raise InputError with the objections of all sensors."""
-        from bayescal._annexes.imu.logs import LOG_FORMATS
-
-        read_options, needed = self.for_read(), bool(self.magnetometers or self.local_field)
-        names = {name: _three_names(s, getattr(self, s)) for name, s in SENSORS.items()}
-        if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in self.files)):
-            names.popitem()
-        logs, problems = dict[str, tuple[Any, Any]](), ws.Objections()
-        for name, three in names.items():
-            named = {**read_options, "columns": three | read_options["columns"]}
-            instrument, sensors = ws.instrument_named(name), SENSORS[name]
-            if sensors != "magnetometers":
-                named.pop("local_field", None)
+    def logs(self) -> list[tuple[bc.Instrument, bc.Measurements]]:
+        """Read each triad's columns of the log; raise InputError with the objections of both."""
+        logs, problems = [], ws.Objections()
+        for sensors, name in SENSORS.items():
+            instrument, options = ws.instrument_named(name), self.for_read()
+            three = ws.names_in(text := getattr(self, sensors))
+            if len(three) not in (0, 3):
+                raise bc.InputError(
+                    f"--{sensors} {text!r}: give three, as ax,ay,az, not {len(three)}"
+                )
+            options["columns"] = dict(zip(OUTPUTS, three, strict=False)) | options["columns"]
             try:
-                logs[name] = instrument, bc.read(self.files, instrument, **named)
+                logs.append((instrument, bc.read(self.files, instrument, **options)))
             except bc.InputError as error:
-                if not error.problems:
-                    raise
-                if sensors == "magnetometers" and not needed and _missing_outputs(error.problems):
-                    continue
-                problems += _summarise_missing_columns(sensors, instrument, error.problems)
+                missing = {*OUTPUTS} <= {p.column for p in error.problems}
+                came = (
+                    f"holds no three columns called as those of {sensors} are, in a unit that converts to "
+                    f"{instrument.unit}"
+                )
+                cure = f"Say which they are ({ws.option(f'--{sensors}', 'X,Y,Z')}), or take a log that has them"
+                one = ws.Objection(self.files[0].name, came, cure=cure)
+                problems += [one] if missing else error.problems or [ws.Objection("", str(error))]
         problems.refuse()
         self.keep()
         return logs
 
 
-def _answer(
-    trails: Mapping[str, Any], data: Any, folder: Path | None, options: TriadOptions
-) -> ws.Answer:
-    """Draw and list the results of triads, whose summaries are printed already, as the answer of a command."""
-    drawn = folder is None or _draw_triads(trails, folder)
-    for place in dict.fromkeys((*trails, "")) if folder is not None and not options.json_ else ():
-        names = (*ws.files_of(folder / place), ws.MANIFEST)
-        print(f"written: {folder / place}/{', '.join(names)}")
-    why = [trail.gate.reason for trail in trails.values() if not trail.ok]
-    json_data = data if options.json_ else None
-    return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=drawn)
-
-
-def _three_names(sensors: str, text: str | None) -> dict[str, str]:
-    """Return the columns of three outputs in a file, as the option of these sensors names them."""
-    names = ws.names_in(text)
-    if len(names) not in (0, 3):
-        raise bc.InputError(f"--{sensors} {text!r}: give three, as ax,ay,az, not {len(names)}")
-    return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
-
-
-def _missing_outputs(problems: Sequence[ws.Objection]) -> list[ws.Objection]:
-    """Return the objections to three outputs, where a file has none of them."""
-    missing = [p for p in problems if p.column in {f"output_{axis}" for axis in "xyz"}]
-    return missing if len(missing) == 3 else []
-
-
-def _summarise_missing_columns(
-    sensors: str, instrument: Any, problems: Sequence[ws.Objection]
-) -> Sequence[ws.Objection]:
-    """Replace the objections to a sensor's three columns by one where the log has none of them."""
-    if not (missing := _missing_outputs(problems)):
-        return problems
-    words = (word for p in missing for word in shlex.split(p.option.strip("()")))
-    names = dict.fromkeys(w.partition("=")[2] for w in words if w.startswith("output_"))
-    three = ",".join(names if len(names) == 3 else (f"{sensors[0]}{axis}" for axis in "xyz"))
-    return [
-        ws.Objection(
-            missing[0].file,
-            f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
-            cure=f"Say which they are ({ws.option(f'--{sensors}', three)}), or take a log that has them",
-        )
-    ]
-
-
-def _calibrate(
-    model: Any,
-    readings: Any,
-    options: TriadOptions,
-    to_axes: Callable[[Any], Any] = lambda correction: correction,
-    uncalibrated: int = 1,
-) -> tuple[Any, Any]:
-    """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
-
-    Args:
-        model: start of the search.
-        readings: of poses or moves.
-        options: of the command.
-        to_axes: rotates the correction to other axes.
-        uncalibrated: number of sensors of the unit that are not calibrated yet, and share the time.
-    """
-    undetermined = bc.undetermined(model, readings)
-    if undetermined.add:
-        ws.print_notes([str(undetermined)])
-    # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
-    # nothing to tell the noise by, so would draws.
-    is_open = len(readings) <= sum(len(e.coefficients) for e in model.effects)
-    method = bc.LeastSquares() if is_open else bc.Marginal(chains=not undetermined.add)
-    limit = 0 if options.baseline or is_open else MAX_EFFECTS_ADDED
-    with ws.deadline.sooner(1 / uncalibrated):
-        trail = bc.calibrate(model, readings, method=method, seed=options.seed, max_effects=limit)
-    correction = bc.vector_correction(trail.calibration)  # averaged over the structures
-    correction = to_axes(correction)
-    ws.print_notes(correction.notes)
-    if not options.json_:
-        print(triad_text(trail, correction))
-    return trail, correction
-
-
-def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
-    """Format the result of a triad: the search, the coefficients, and offset and matrix as exports have them."""
-    return f"{trail}\n\n{ws.coefficients_text(trail)}\n\n{correction}"
-
-
-def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
-    """Write the search, the corrections and the poses of a triad to a staging folder, without pictures."""
+def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
+    """Write the search, the corrections and the readings of each triad to a staging folder, without pictures."""
     from bayescal._annexes.imu.vector_parameters import left_out
 
-    ws.write_search(trail, folder)
-    for name in FILES:
-        bc.export_vector(correction, folder / name, name=sensor)
-    if omitted := left_out(correction, "yaml"):
-        ws.print_notes([f"{correction.instrument}, YAML: {omitted}"])
-    readings.write(folder / "poses.csv")
+    first, *others = (triad.correction for triad in triads.values())
+    names = ws.names_in_unit(name, [first, *others])
+    for (place, triad), sensor in zip(triads.items(), names, strict=True):
+        ws.write_search(triad.trail, folder / place)
+        for file in FILES:
+            bc.export_vector(triad.correction, folder / place / file, name=sensor)
+        if omitted := left_out(triad.correction, "yaml"):
+            ws.print_notes([f"{triad.correction.instrument}, YAML: {omitted}"])
+        triad.readings.write(folder / place / "poses.csv")
+    for file in UNIT_FILES if others else ():
+        bc.export_vector(first, folder / file, others=others, name=name)
 
 
-def _draw_triads(trails: Mapping[str, Any], folder: Path) -> bool:
-    """Draw pictures and reports of each triad in its subfolder, and one report of all."""
+def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
+    """Draw pictures and a report of each triad, and one report of all; return whether all were drawn."""
+    trails = {place: triad.trail for place, triad in triads.items()}
     outcomes = [ws.drawn(ws.draw_search, trails, folder)]
 
     def reports() -> None:

@@ -27,10 +27,6 @@ SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
 # of inputs, that terms of second order multiply
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST, SECOND = np.array(PAIRS).T
-UNKNOWN_DIRECTIONS = (
-    "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane of "
-    "sensors y and z), without an uncertainty."
-)
 RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error
 
@@ -40,7 +36,7 @@ Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncerta
 
 @dataclass(frozen=True)
 class CorrectedVector:
-    """Input vectors estimated from three outputs. Of tilt and heading z is up and y to the left of x.
+    """Input vectors estimated from three outputs. Of tilt z is up and y to the left of x.
 
     Attributes:
         vector: f̂ in the body's axes (n, 3), `unit`.
@@ -57,7 +53,7 @@ class CorrectedVector:
     @property
     def magnitude(self) -> Uncertain:
         """Return |f̂| and its standard uncertainty, `unit`."""
-        return _propagate(lambda v: np.linalg.norm(v, axis=1), self)
+        return self._propagate(lambda v: np.linalg.norm(v, axis=1))
 
     @property
     def tilt(self) -> dict[str, Uncertain]:
@@ -66,52 +62,21 @@ class CorrectedVector:
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
         """
         return {
-            "roll": _propagate(lambda v: np.arctan2(v[:, 1], v[:, 2]), self),
-            "pitch": _propagate(lambda v: np.arctan2(-v[:, 0], np.hypot(v[:, 1], v[:, 2])), self),
+            "roll": self._propagate(lambda v: np.arctan2(v[:, 1], v[:, 2])),
+            "pitch": self._propagate(lambda v: np.arctan2(-v[:, 0], np.hypot(v[:, 1], v[:, 2]))),
         }
 
-    @property
-    def heading(self) -> Uncertain:
-        """Return the heading of a level body, of x clockwise from magnetic north, rad: atan2(m_y, m_x)."""
-        return _propagate(lambda field: np.arctan2(field[:, 1], field[:, 0]), self)
-
-    def heading_over(self, force: CorrectedVector) -> Uncertain:
-        """Return the heading of the x axis by a magnetic field, of a body at rest in any attitude.
-
-        Args:
-            force: specific force of the same moments in the same axes, which says where up is. Errors of force and
-                field count as independent, also where `in_frame_of` took the field to the axes of the force (which
-                makes half a per cent of the uncertainty).
-
-        Returns:
-            Angle from magnetic north, clockwise as seen from above, rad, and its standard uncertainty; not determined
-            where x is vertical.
-        """
-
-        def heading(field: np.ndarray, up: np.ndarray) -> np.ndarray:
-            up = up / np.linalg.norm(up, axis=1)[:, None]
-            east = np.cross(field, up)
-            north = field - np.sum(field * up, axis=1)[:, None] * up
-            return np.arctan2(east[:, 0], north[:, 0])
-
-        return _propagate(heading, self, force)
-
-
-def _propagate(quantity: Callable[..., np.ndarray], *of: CorrectedVector) -> Uncertain:
-    """Propagate the covariance of vectors to a length or an angle, by its slopes."""
-    vectors, variance = [corrected.vector for corrected in of], 0.0
-    for index, (vector, corrected) in enumerate(zip(vectors, of, strict=True)):
-        step, by_axis = RELATIVE_STEP * np.linalg.norm(vector, axis=1)[:, None], []
+    def _propagate(self, quantity: Callable[[np.ndarray], np.ndarray]) -> Uncertain:
+        """Propagate the covariance to a length or an angle, by its slopes."""
+        step, by_axis = RELATIVE_STEP * np.linalg.norm(self.vector, axis=1), []
         for axis in np.eye(3):
-            forward, backward = (
-                quantity(*vectors[:index], vector + step * end, *vectors[index + 1 :])
-                for end in (axis, -axis)
-            )
+            change = step[:, None] * axis
+            difference = quantity(self.vector + change) - quantity(self.vector - change)
             # An angle's across ±π.
-            by_axis.append(np.angle(np.exp(1j * (forward - backward))) / (2 * step[:, 0]))
+            by_axis.append(np.angle(np.exp(1j * difference)) / (2 * step))
         slope = np.stack(by_axis, axis=1)
-        variance = variance + np.einsum("ni,nij,nj->n", slope, corrected.covariance, slope)
-    return quantity(*vectors), np.sqrt(np.maximum(variance, 0.0))
+        variance = np.einsum("ni,nij,nj->n", slope, self.covariance, slope)
+        return quantity(self.vector), np.sqrt(np.maximum(variance, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

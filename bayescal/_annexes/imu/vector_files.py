@@ -19,7 +19,7 @@ from bayescal._annexes.imu.vector_correction import (
     term_rows,
     terms_table,
 )
-from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, parameter_file
+from bayescal._annexes.imu.vector_parameters import kalibr_yaml_of, left_out, parameter_file
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
 
@@ -119,14 +119,14 @@ THREE_AXES = ws.CorrectionKind(
         "json": ws.as_data,
         "c": headers,
         "python": module,
-        **{name: ws.in_form(write) for name, write in READ_BY_OTHERS.items()},
+        "yaml": ws.in_form(kalibr_yaml_of),
         **{autopilot: ws.in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
     },
     suffixes={".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"},
     is_data=lambda data: "terms" in data,
     read=vector_from_data,
     loader="load_vector_correction",
-    together=("c", "python", "yaml", "openvins", "realsense"),
+    together=("c", "python", "yaml"),
     left_out=left_out,
 )
 
@@ -148,10 +148,8 @@ def export_vector(
     Args:
         correction: to write.
         path: of the file.
-        format: "json", "c", "python", "yaml" (Kalibr), "openvins", "realsense", "ros", "px4-params" or
-            "ardupilot-params", whatever the suffix.
-        others: beside it in one file of C, Python, Kalibr, OpenVINS or RealSense, in the same body axes: gyroscopes
-            beside accelerometers.
+        format: "json", "c", "python", "yaml" (Kalibr), "px4-params" or "ardupilot-params", whatever the suffix.
+        others: beside it in one file of C, Python or Kalibr, in the same body axes: gyroscopes beside accelerometers.
         name: of the sensor in C and Python; that of the instrument if not given. With `others`, of the unit.
         uncertainty: with the covariance; False for C and Python that give what acts alone: of a plain offset and matrix
             twelve numbers are left.

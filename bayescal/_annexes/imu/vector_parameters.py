@@ -1,16 +1,10 @@
-"""A correction of three axes in reduced forms: files for Kalibr, OpenVINS, RealSense, ROS, and autopilots.
+"""A correction of three axes in reduced forms: a file for Kalibr, and the calibration parameters of autopilots.
 
 Equations of these readers, and their sources:
 
 * Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
   sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
   there. A gyroscope has that rotation, ω_measured = M·C_gyro_i·ω + A·C_gyro_i·a + b, in rad/s and m/s².
-* OpenVINS (kalibr_imu_chain.yaml, ov_msckf/VioManagerOptions.h): a_measured = Ta·R_IMUtoACC·a + b, ω_measured =
-  Tw·R_IMUtoGYRO·ω + Tg·a + b; of T it keeps the lower triangle under the model "kalibr". It is read by OpenCV, which
-  wants a first line that YAML's other readers refuse (modules/core/src/persistence_yml.cpp): a file of its own.
-* RealSense (librealsense, tools/rs-imu-calibration/rs-imu-calibration.py, calibration.json): corrected = Sᵀ·y − bias,
-  the nine numbers of scale_and_alignment being S by rows; in m/s² and rad/s.
-* ROS (imu_calib, src/accel_calib/accel_calib.cpp): corrected = SM·y − bias of accelerometers, SM by rows, in m/s².
 * PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
   OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
 * ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
@@ -22,11 +16,11 @@ Each gets the least-squares projection on its form, with a note of what that lea
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import polar
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -39,7 +33,7 @@ KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
 
 
 def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """Format the intrinsics as Kalibr and OpenVINS define them, in m/s² or rad/s where the unit converts to these.
+    """Format the intrinsics as Kalibr defines them, in m/s² or rad/s where the unit converts to these.
 
     Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
     are then those of the first.
@@ -50,91 +44,7 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
     filters = {"row": _list, "rows": _rows, "comment": ws.c_comment}
     layout = ws.template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
     notes = dict.fromkeys(note for c in corrections for note in c.notes)
-    return _head("Intrinsics of three axes, made", notes) + layout.render(triads=triads)
-
-
-def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """Format kalibr_imu_chain.yaml of OpenVINS without noise: the lines of `bayescal noise --yaml` go below it.
-
-    Raises:
-        InputError: a correction is neither of accelerometers nor of gyroscopes.
-    """
-    triads = _by_kind("openvins", (correction, *others))
-    notes = [f"{kind}: {c.calibrated_at} {c.notes}" for kind, c in triads.items()]
-    matrices = {name: np.eye(3) for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")}
-    matrices["Tg"] = np.zeros((3, 3))
-    for kind, triad in triads.items():
-        matrices |= _openvins(triad)
-        plain, (factor, unit) = _in_kalibr(triad), si_of(triad.unit)
-        bias = _list(plain.offset * factor)
-        notes += [f"{kind}: {plain.omitted or NONE_LEFT}"]
-        notes += [f"bias of the {kind}, which OpenVINS estimates: {bias} {unit}"]
-    lines = ["imu0:", "  T_i_b:", _rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"']
-    lines += [f"  {name}:\n{_rows(matrix)}" for name, matrix in matrices.items()]
-    head = _head("Intrinsics of an inertial unit, made", notes)
-    return "\n".join(["%YAML:1.0", head + lines[0], *lines[1:], ""])
-
-
-def _head(title: str, notes: Iterable[str]) -> str:
-    comments = (f"# {ws.c_comment(note)}" for note in notes)
-    return "\n".join([f"# {title} by bayescal {bc.__version__}", *comments, ""])
-
-
-def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
-    """Return the matrices of one triad by OpenVINS' names."""
-    factor, unit = si_of(correction.unit)
-    plain = _in_kalibr(correction)
-    lower, turn = _split(plain.matrix)
-    if unit == "m/s^2":
-        return {"Ta": lower, "R_IMUtoACC": turn}
-    by_gravity = np.zeros((3, 3))
-    if correction.beside:
-        by_gravity = plain.terms[12:].reshape(3, 3) * factor / ws.STANDARD_GRAVITY
-    return {"Tw": lower, "R_IMUtoGYRO": turn, "Tg": by_gravity}
-
-
-def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """Format calibration.json of librealsense; a triad that is not given gets the identity."""
-    triads = _by_kind("realsense", (correction, *others))
-    as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
-    imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
-    notes = [f"Made by bayescal {bc.__version__}"]
-    for kind, triad in triads.items():
-        back, bias = _inverse_correction(triad)
-        imu[kind] = {"scale_and_alignment": back.T.ravel().tolist(), "bias": bias.tolist()}
-        notes += [triad.calibrated_at, *triad.notes]
-        notes += [f"{kind}: {_plain(triad).omitted or NONE_LEFT}"]
-    return ws.json_text({"imus": [imu], "said": notes}, indent=1)
-
-
-def ros_yaml_of(correction: VectorCorrection) -> str:
-    """Format imu_calib.yaml of ROS' imu_calib, of accelerometers."""
-    if "accelerometer" not in _by_kind("ros", (correction,)):
-        raise bc.InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
-    back, bias = _inverse_correction(correction)
-    notes = (correction.calibrated_at, *correction.notes, _plain(correction).omitted or NONE_LEFT)
-    return _head("Made", notes) + f"SM: {_list(back.ravel())}\nbias: {_list(bias)}\n"
-
-
-def _plain(correction: VectorCorrection) -> PlainCorrection:
-    return plain_correction(correction, with_secondary=False)
-
-
-def _inverse_correction(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
-    """Return matrix and bias of the inverse, input = matrix·y − bias, in m/s² or rad/s."""
-    plain = _plain(correction)
-    back = np.linalg.inv(plain.matrix)
-    return back, back @ plain.offset * si_of(correction.unit)[0]
-
-
-def _by_kind(format: str, corrections: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
-    """Return triads by kind, "accelerometer" or "gyroscope"; raise InputError for another quantity."""
-    triads = {KINDS.get(si_of(c.unit)[1], ""): c for c in corrections}
-    if "" in triads:
-        raise bc.InputError(
-            f"{format} holds accelerometers and gyroscopes, and these outputs are in [{triads[''].unit}]"
-        )
-    return triads
+    return layout.render(version=bc.__version__, notes=notes, triads=triads)
 
 
 def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
@@ -152,8 +62,9 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, An
     factor, unit = si_of(correction.unit)
     plain, kind = _in_kalibr(correction), KINDS.get(unit)
     lower, turn = _split(plain.matrix)
-    openvins = _openvins(correction) if kind else {}
-    by_force = openvins["Tg"] @ turn.T if kind == "gyroscope" and correction.beside else None
+    by_force = None
+    if kind == "gyroscope" and correction.beside:
+        by_force = plain.terms[12:].reshape(3, 3) * factor / ws.STANDARD_GRAVITY @ turn.T
     return {
         "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
         "calibrated_at": correction.calibrated_at,
@@ -162,7 +73,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, An
         **{"bias": plain.offset * factor, "bias_uncertainty": plain.uncertainty[:3] * factor},
         "matrix": plain.matrix,
         "matrix_uncertainty": plain.uncertainty[3:12].reshape(3, 3),
-        **{"by_force": by_force, "openvins": openvins},
+        "by_force": by_force,
     }
 
 
@@ -185,8 +96,6 @@ def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
     """Return parameters of an autopilot's first sensor by name, and a sentence on what they leave out."""
-    if autopilot not in PARAMETERS:
-        raise bc.InputError(f"format {autopilot!r} is not one of {', '.join(PARAMETERS)}")
     factor, unit = si_of(correction.unit)
     kind = "magnetometer" if ws.same_dimension(unit, "uT") else KINDS.get(unit, "")
     if kind == "accelerometer":
@@ -203,7 +112,11 @@ def autopilot_parameters(
             f"are in [{correction.unit}]"
         )
     named = zip(PARAMETERS[autopilot][kind], values, strict=True)
-    return {n.format(a): v for n, axes in named for a, v in zip("XYZ", axes, strict=True)}, omission
+    return {
+        name.format(axis): float(value)
+        for name, by_axis in named
+        for axis, value in zip("XYZ", by_axis, strict=True)
+    }, omission
 
 
 def _symmetric(
@@ -213,10 +126,7 @@ def _symmetric(
     from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
 
     plain = plain_correction(correction, with_secondary=False)
-    back = np.linalg.inv(plain.matrix)
-    values, vectors = np.linalg.eigh(back.T @ back)
-    symmetric = (vectors * np.sqrt(values)) @ vectors.T
-    turn = back @ np.linalg.inv(symmetric)
+    turn, symmetric = polar(np.linalg.inv(plain.matrix))
     hand = np.sign(np.linalg.det(turn))
     angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
     turned = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
@@ -229,17 +139,15 @@ def left_out(correction: VectorCorrection, format: str) -> str:
     """State what a format cannot hold and how large it is, in a sentence; empty where it holds the whole correction."""
     if format in AUTOPILOTS:
         return autopilot_parameters(correction, format)[1]
-    if format in ("realsense", "ros"):
-        return _plain(correction).omitted
-    return _in_kalibr(correction).omitted if format in READ_BY_OTHERS else ""
+    return _in_kalibr(correction).omitted if format == "yaml" else ""
 
 
-def parameter_file(correction: VectorCorrection, format: str) -> str:
+def parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     """Format the parameter file of an autopilot."""
-    values, omission = autopilot_parameters(correction, format)
+    values, omission = autopilot_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
     comments = map(ws.c_comment, (*head, omission or NONE_LEFT))
-    return AUTOPILOTS[format].text(comments, {name: float(v) for name, v in values.items()})
+    return AUTOPILOTS[autopilot].text(comments, dict(values))
 
 
 def si_of(unit: str) -> tuple[float, str]:
@@ -259,11 +167,3 @@ def _list(values: np.ndarray) -> str:
 
 def _rows(matrix: np.ndarray) -> str:
     return "\n".join(f"    - {_list(row)}" for row in matrix)
-
-
-READ_BY_OTHERS: dict[str, Callable[..., str]] = {
-    "yaml": kalibr_yaml_of,
-    "openvins": openvins_yaml_of,
-    "realsense": realsense_json_of,
-    "ros": ros_yaml_of,
-}

@@ -24,7 +24,6 @@ from bayescal import workshop as ws
 from bayescal._annexes.imu.vector_correction import (
     PAIRS,
     ROUNDING,
-    UNKNOWN_DIRECTIONS,
     VectorCorrection,
 )
 
@@ -34,6 +33,10 @@ ORDERS = 3  # of the temperature
 TEMPERATURE = "temperature"  # known in use, as is the secondary input
 SHARED_SIZES = 3.0  # plausible sizes of a common scale factor, above which input is doubtful
 MENTIONED_SHARE = 0.1  # of a standard uncertainty: larger effects of the test are noted
+UNKNOWN_DIRECTIONS = (
+    "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane of "
+    "sensors y and z), without an uncertainty."
+)
 OfTest = dict[str, dict[str, float]]  # effect → slot → standard deviation of its contribution
 
 
