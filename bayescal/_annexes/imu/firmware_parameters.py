@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,8 +49,7 @@ class AtRest:
     unit: str  # "rad/s" or "m/s^2"
     noise: float  # standard deviation of one reading, in `unit`
     uncertainty: float  # root mean square over the readings of the standard uncertainty of `offset`, in `unit`
-    # smallest and largest scale factor there, less one; zeros where none was calibrated
-    scale: tuple[float, float]
+    has_scale: bool  # whether a scale factor was calibrated, too
 
     @property
     def low(self) -> float:
@@ -65,7 +64,7 @@ class AtRest:
 class ThermalPolynomial:
     """The offset of one axis as a cubic of the temperature, in single precision as firmware stores it."""
 
-    coefficients: tuple[float, float, float, float]  # c0 … c3, in `unit`/°C^k
+    coefficients: tuple[float, ...]  # c0 … c3, in `unit`/°C^k
     reference: float  # T_ref, °C
     low: float  # low, high: the temperatures between which it holds; firmware stops there, °C
     high: float
@@ -74,19 +73,9 @@ class ThermalPolynomial:
     of: AtRest  # what it was projected from
 
     @property
-    def unit(self) -> str:
-        return self.of.unit
-
-    @property
     def expected_error(self) -> float:
-        """Return the expected rms error of a corrected reading like those of the calibration, in `unit`."""
+        """Return the expected rms error of a corrected reading like those of the calibration, in the unit of `of`."""
         return float(np.sqrt(self.of.noise**2 + self.of.uncertainty**2 + self.rms**2))
-
-    def __call__(self, temperature: np.ndarray) -> np.ndarray:
-        """Evaluate the offset at temperatures in °C, clamped to the range."""
-        d = np.clip(temperature, self.low, self.high) - self.reference
-        c0, c1, c2, c3 = self.coefficients
-        return c0 + d * (c1 + d * (c2 + d * c3))
 
 
 def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPolynomial:
@@ -101,40 +90,43 @@ def project(of: AtRest, reference: float, low: float, high: float) -> ThermalPol
         InputError: the readings in that range are all at one temperature.
     """
     inside = (of.temperature >= low) & (of.temperature <= high)
-    temperature, offset = of.temperature[inside], of.offset[inside]
-    distinct = len(np.unique(temperature))
+    d, offset = of.temperature[inside] - reference, of.offset[inside]
+    distinct = len(np.unique(d))
     if distinct < 2:
         raise bc.InputError(
-            f"between {low:.4g} and {high:.4g} °C the calibration has {distinct} temperature"
-            f"{'s' * (distinct != 1)}, and a polynomial needs several: calibrate over a range"
+            f"between {low:.4g} and {high:.4g} °C the calibration has fewer than two temperatures, and a polynomial "
+            "needs several: calibrate over a range"
         )
-    fitted = np.polynomial.Polynomial.fit(
-        temperature - reference, offset, min(ORDER, distinct - 1)
-    ).convert()
-    rounded = np.zeros(ORDER + 1, np.float32)
-    rounded[: len(fitted.coef)] = fitted.coef
-    c0, c1, c2, c3 = map(float, rounded)
-    polynomial = ThermalPolynomial((c0, c1, c2, c3), reference, low, high, 0.0, 0.0, of)
-    residuals = offset - polynomial(temperature)
+    fitted = np.polynomial.Polynomial.fit(d, offset, min(ORDER, distinct - 1)).convert()
+    coefficients = np.zeros(ORDER + 1, np.float32)
+    coefficients[: len(fitted.coef)] = fitted.coef
+    residuals = offset - np.polynomial.Polynomial(coefficients.astype(float))(d)
     rms, largest = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
-    return replace(polynomial, rms=rms, largest=largest)
+    return ThermalPolynomial(
+        tuple(map(float, coefficients)), reference, low, high, rms, largest, of
+    )
 
 
 AXES = "xyz"
-PX4_SENSORS, ARDUPILOT_SENSORS = 4, 3  # GYRO_COUNT_MAX; INS_TCAL1 … INS_TCAL3
 ARDUPILOT_REFERENCE, ARDUPILOT_SCALE = 35.0, 1e6  # TEMP_REFERENCE, °C; SCALE_FACTOR
 INTEGER, REAL = 6, 9  # MAV_PARAM_TYPE_INT32, MAV_PARAM_TYPE_REAL32 (MAVLink, common.xml)
+_NAME = re.compile(r"(gyro|acc)_([xyz])(?:_(\d))?")
 
 
 class Axis(NamedTuple):
-    """One axis of one sensor: kind "gyro" or "acc", axis "x", "y" or "z", sensor 0, 1, …"""
+    """One axis of one sensor: kind "gyro" or "acc", axis "x", "y" or "z", number 0, 1, … of its sensor."""
 
     kind: str
     axis: str
-    sensor: int
+    number: int
 
     def __str__(self) -> str:
-        return f"{self.kind}_{self.axis}" + (f"_{self.sensor}" if self.sensor else "")
+        return f"{self.kind}_{self.axis}" + f"_{self.number}" * bool(self.number)
+
+    @property
+    def sensor(self) -> str:
+        """Return the name of its sensor: "gyro", and "gyro_1" of a second one."""
+        return self.kind + f"_{self.number}" * bool(self.number)
 
     @property
     def unit(self) -> str:
@@ -152,8 +144,8 @@ class Autopilot(NamedTuple):
     sensors: int  # how many of a kind it has parameters for
     together: Callable[[Axis], tuple]  # what has one range of temperatures: the key of an axis
     reference: Callable[[float, float], float]  # T_ref of a range (low, high), °C
-    # the parameters, from the polynomials and the device of each ("gyro", 0)
-    values: Callable[[Polynomials, Mapping[tuple[str, int], int]], Values]
+    # the parameters of axes that have one range, with the device_id of each sensor
+    values: Callable[[Polynomials, Mapping[str, int]], Values]
     line: Callable[[str, float | int], str]  # of a parameter file
     head: tuple[str, ...]  # its first lines
     afterwards: str  # what to do once it is loaded
@@ -164,63 +156,49 @@ class Autopilot(NamedTuple):
         return "\n".join([*lines, *(self.line(n, v) for n, v in values.items()), ""])
 
 
-def _px4_values(polynomials: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
-    values: Values = {}
-    for kind, letter in (("acc", "A"), ("gyro", "G")):
-        sensors = sorted({a.sensor for a in polynomials if a.kind == kind})
-        if sensors:
-            values[f"TC_{letter}_ENABLE"] = 1
-        for n in sensors:
-            by_axis = {a.axis: p for a, p in polynomials.items() if (a.kind, a.sensor) == (kind, n)}
-            if (kind, n) not in devices:
-                raise bc.InputError(
-                    f"{next(iter(by_axis))} of {kind} {n}: PX4 corrects a sensor whose device_id it is given, and the "
-                    f"calibration does not say it: --device-id {kind}{f'_{n}' if n else ''}=NUMBER (param show "
-                    f"CAL_{'GYRO' if kind == 'gyro' else 'ACC'}{n}_ID on the autopilot)"
-                )
-            first = next(iter(by_axis.values()))
-            values[f"TC_{letter}{n}_ID"] = devices[kind, n]
-            values[f"TC_{letter}{n}_TREF"] = first.reference
-            values[f"TC_{letter}{n}_TMIN"], values[f"TC_{letter}{n}_TMAX"] = first.low, first.high
-            for order in range(4):
-                for place, axis in enumerate(AXES):
-                    has_value = axis in by_axis and not (kind == "acc" and order == 0)
-                    value = by_axis[axis].coefficients[order] if has_value else 0.0
-                    values[f"TC_{letter}{n}_X{order}_{place}"] = value
+def _px4_values(polynomials: Polynomials, devices: Mapping[str, int]) -> Values:
+    (first, polynomial), *_ = polynomials.items()
+    letter, called = ("G", "GYRO") if first.kind == "gyro" else ("A", "ACC")
+    if first.sensor not in devices:
+        raise bc.InputError(
+            f"{first}: PX4 corrects a sensor whose device_id it is given, and the calibration does not say it: "
+            f"--device-id {first.sensor}=NUMBER (param show CAL_{called}{first.number}_ID on the autopilot)"
+        )
+    name = f"TC_{letter}{first.number}"
+    values: Values = {f"TC_{letter}_ENABLE": 1, f"{name}_ID": devices[first.sensor]}
+    values |= {f"{name}_TREF": polynomial.reference}
+    values |= {f"{name}_TMIN": polynomial.low, f"{name}_TMAX": polynomial.high}
+    by_axis = {a.axis: p.coefficients for a, p in polynomials.items()}
+    for order in range(ORDER + 1):
+        for place, axis in enumerate(AXES):
+            has_value = axis in by_axis and (letter, order) != ("A", 0)
+            values[f"{name}_X{order}_{place}"] = by_axis[axis][order] if has_value else 0.0
     return values
 
 
-def _ardupilot_values(polynomials: Polynomials, devices: Mapping[tuple[str, int], int]) -> Values:
-    values: Values = {}
-    for n in sorted({a.sensor for a in polynomials}):
-        by_axis = {(a.kind, a.axis): p for a, p in polynomials.items() if a.sensor == n}
-        first, name = next(iter(by_axis.values())), f"INS_TCAL{n + 1}"
-        values |= {f"{name}_ENABLE": 1, f"{name}_TMIN": first.low, f"{name}_TMAX": first.high}
-        for kind, word in (("acc", "ACC"), ("gyro", "GYR")):
-            for order in (1, 2, 3):
-                for axis in AXES:
-                    polynomial = by_axis.get((kind, axis))
-                    value = ARDUPILOT_SCALE * polynomial.coefficients[order] if polynomial else 0.0
-                    values[f"{name}_{word}{order}_{axis.upper()}"] = value
+def _ardupilot_values(polynomials: Polynomials, devices: Mapping[str, int]) -> Values:
+    (first, polynomial), *_ = polynomials.items()
+    name = f"INS_TCAL{first.number + 1}"
+    values: Values = {f"{name}_ENABLE": 1}
+    values |= {f"{name}_TMIN": polynomial.low, f"{name}_TMAX": polynomial.high}
+    by_axis = {(a.kind, a.axis): p.coefficients for a, p in polynomials.items()}
+    for kind, word in (("acc", "ACC"), ("gyro", "GYR")):
+        for order in range(1, ORDER + 1):
+            for axis in AXES:
+                value = by_axis[kind, axis][order] if (kind, axis) in by_axis else 0.0
+                values[f"{name}_{word}{order}_{axis.upper()}"] = ARDUPILOT_SCALE * value
     return values
-
-
-def _number_text(value: float | int) -> str:
-    """Format a parameter: nine digits where single precision holds it, else thirteen."""
-    if isinstance(value, int):
-        return str(value)
-    return f"{value:.9g}" if float(np.float32(value)) == value else f"{value:.13g}"
 
 
 def _px4_line(name: str, value: float | int) -> str:
-    return f"1\t1\t{name}\t{_number_text(value)}\t{INTEGER if isinstance(value, int) else REAL}"
+    return f"1\t1\t{name}\t{value:.13g}\t{INTEGER if isinstance(value, int) else REAL}"
 
 
 AUTOPILOTS = {
     "px4-params": Autopilot(
         title="PX4",
-        sensors=PX4_SENSORS,
-        together=lambda a: (a.kind, a.sensor),
+        sensors=4,  # GYRO_COUNT_MAX
+        together=lambda a: (a.kind, a.number),
         reference=lambda low, high: round(0.5 * (low + high)),
         values=_px4_values,
         line=_px4_line,
@@ -230,11 +208,11 @@ AUTOPILOTS = {
     ),
     "ardupilot-params": Autopilot(
         title="ArduPilot",
-        sensors=ARDUPILOT_SENSORS,
-        together=lambda a: (a.sensor,),
+        sensors=3,  # INS_TCAL1 … INS_TCAL3
+        together=lambda a: (a.number,),
         reference=lambda low, high: ARDUPILOT_REFERENCE,
         values=_ardupilot_values,
-        line=lambda name, value: f"{name},{_number_text(value)}",
+        line=lambda name, value: f"{name},{value:.13g}",
         head=("Parameters, for Mission Planner, MAVProxy or QGroundControl",),
         afterwards="Restart, then calibrate gyroscopes and accelerometers again: their offsets hold for the "
         "temperature INS_GYR*_CALTEMP and INS_ACC*_CALTEMP at which they were found.",
@@ -242,15 +220,12 @@ AUTOPILOTS = {
 }  # fmt: skip
 
 
-def read_at_rest(
-    chosen: bc.Compensator, unit: str, name: str, local_gravity: float = ws.STANDARD_GRAVITY
-) -> AtRest:
+def read_at_rest(chosen: bc.Compensator, axis: Axis, local_gravity: float) -> AtRest:
     """Evaluate a calibrated instrument at rest, at the conditions of the readings of its calibration.
 
     Args:
         chosen: the instrument in use.
-        unit: wanted, "rad/s" or "m/s^2".
-        name: of the axis, for messages.
+        axis: of which it is.
         local_gravity: m/s², that the calibration's local g stands for.
 
     Raises:
@@ -259,13 +234,12 @@ def read_at_rest(
     """
     if chosen.calibration is None or chosen.equation is None:
         raise bc.InputError(
-            f"{name}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
+            f"{axis}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
         )
-    calibration = chosen.calibration
-    inputs = chosen.equation.at_fit
+    calibration, inputs = chosen.calibration, chosen.equation.at_fit
     if "temperature" not in inputs:
         raise bc.InputError(
-            f"{name}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
+            f"{axis}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
             "with one"
         )
     program, no_stimulus = chosen.program, np.zeros(len(calibration.readings))
@@ -275,18 +249,14 @@ def read_at_rest(
     expected = np.broadcast_to(expected, no_stimulus.shape)
     _, sd, slope = program.run(expected, inputs)
     sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
-    scale = np.zeros(1)
-    if chosen.equation.slope_calibrated:
-        like = {"local_gravity": local_gravity, "difference": True}
-        scale = 1 / slope / float(ws.convert(1.0, chosen.unit, calibration.unit, **like)) - 1
 
     def converted(values: np.ndarray) -> np.ndarray:
         try:
-            return ws.convert(values, calibration.unit, unit, local_gravity=local_gravity)
+            return ws.convert(values, calibration.unit, axis.unit, local_gravity=local_gravity)
         except bc.InputError:
             raise bc.InputError(
-                f"{name}: the calibration's output is in {ws.unit_label(calibration.unit)}, firmware's "
-                f"parameter for {name} is in {ws.unit_label(unit)}: give the calibration of such a sensor"
+                f"{axis}: the calibration's output is in {ws.unit_label(calibration.unit)}, firmware's "
+                f"parameter for {axis} is in {ws.unit_label(axis.unit)}: give the calibration of such a sensor"
             ) from None
 
     def rms(variances: np.ndarray) -> float:
@@ -295,15 +265,11 @@ def read_at_rest(
     return AtRest(
         temperature=np.asarray(inputs["temperature"], float),
         offset=converted(expected),
-        unit=unit,
+        unit=axis.unit,
         noise=rms(chosen.noise_variance({**inputs, chosen.stimulus: no_stimulus})),
         uncertainty=rms(sd**2),
-        scale=(float(scale.min()), float(scale.max())),
+        has_scale=chosen.equation.slope_calibrated,
     )
-
-
-_NAME = re.compile(r"(gyro|acc)_([xyz])(?:_(\d))?")
-_SENSOR = re.compile(r"(gyro|acc)(?:_(\d))?")
 
 
 @dataclass(frozen=True)
@@ -325,23 +291,18 @@ class FirmwareParameters:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        return "\n".join(self._table_lines(str))
-
-    def _table_lines(self, encode: Callable[[str], str]) -> list[str]:
-        """Return the lines of the table and the notes; `encode` is applied to each cell before the layout."""
         head = ["axis", "unit", "from °C", "to °C", "u(calibration)", "noise"]
         head += ["not in the cubic, rms", "largest", "error to expect, rms"]
         rows = [
             [
-                *(name, ws.unit_label(p.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
+                *(name, ws.unit_label(p.of.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
                 *map(ws.number, (p.of.uncertainty, p.of.noise)),
                 *(ws.number(v if v > 1e-3 * p.of.noise else 0.0) for v in (p.rms, p.largest)),
                 ws.number(p.expected_error),
             ]
             for name, p in self.axes.items()
         ]
-        laid_out = ws.plain_table([*map(encode, head)], [[*map(encode, row)] for row in rows])
-        return [*str(laid_out).splitlines(), *map(encode, self.notes)]
+        return "\n".join([str(ws.plain_table(head, rows)), *self.notes])
 
     def text(self) -> str:
         """Return the parameter file, in ASCII."""
@@ -349,10 +310,7 @@ class FirmwareParameters:
         comments = [
             f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
-            *(
-                line.replace("─", "-")
-                for line in self._table_lines(lambda t: ws.ascii_text(ws.one_line(t)))
-            ),
+            *(ws.ascii_text(ws.one_line(x)) for x in str(self).replace("─", "-").splitlines()),
         ]
         return autopilot.text(comments, self.values)
 
@@ -391,25 +349,25 @@ def firmware_parameters(
     autopilot = AUTOPILOTS[format]
     if not calibrations:
         raise bc.InputError(f"{autopilot.title}: give at least one calibration")
-    chosen = {
+    compensators = {
         _axis(name, autopilot): c if isinstance(c, bc.Compensator) else bc.compensator(c)
         for name, c in calibrations.items()
     }
-    bases = {a: read_at_rest(c, a.unit, str(a), local_gravity) for a, c in sorted(chosen.items())}
-    polynomials: dict[Axis, ThermalPolynomial] = {}
-    for key in dict.fromkeys(map(autopilot.together, bases)):
-        group = {a: r for a, r in bases.items() if autopilot.together(a) == key}
+    chosen = dict(sorted(compensators.items()))
+    at_rest = {a: read_at_rest(c, a, local_gravity) for a, c in chosen.items()}
+    device_ids = _device_ids(chosen, devices or {})
+    polynomials, values = dict[Axis, ThermalPolynomial](), Values()
+    for key in dict.fromkeys(map(autopilot.together, at_rest)):
+        group = {a: r for a, r in at_rest.items() if autopilot.together(a) == key}
         low, high = _common_range(group)
         reference = float(autopilot.reference(low, high))
-        polynomials |= {a: project(r, reference, low, high) for a, r in group.items()}
-    values = autopilot.values(polynomials, _device_ids(chosen, devices or {}))
-    sources = {
-        str(a): ws.identity(c.calibration) for a, c in sorted(chosen.items()) if c.calibration
-    }
+        projected = {a: project(r, reference, low, high) for a, r in group.items()}
+        polynomials |= projected
+        values |= autopilot.values(projected, device_ids)
+    sources = {str(a): ws.identity(c.calibration) for a, c in chosen.items()}
     axes = {str(a): p for a, p in polynomials.items()}
-    return FirmwareParameters(
-        format, values, axes, sources, tuple(_notes(polynomials, chosen, autopilot))
-    )
+    notes = (*_notes(polynomials, chosen), autopilot.afterwards)
+    return FirmwareParameters(format, values, axes, sources, notes)
 
 
 def axis_of(calibration: bc.Calibration) -> str | None:
@@ -443,62 +401,43 @@ def _common_range(axes: Mapping[Axis, AtRest]) -> tuple[float, float]:
     return low, high
 
 
-def _device_ids(
-    chosen: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]
-) -> dict[tuple[str, int], int]:
+def _device_ids(chosen: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]) -> dict[str, int]:
     """Return the device_id of each sensor: as stated, else as in its log."""
-    device_ids: dict[tuple[str, int], int] = {}
+    device_ids = dict[str, int]()
     for a, c in chosen.items():
-        readings = c.calibration.readings if c.calibration else None
-        named = readings.groups("device")[0] if readings and readings.has("device") else ()
+        readings = c.calibration.readings
+        named = readings.groups("device")[0] if readings.has("device") else ()
         if len(named) > 1:
             raise bc.InputError(
                 f"{a}: the calibration is of several devices ({', '.join(named)}), firmware's parameters of one"
             )
-        if named and named[0].isdecimal():
-            device = int(named[0])
-            if device_ids.setdefault((a.kind, a.sensor), device) != device:
-                raise bc.InputError(
-                    f"{a} is of the device {device}, another axis of its sensor of "
-                    f"{device_ids[a.kind, a.sensor]}: give calibrations of one sensor"
-                )
-    for name, device in stated.items():
-        match = _SENSOR.fullmatch(name)
-        key = (match[1], int(match[2] or 0)) if match else ("", 0)
-        if not any((a.kind, a.sensor) == key for a in chosen):
-            sensors = dict.fromkeys(f"{a.kind}{f'_{a.sensor}' if a.sensor else ''}" for a in chosen)
+        device = int(named[0]) if named and named[0].isdecimal() else None
+        if device is not None and device_ids.setdefault(a.sensor, device) != device:
             raise bc.InputError(
-                f"device {name!r} is none of the sensors given: {', '.join(sensors)}"
+                f"{a} is of the device {device}, another axis of its sensor of {device_ids[a.sensor]}: give "
+                "calibrations of one sensor"
             )
-        device_ids[key] = device
-    return device_ids
+    sensors = dict.fromkeys(a.sensor for a in chosen)
+    if unknown := stated.keys() - sensors:
+        raise bc.InputError(
+            f"device {min(unknown)!r} is none of the sensors given: {', '.join(sensors)}"
+        )
+    return device_ids | dict(stated)
 
 
-def _notes(
-    polynomials: Mapping[Axis, ThermalPolynomial],
-    chosen: Mapping[Axis, bc.Compensator],
-    autopilot: Autopilot,
-) -> list[str]:
-    sensors = dict.fromkeys((a.kind, a.sensor) for a in polynomials)
-    all_axes = [Axis(kind, x, sensor) for kind, sensor in sensors for x in AXES]
+def _notes(polynomials: Polynomials, chosen: Mapping[Axis, bc.Compensator]) -> list[str]:
+    sensors = dict.fromkeys((a.kind, a.number) for a in polynomials)
+    all_axes = [Axis(kind, x, number) for kind, number in sensors for x in AXES]
     missing = ", ".join(str(a) for a in all_axes if a not in polynomials)
     notes = [f"Not calibrated, and written without a correction: {missing}."] * bool(missing)
     for a, p in polynomials.items():
-        narrower = p.low - p.of.low > 1e-3 or p.of.high - p.high > 1e-3
-        if narrower:
+        if p.low - p.of.low > 1e-3 or p.of.high - p.high > 1e-3:
             notes.append(
                 f"{a} was calibrated from {p.of.low:.1f} to {p.of.high:.1f} °C, its sensor from {p.low:.1f} to "
                 f"{p.high:.1f} °C."
             )
-        if any(p.of.scale):
-            by = " to ".join(dict.fromkeys(f"{ws.number(100 * k)} %" for k in p.of.scale))
-            notes.append(
-                f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
-            )
+        if p.of.has_scale:
+            notes.append(f"{a}: the scale factor has no place here, and is left out.")
         if why_not := chosen[a].why_not:
             notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
-    return [
-        *notes,
-        "Beyond these temperatures the correction stays as at their ends.",
-        autopilot.afterwards,
-    ]
+    return [*notes, "Beyond these temperatures the correction stays as at their ends."]
