@@ -17,7 +17,6 @@ from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import folded, number, probability, with_error
-from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -67,7 +66,6 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
-@renamed(sets="findings", not_stated="without_completeness")
 @dataclass(frozen=True, repr=False)
 class Discovery(Printed):
     """Effects missing from a model, with their probabilities.
