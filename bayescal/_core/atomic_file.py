@@ -25,9 +25,11 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space, quota or size
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file in the same folder that replaces `path` on success; remove it on failure."""
-    # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename); the process's
-    # number distinguishes leftovers from files that another process is writing.
+    """Yield a temporary file in the same folder that replaces `path` on success; remove it on failure.
+
+    Of two processes that write one path at the same time the first fails, as its temporary file is removed.
+    """
+    # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename).
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     for leftover in list_leftovers(path):
         if leftover.is_file():
@@ -40,22 +42,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def list_leftovers(path: Path) -> list[Path]:
-    """List temporary files of killed processes for a path, except those of running processes."""
-    names = path.parent.glob(f".{glob.escape(path.name)}.*.partial")
-    return [path_left for path_left in names if not _may_run(path_left.name.split(".")[-2])]
-
-
-def _may_run(process: str) -> bool:
-    """Return whether a process with this id may be running; True on systems other than POSIX."""
-    if os.name != "posix" or not process.isdecimal():
-        return True
-    try:
-        os.kill(int(process), 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:  # it is another user's
-        pass
-    return True
+    """List temporary files for a path, of killed processes or of one that writes it at the same time."""
+    return [*path.parent.glob(f".{glob.escape(path.name)}.*.partial")]
 
 
 @contextmanager

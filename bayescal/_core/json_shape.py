@@ -21,9 +21,6 @@ from bayescal._core.errors import InputError
 
 MAX_JSON_BYTES = 50_000_000  # of a file that is read
 MAX_TOML_BYTES = 100_000  # of a mapping, a certificate's data
-MAX_LINE_CHARACTERS = 2_000  # dotted keys take a time that grows with their number's square
-MAX_DEPTH = 32  # of nested lists and tables; files of bayescal have at most 9
-MAX_INTEGER = 2**64  # from which a whole number fits no type that it is converted to
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
 _NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}
@@ -86,26 +83,15 @@ def _unexpected(value: Any, what: str, where: str) -> ValueError:
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """Parse JSON; raise ValueError if it is none, too deep, or holds too large a whole number."""
+    """Parse JSON; raise ValueError if it is none, or nested too deep."""
     return _parse(json.loads, text, "JSON")
 
 
 def _parse(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any:
     try:
-        data = parse(text)
-    except RecursionError:
-        raise ValueError(f"it is nested deeper than {MAX_DEPTH}") from None
-    except ValueError as error:
+        return parse(text)
+    except (RecursionError, ValueError) as error:
         raise ValueError(f"it is not {language}: {error}") from None
-    level = [data]
-    for _ in range(MAX_DEPTH):
-        if any(type(item) is int and abs(item) >= MAX_INTEGER for item in level):
-            raise ValueError("it holds a whole number of more than 64 bits")
-        parts = [list(item.values()) if isinstance(item, dict) else item for item in level]
-        level = [inner for item in parts if isinstance(item, list) for inner in item]
-    if level:
-        raise ValueError(f"it is nested deeper than {MAX_DEPTH}")
-    return data
 
 
 def read_json(path: Path, kind: Any = Any) -> Any:
@@ -120,10 +106,7 @@ def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ValueError(f"it is larger than {MAX_TOML_BYTES / 1e3:.0f} kB")
-        text = path.read_text("utf-8-sig")
-        if max(map(len, text.splitlines()), default=0) > MAX_LINE_CHARACTERS:
-            raise ValueError(f"it has a line of more than {MAX_LINE_CHARACTERS:,} characters")
-        return as_type(_parse(tomllib.loads, text, "TOML"), kind)
+        return as_type(_parse(tomllib.loads, path.read_text("utf-8-sig"), "TOML"), kind)
     except OSError as error:
         reason = f"cannot be read: {error.strerror or error}. Check the name and the folder"
         raise InputError(f"{called} {reason}") from None
