@@ -1,6 +1,6 @@
 """Checks of a whole data set: problems that make it unusable, and warnings.
 
-Refused: one temperature only, time running backwards. Flagged: findings of the list `CHECKS`. Thresholds stand above
+Refused: one temperature only, time running backwards. Flagged: findings of `flags_of`. Thresholds stand above
 their check; the "good records" against which they are set are the campaigns that the six instruments simulate, as
 they are, rounded as displays do, and noisy.
 
@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,15 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Place, file_names
 from bayescal._data.pose_rows import MAGNITUDE
-from bayescal._data.records import (
-    PAUSE_STEPS,
-    RECORD,
-    Columns,
-    Records,
-    distinct,
-    equal_runs,
-)
-from bayescal._data.unit_conversion import base_unit, convert, unit_label
+from bayescal._data.records import PAUSE_STEPS, Columns, Records, distinct, equal_runs
 from bayescal._tables.raw_table import Objection, Objections, option
 
 Where = Callable[[int], Place]  # by the index of a reading
@@ -126,28 +116,22 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     yield Objection(places[0].file, came, "", cure, undo, "time", places=at_rows)
 
 
-@dataclass(frozen=True)
-class CheckedRecord:
-    """Readings of a record with its anomalies, as `CHECKS` take them."""
-
-    converted: ConvertedColumns
-    records: Records
-    output: str  # name of the output column
-    anomalies: Sequence[Anomaly]  # of the thermometers
-
-    @property
-    def columns(self) -> Columns:
-        return self.converted.values
-
-
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
     """Return warnings of readings that are accepted; `names` of the files, `repeated` rows."""
     columns, records = converted.values, Records.of(converted.values)
-    odd = find_anomalies(columns, records, converted.thermometers, output)
-    record = CheckedRecord(converted, records, output, odd)
-    flags = [f"{names}: {message}" for check in CHECKS for message in check(record)]
+    anomalies = find_anomalies(columns, records, converted.thermometers, output)
+    messages = [
+        *_find_saturation(columns, output),
+        *(
+            f"column {a.column!r} {a.description} (first at {converted.where(int(a.rows[0]))})"
+            for a in anomalies
+        ),
+        *_find_leaps(converted, records, anomalies),
+        *_find_standstills(converted, {a.column for a in anomalies}),
+    ]
+    flags = [f"{names}: {message}" for message in messages]
     if many := len(repeated):
         message = "rows repeat" if many > 1 else "row repeats"
         end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
@@ -180,32 +164,29 @@ def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
     return clipped
 
 
-def _check_saturation(record: CheckedRecord) -> Iterator[str]:
-    values = record.columns.get(record.output, np.zeros(0))
+def _find_saturation(columns: Columns, output: str) -> Iterator[str]:
+    values = columns.get(output, np.zeros(0))
     for end, level in clip_levels(values):
         count = int((values == level).sum())
-        yield f"column {record.output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
-
-
-def _check_thermometers(record: CheckedRecord) -> Iterator[str]:
-    for odd in record.anomalies:
-        yield f"column {odd.column!r} {odd.description} (first at {record.converted.where(int(odd.rows[0]))})"
+        yield f"column {output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
 
 
 MAX_STEP_DEGREES = 40.0  # °C, between neighbours: no body changes by more
 
 
-def _check_leaps(record: CheckedRecord) -> Iterator[str]:
+def _find_leaps(
+    converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
+) -> Iterator[str]:
     """Yield a warning of leaps beyond error values and silences: as a rule, of counters that wrapped."""
-    gone = {odd.column: odd.rows for odd in record.anomalies if odd.code == "leap"}
-    time, silence = record.records.time, record.records.silence
-    for name in record.converted.thermometers:
-        for rows in record.records.in_time if time.size else ():
-            rows = rows[~np.isin(rows, gone.get(name, ()))]
-            leap = np.abs(np.diff(record.columns[name][rows])) * (np.diff(time[rows]) <= silence)
+    errors = {a.column: a.rows for a in anomalies if a.code == "leap"}
+    for name in converted.thermometers:
+        for rows in records.in_time if records.time.size else ():
+            rows = rows[~np.isin(rows, errors.get(name, ()))]
+            is_near = np.diff(records.time[rows]) <= records.silence
+            leap = np.abs(np.diff(converted.values[name][rows])) * is_near
             if np.any(leap > MAX_STEP_DEGREES):
                 at = int(np.argmax(leap))
-                place, undo = record.converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
+                place, undo = converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
                 yield (
                     f"column {name!r} leaps by {leap[at]:.4g} °C at {place}: a counter that began anew? "
                     f"{option('--unwrap', undo)} undoes it"
@@ -219,78 +200,18 @@ MIN_STUCK_RATIO = 4.0  # to the next longest stretch without a change; below, it
 MAX_REPEATED_SHARE = 0.1
 
 
-def _check_standstills(record: CheckedRecord) -> Iterator[str]:
+def _find_standstills(converted: ConvertedColumns, anomalous: Collection[str]) -> Iterator[str]:
     """Yield a warning of columns that are constant, or stuck for long where no thermometer's anomaly says so."""
-    anomalous = {odd.column for odd in record.anomalies}
-    no_reading = {*record.converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
-    for name, values in record.columns.items():
+    no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
+    for name, values in converted.values.items():
         if values.dtype.kind != "f" or name in no_reading:
             continue
         if len(values) > 1 and (values == values[0]).all():
             yield f"column {name!r} is constant ({values[0]:g})"
         elif name not in anomalous and len(rows := standing_rows(values, [np.arange(len(values))])):
-            first, last = (record.converted.where(int(rows[i])) for i in (0, -1))
+            first, last = (converted.where(int(rows[i])) for i in (0, -1))
             yield f"column {name!r} stands still at {values[rows[0]]:g} from {first} to {last}: was it stuck?"
 
-
-# Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
-# resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever 1e-12 rad. Most: gauges of impacts
-# end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond 1e4 rad has been counted in turns.
-OUTPUT_RANGES = (("m/s^2", 1e-12, 1e7), ("rad/s", 1e-13, 1e5), ("rad", 1e-12, 1e4))
-
-
-def _check_size(record: CheckedRecord) -> Iterator[str]:
-    name = record.output
-    values, unit = record.columns.get(name, np.zeros(1)), record.converted.units.get(name) or "1"
-    for base, least, most in OUTPUT_RANGES:
-        if unit == "any" or base_unit(unit) != base_unit(base):
-            continue
-        with np.errstate(over="ignore"):
-            reach = float(np.ptp(values))
-            size = float(abs(convert([reach], unit, base)[0]))
-        if reach > 0 and not least <= size <= most:
-            small = size < least
-            yield (
-                f"column {name!r} covers {reach:.2g} {unit_label(unit)} in all, {'less' if small else 'more'} than any "
-                f"sensor {'resolves' if small else 'measures'} ({least if small else most:g} {base}): check its unit "
-                "and its scale (--unit, --nominal-scale)"
-            )
-
-
-# Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
-# most changes are lost.
-MAX_SAME_TICK_SHARE = 0.5
-
-
-def _check_clocks(record: CheckedRecord) -> Iterator[str]:
-    time, codes = record.records.time, record.records.codes
-    same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1]) if time.size > 1 else np.zeros(1)
-    if (share := float(np.mean(same))) >= MAX_SAME_TICK_SHARE:
-        steps = np.diff(np.unique(time))
-        step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
-        yield (
-            f"column 'time' has too few digits, or a coarse clock: {share:.0%} of the readings have the time of the "
-            f"one before.{step} Rates and lags within that are lost: record it with more digits"
-        )
-
-
-MIN_COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
-
-
-def _check_runs(record: CheckedRecord) -> Iterator[str]:
-    """Yield a warning where the column `run` is a counter of readings."""
-    runs = record.columns.get("run", np.zeros(0))
-    if len(runs) >= MIN_COUNTED_RUNS and len(np.unique(runs)) == len(runs):
-        yield (
-            f"column 'run' gives each of the {len(runs)} readings a run of its own: nothing goes on from one to the "
-            "next, and no rate, lag or correlation is seen. Is it a counter? Leave it out, or label the runs"
-        )
-
-
-CHECKS: tuple[Callable[[CheckedRecord], Iterator[str]], ...] = (
-    *(_check_saturation, _check_thermometers, _check_leaps, _check_standstills),
-    *(_check_size, _check_clocks, _check_runs),
-)
 
 # Share of all readings that distinct values are at most where values occur again by rounding.
 ROUNDED_SHARE = 0.5
@@ -356,17 +277,15 @@ class Anomaly(NamedTuple):
     """Readings at which a thermometer was wrong.
 
     Attributes:
-        code: "leap", "held", "stuck" or "run".
+        code: "leap", "held" or "stuck".
         description: in words, behind the name of the column.
-        rows: at which it occurs.
-        wrong: of these, where the column is certainly not the temperature.
+        rows: at which the column is certainly not the temperature.
     """
 
     code: str
     column: str
     description: str
     rows: np.ndarray
-    wrong: np.ndarray
 
 
 def find_anomalies(
@@ -393,46 +312,15 @@ def find_anomalies(
                 some = dict.fromkeys(values[leaps][:MAX_SHOWN_VALUES].tolist())
                 read = ", ".join(map("{:g}".format, some))
                 text = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
-                anomalies.append(Anomaly("leap", name, text, leaps, leaps))
+                anomalies.append(Anomaly("leap", name, text, leaps))
             if len(rows := held_rows(values, pieces)):
                 text = "repeats a value until the next leap: it was held, or asked seldom"
-                anomalies.append(Anomaly("held", name, text, rows, repeats(values, pieces, rows)))
+                anomalies.append(Anomaly("held", name, text, repeats(values, pieces, rows)))
             elif len(rows := standing_rows(values, pieces)):
                 level = values[rows[0]]
                 text = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
-                anomalies.append(Anomaly("stuck", name, text, rows, rows))
-        return [*anomalies, *_differing_run(columns, records, names)]
-
-
-MIN_RMS_RATIO = 5.0  # of the residuals with a run to those without it, above which the run differs
-
-
-def _differing_run(columns: Columns, records: Records, names: Sequence[str]) -> Iterator[Anomaly]:
-    """Find the run without which a thermometer is one function of another and its rate: one of both differed there."""
-    time, runs = records.time, records.rows
-    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
-        return
-    for name, other in permutations(names, 2):
-        rates = np.zeros(len(time))
-        for rows in runs:
-            rates[rows] = np.gradient(columns[other][rows], time[rows])
-        basis, residual_rms = np.column_stack([np.ones(len(time)), columns[other], rates]), {}
-        basis /= np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-        axes, sizes, _ = np.linalg.svd(basis, full_matrices=False)
-        axes = axes[:, sizes > len(time) * np.finfo(float).eps * sizes[0]]
-        off = columns[name] - axes @ (axes.T @ columns[name])
-        squares = off @ off
-        # Without a run, by its share of the products with the axes: as fast for many runs as for a few.
-        for run, rows in enumerate(runs):
-            pull, leverage = axes[rows].T @ off[rows], axes[rows].T @ axes[rows]
-            gain = pull @ np.linalg.pinv(np.eye(len(pull)) - leverage, hermitian=True) @ pull
-            rss = max(squares - off[rows] @ off[rows] - gain, 0.0)
-            residual_rms[run] = math.sqrt(rss / (len(time) - len(rows)))
-        run, second, *_ = sorted(residual_rms, key=residual_rms.__getitem__)
-        if residual_rms[second] > max(MIN_RMS_RATIO * residual_rms[run], MIN_ANOMALY_DEGREES):
-            label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
-            text = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
-            yield Anomaly("run", name, text, runs[run], runs[run][:0])
+                anomalies.append(Anomaly("stuck", name, text, rows))
+        return anomalies
 
 
 def off_path(values: np.ndarray, stretches: Sequence[np.ndarray], least: float = 0.0) -> np.ndarray:

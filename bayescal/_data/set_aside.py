@@ -113,20 +113,20 @@ def _find_wrong(readings: Measurements, needed: Collection[str], total: int) -> 
     readings or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        few = odd.code == "leap" and len(odd.wrong) <= checks.LEAP_SHARE * total
+        few = odd.code == "leap" and len(odd.rows) <= checks.LEAP_SHARE * total
         if (few or odd.column in needed) and _leaves_enough(readings.values, odd, total):
-            rows = _format_rows_read(odd.wrong, readings[odd.column], " °C")
-            where = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r}"
-            return Fault(odd.wrong, f"{where} {odd.description}: {rows}; keep_spikes keeps them")
+            rows = _format_rows_read(odd.rows, readings[odd.column], " °C")
+            where = f"{len(odd.rows)} reading(s) set aside, column {odd.column!r}"
+            return Fault(odd.rows, f"{where} {odd.description}: {rows}; keep_spikes keeps them")
     return Fault()
 
 
 def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
     """Return whether enough remains without the wrong rows: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
-    remaining = np.setdiff1d(np.arange(count), odd.wrong)
+    remaining = np.setdiff1d(np.arange(count), odd.rows)
     least = checks.MIN_CHANGES if odd.code == "held" and count == total else 0.5 * total
-    if not len(odd.wrong) or len(remaining) < least:
+    if not len(odd.rows) or len(remaining) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
     complete = all(set(columns[n][remaining]) == set(columns[n]) for n in labels)

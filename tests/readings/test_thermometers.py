@@ -128,24 +128,6 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     assert bc.set_aside(readings) is readings
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda t: 1.8 * t + 32.0,
-        lambda t: 1.1 * t,
-        lambda t: np.r_[np.full(10, t[0]), t[:-10]],
-        lambda t: t[::-1],
-    ],
-    ids=["Fahrenheit", "gain", "late", "backwards"],
-)
-def test_a_run_in_which_one_of_two_thermometers_was_different(siblings: Columns, change) -> None:
-    last, warm = siblings["run"] == "3", siblings[TEMPERATURE].copy()
-    warm[last] = change(warm[last])
-    odd = [o for o in oddities({**siblings, TEMPERATURE: warm}) if o.code == "run"]
-    assert TEMPERATURE in {o.column for o in odd}
-    assert all(set(siblings["run"][o.rows]) == {"3"} and not len(o.wrong) for o in odd)
-
-
 def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it() -> None:
     """Of a held one the first of each value stays."""
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
