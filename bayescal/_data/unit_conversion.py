@@ -424,28 +424,18 @@ def basis_factor(
 def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
     """Return the product of the units of ratio columns (%, ppm, ppb, 1), each to the power that the coefficient has."""
     ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
-    written = [(parse(n).factor, p) for n, p in parse(unit).names if not parse(n).powers]
-    if not ratios or not written:
-        return 1.0
-    below, above = Counter[float](), 0.0
-    for size, power in written:
-        below[size] -= min(power, 0.0)  # pyright: ignore[reportArgumentType]
-        above += max(power, 0.0)
+    written = [power for name, power in parse(unit).names if not parse(name).powers]
+    below, above = (sum(max(sign * power, 0.0) for power in written) for sign in (-1.0, 1.0))
     # a ratio's own coefficient has one above its stroke: the unit of the output
     beyond = above - (0.0 if parse(slot_unit).powers else min(above, 1.0))
-    below = {size: power for size, power in below.items() if power}
+    if not ratios or not (below or beyond):
+        return 1.0
     if len(ratios) == 1 and not (below and beyond):
-        return min(ratios) ** (sum(below.values()) - beyond)
-    if (
-        beyond
-        or (below and set(below) != ratios - {1.0})
-        or (1.0 in ratios and max(below.values(), default=0) > 1)
-    ):
-        raise InputError(
-            f"a coefficient in [{unit}] on a slot in [{slot_unit}] does not say which of its columns, ratios in "
-            f"{_listed(named)}, it is per: declare them in [1]"
-        )
-    return math.prod(size**power for size, power in below.items())
+        return min(ratios) ** (below - beyond)
+    raise InputError(
+        f"a coefficient in [{unit}] on a slot in [{slot_unit}] does not say which of its columns, ratios in "
+        f"{_listed(named)}, it is per: declare them in [1]"
+    )
 
 
 def _product(
@@ -469,19 +459,12 @@ def _product(
     if np.abs(matrix @ powers - aim).max() > 1e-9:
         return None
     free = np.linalg.svd(matrix)[2][rank:]
-    free = free[np.abs(free @ sizes) > 1e-9]
-    if len(free):
-        by_name = Counter[str]()
-        for name, power in (*((n, -p) for n, p in parse(unit).names), *parse(slot_unit).names):
-            by_name[name] += power  # pyright: ignore[reportArgumentType]
-        powers = np.array([by_name[normalised(u)] for u in parts], dtype=float)
-        doubtful = np.abs(free).max(axis=0) > 1e-9
-        if not powers[doubtful].all() or np.abs(matrix @ powers - aim).max() > 1e-9:
-            listed = _listed([u for u, odd in zip(parts, doubtful, strict=True) if odd])
-            raise InputError(
-                f"of columns in {listed} its basis may be made in several ways, of different size: declare them in one "
-                "unit"
-            )
+    doubtful = np.abs(free[np.abs(free @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
+    if doubtful.any():
+        listed = _listed([u for u, odd in zip(parts, doubtful, strict=True) if odd])
+        raise InputError(
+            f"of columns in {listed} its basis may be made in several ways, of different size: declare them in one unit"
+        )
     return float(np.exp(powers @ sizes))
 
 
