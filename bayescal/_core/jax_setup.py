@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -29,22 +28,13 @@ def cache_folder() -> Path | None:
     user_folder = os.environ.get("BAYESCAL_CACHE")
     if user_folder == "":
         return None
+    xdg = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        return Path(user_folder).expanduser() if user_folder else _user_cache() / "bayescal"
+        # XDG Base Directory Specification, which has relative folders ignored
+        caches = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
+        return Path(user_folder).expanduser() if user_folder else caches / "bayescal"
     except RuntimeError:  # no home folder, as in some containers
         return None
-
-
-def _user_cache() -> Path:
-    """Return the platform's folder for caches (XDG Base Directory Specification on Linux)."""
-    xdg = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(xdg):  # the specification has relative ones ignored
-        return Path(xdg)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path.home() / ".cache"
 
 
 @cache

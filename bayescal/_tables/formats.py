@@ -128,14 +128,8 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]
             source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
         )
         for number, row_cells in parser.parse():
-            filled = [(c["column"], text) for c in row_cells if (text := format_cell(c["value"]))]
-            row = dict(filled)
-            if filled and (number in table or len(row) < len(filled)):
-                raise InputError(
-                    f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
-                    "meant cannot be told. Open it and save it again"
-                )
-            table |= {number: row} if filled else {}
+            row = {c["column"]: text for c in row_cells if (text := format_cell(c["value"]))}
+            table |= {number: row} if row else {}
             cells += len(row)
             refuse_large(file, cells, 1, max_bytes)
     return table

@@ -19,7 +19,6 @@ MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger o
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
 LOGS = (".ulg", ".bin", ".bag", ".mcap", ".db3")  # which an annex reads
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOGS)
-_PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
@@ -75,12 +74,8 @@ def open_table(
     """
     suffix = path.suffix.lower()
     if suffix not in READ:
-        never = "Pickled objects are never read, because they can run code. " * (suffix in _PICKLES)
-        old = "Save it as .xlsx. " * (suffix == ".xls")
-        raise InputError(
-            f"{name!r}: {suffix or 'a file without a suffix'!r} cannot be read. {never}{old}"
-            f"Give one of {', '.join(READ)}"
-        )
+        what = repr(suffix) if suffix else "a file without a suffix"
+        raise InputError(f"{name!r}: {what} cannot be read. Give one of {', '.join(READ)}")
     with _reachable(path):
         if not path.stat().st_size:
             expected = "a header and rows of readings were expected"

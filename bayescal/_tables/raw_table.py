@@ -118,7 +118,6 @@ def _problems_text(problems: Sequence[Objection]) -> str:
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
 MAX_COLUMNS = 100_000  # a file of more has readings in columns, or is no table
-MAX_NAME_CHARACTERS = 1_000  # searching for a unit in a longer one takes minutes
 
 
 def bytes_text(size: float) -> str:
@@ -221,13 +220,7 @@ class Table:
     readable: bool = True
 
     def __post_init__(self) -> None:
-        """Raise InputError for no readings, one name for two columns, or a name too long to be one."""
-        for i, header in enumerate(self.headers):
-            if len(header.raw) > MAX_NAME_CHARACTERS:
-                raise InputError(
-                    f"{self.file!r}: the name of column {i + 1}, {header.raw[:20]!r}…, has {len(header.raw):,} "
-                    f"characters, at most {MAX_NAME_CHARACTERS:,} are read: give the column a short name"
-                )
+        """Raise InputError for no readings, or one name for two columns."""
         if self.rows < 1:
             cure = "give a file with at least one row of numbers"
             raise unusable(self.file, "holds no readings", cure)
