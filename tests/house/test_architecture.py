@@ -252,9 +252,9 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_114,
-    "bayescal/_tables": 1_609,
-    "bayescal/_data": 4_383,
+    "bayescal/_core": 2_010,
+    "bayescal/_tables": 1_591,
+    "bayescal/_data": 4_249,
     "bayescal/_model": 5_476,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
@@ -269,10 +269,10 @@ CEILINGS = {
     "bayescal/_annexes/validation": 747,
     "bayescal/_annexes/workbench": 3_246,
     "models": 8_777,
-    "tests": 24_982,
+    "tests": 24_938,
     "benchmarks": 10_609,
 }
-WORDS = 49_758  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_456  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
