@@ -151,17 +151,13 @@ class Compensator:
 
     @cached_property
     def program(self) -> CompensationProgram:
-        """Return the program as exported, with notes and failed checks.
-
-        Raises:
-            ModelError: an effect cannot be exported.
-        """
+        """Return the program as exported, with notes and failed checks."""
         if self.loaded:
             return self.loaded
         reason = self.why_not
         notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
         changes = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
-        return replace(self.in_use, about=replace(self.about, **changes)).exportable()
+        return replace(self.in_use, about=replace(self.about, **changes))
 
     @property
     def about(self) -> Provenance:
@@ -263,7 +259,6 @@ class Compensator:
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
         Raises:
-            ModelError: an effect cannot be exported.
             InputError: another format, an invalid C name, or a file that cannot be written.
         """
         form = format_of(path, format)
