@@ -197,7 +197,7 @@ def place_in_words(row: Mapping[str, Any]) -> str:
     """Describe the worst region of a covariate: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
     against, region = row["against"], row["worst"]
     low, high, group = region["from"], region["to"], region["group"]
-    if row.get("by_group", against == "run"):  # results of versions before 0.4 lack this key
+    if row["by_group"]:
         return f"{against} {group}"
     if against == "order":
         return f"row {low:.0f}" if low == high else f"rows {low:.0f} to {high:.0f}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -43,8 +42,9 @@ from bayescal._tables.unpacked import refuse_hdf5
 REPAIR_ADVICE = "Take a copy, or fit the readings again"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
-OLD_SCHEMA = "bayescal.calibration/1"  # of version 0.2, with all groups of ArviZ's tree
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
+# Fields of a calibration that stand in the description as they are.
+STORED_FIELDS = ("method", "seed", "reference", "start", "form_factor", "unfound_spreads")
 # Errors raised by a file with a valid checksum and inconsistent parts.
 PARSE_ERRORS = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
@@ -54,7 +54,6 @@ UNKNOWNS = "unknowns"  # key of a user-defined noise model's priors
 NOISE_FIX = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 EFFECT_FIX = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in KINDS}
-_PRIOR = re.compile(rf"\b({'|'.join(_PRIORS)})\(([^()]*)\)")
 
 
 def save(calibration: Fitted, path: Path) -> Path:
@@ -118,11 +117,10 @@ def _read_netcdf(
     with h5py.File(content) as hdf5:
         refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
         metadata = parsed_json(hdf5.attrs.get("bayescal", "{}"))
-    if (schema := metadata.get("schema")) not in (SCHEMA, OLD_SCHEMA):
+    if (schema := metadata.get("schema")) != SCHEMA:
         raise InputError(
             f"{path.name} is no calibration of this version: its schema is {schema!r}, expected {SCHEMA!r}"
         )
-    metadata = current_description(metadata) if schema == OLD_SCHEMA else metadata
     groups, attributes = netcdf_groups(content, GROUPS)
     readings = _restore_readings(groups, metadata)
     model = restore_model(path, metadata, readings, effects, instruments)
@@ -137,23 +135,20 @@ def _read_netcdf(
     verdict = Verdict.read(metadata["verdict"])
     log_evidence = metadata["log_evidence"]
     fields = {
-        **{name: metadata[name] for name in ("method", "seed", "reference")},
-        "start": metadata.get("start", {}),
-        "log_evidence": None if log_evidence is None else tuple(log_evidence),
+        **{name: metadata[name] for name in STORED_FIELDS},
+        "log_evidence": log_evidence and tuple(log_evidence),
         **{"model": model, "readings": readings, "layout": layout, "levels": levels},
         **{"joint": draws, "mode": mode._replace(indefinite=mode.indefinite > 0)},
         "verdict": replace(verdict, against=_restore_flags(verdict.against, metadata)),
-        "confounded": tuple(Confounder(**values) for values in metadata.get("confounded", ())),
-        "form_factor": metadata.get("form_factor", 1.0),
-        "unfound_spreads": metadata.get("unfound_spreads", {}),
+        "confounded": tuple(Confounder(**values) for values in metadata["confounded"]),
     }
-    if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**fields)):
+    if attributes.get(IDENTITY) != identity(Fitted(**fields)):
         raise ValueError("its identity is not that of what it holds")
     return fields
 
 
 def _restore_flags(messages: Sequence[str], metadata: Mapping[str, Any]) -> tuple[str, ...]:
-    codes = metadata.get("flag_codes", {})
+    codes = metadata["flag_codes"]
     return tuple(Flag(text, *codes[text]) if text in codes else text for text in messages)
 
 
@@ -163,7 +158,7 @@ def _restore_readings(groups: Mapping[str, Group], metadata: Mapping[str, Any]) 
         atomic_file.decode_name(n): v for n, v in variables.items() if v.dims == (ROW,) and n != ROW
     }
     sources = tuple(Source(**s) for s in metadata["sources"])
-    nominal, flags = (metadata.get("nominal_scale"), _restore_flags(metadata["flags"], metadata))
+    nominal, flags = metadata["nominal_scale"], _restore_flags(metadata["flags"], metadata)
     scale = nominal and NominalScale(**nominal)
     return Measurements.of_variables(columns, sources=sources, flags=flags, scale=scale)
 
@@ -195,23 +190,8 @@ def description(calibration: Fitted) -> dict[str, Any]:
     model, readings = calibration.model, calibration.readings
     flags = (f for f in (*readings.flags, *calibration.verdict.against) if isinstance(f, Flag))
     listed = _instrument_effects(model.instrument)
-    # Omitted where empty, so that identities of earlier versions are unchanged.
-    optional = {
-        # Formulas of typed effects, from which these are restored.
-        "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
-        # Changed prior standard deviations of catalogue effects.
-        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, listed)},
-        # Averaged effects without coefficients, whose inclusion the draws do not show.
-        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
-        "start": dict(calibration.start),
-        "confounded": [confounder._asdict() for confounder in calibration.confounders],
-        "form_factor": calibration.form_factor if calibration.form_factor != 1.0 else None,
-        "unfound_spreads": calibration.unfound_spreads,
-        # Code and names of flags, by their text.
-        "flag_codes": {str(flag): [flag.code, *flag.subjects] for flag in flags},
-        "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
-    }
     return {
+        **{name: getattr(calibration, name) for name in STORED_FIELDS},
         "instrument": model.instrument.name,
         "settings": dict(model.instrument.settings),
         "effects": list(model.names),
@@ -219,34 +199,34 @@ def description(calibration: Fitted) -> dict[str, Any]:
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
         },
+        # Formulas of typed effects, from which these are restored.
+        "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
+        # Changed prior standard deviations of catalogue effects.
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, listed)},
+        # Averaged effects without coefficients, whose inclusion the draws do not show.
+        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
         "fixed": dict(model.fixed),
         "noise": _noise_fields(model.noise),
         "promoted": list(calibration.layout.promoted),
         "counts": {**dict(calibration.layout.counts), READING: len(readings)},
         "levels": {k: list(v) for k, v in calibration.levels.items()},
-        "reference": calibration.reference,
-        "method": calibration.method,
-        "seed": calibration.seed,
         "log_evidence": calibration.log_evidence,
+        "confounded": [confounder._asdict() for confounder in calibration.confounders],
         "verdict": asdict(calibration.verdict),
         "sources": [asdict(s) for s in readings.sources],
+        "nominal_scale": asdict(scale) if (scale := readings.scale) else None,
         "flags": list(readings.flags),
-        **{key: value for key, value in optional.items() if value},
+        # Code and names of flags, by their text.
+        "flag_codes": {str(flag): [flag.code, *flag.subjects] for flag in flags},
     }
 
 
 def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
     """Return whether an effect differs from the instrument's own in its prior standard deviation only."""
     plain = catalogue.get(e.name)
-    if plain is None or e.coefficients in (plain.coefficients, _unpooled(plain).coefficients):
+    if plain is None or e.coefficients == plain.coefficients:
         return bool(e.frees)
     return replace(e, coefficients=plain.coefficients, shapes=plain.shapes) == plain
-
-
-def _unpooled(effect: Effect) -> Effect:
-    """Return an effect whose initial states have a stated and no estimated group sd, as in earlier files."""
-    coefficients = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
-    return replace(effect, coefficients=tuple(coefficients))
 
 
 def _instrument_effects(instrument: Instrument) -> dict[str, Effect]:
@@ -260,34 +240,10 @@ def unknowns_of(effect: Effect) -> str:
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
-def current_name(name: str) -> str:
-    """Return an unknown's current name; in 0.2.0 the name of a between-group standard deviation ended in spread."""
-    return f"{name.removesuffix('.spread')}.group_sd" if name.endswith(".spread") else name
-
-
-def current_description(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Convert a description of version 0.2 to current names of unknowns."""
-    unknown_texts = {n: s.replace("spread=", "group_sd=") for n, s in metadata["unknowns"].items()}
-
-    def rewrite_prior(prior_match: re.Match[str]) -> str:
-        """Return a prior's current text, without arguments at their defaults."""
-        arguments = (field.split("=") for field in prior_match[2].split(", ") if field)
-        return repr(_PRIORS[prior_match[1]](**{name: float(value) for name, value in arguments}))
-
-    return {
-        **metadata,
-        "unknowns": {name: _PRIOR.sub(rewrite_prior, text) for name, text in unknown_texts.items()},
-        "fixed": {current_name(name): value for name, value in metadata["fixed"].items()},
-        "reference": {n: v for n, v in metadata["reference"].items() if n != "run_starts"},
-    }
-
-
 def _noise_fields(noise: Noise) -> dict[str, Any]:
     """Return a noise model's class name and fields; for a user-defined one also its priors."""
     fields: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
-        if value is False:  # a field that earlier files lack
-            continue
         prior = type(value).__name__ in _PRIORS
         fields[key] = [type(value).__name__, vars(value)] if prior else value
     if not type(noise).__module__.startswith("bayescal."):
@@ -355,7 +311,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
         if e.name not in catalogue_effects
         or unknowns_of(e.ranging(ranges.get(e.name, {}))) == saved.get(e.name)
     }
-    formulas = metadata.get("typed", {}).items()
+    formulas = metadata["typed"].items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in formulas}
     catalogue = {**catalogue_effects, **given_effects, **typed}
     for n in names:
@@ -367,15 +323,12 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
             f"that defines it: {EFFECT_FIX}"
         )
     chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
-    chosen = [b if unknowns_of(b := _unpooled(e)) == saved.get(e.name) else e for e in chosen]
-    averaged = metadata.get("averaged", [])
-    chosen = [e.averaged if e.name in averaged else e for e in chosen]
+    chosen = [e.averaged if e.name in metadata["averaged"] else e for e in chosen]
     model = Model(instrument, tuple(chosen), _restore_noise(path, metadata["noise"]), ())
-    for n, size in metadata.get("sizes", {}).items():
+    for n, size in metadata["sizes"].items():
         model = model.resize(n, size)
     for used in model.effects:
-        current, own_slot = unknowns_of(used), f", slot={used.slot!r}"  # in some earlier files
-        if saved[used.name].replace(own_slot, "") != current.replace(own_slot, ""):
+        if saved[used.name] != (current := unknowns_of(used)):
             raise InputError(
                 f"{path.name} was fitted with another effect {used.name!r} than the one given now: then "
                 f"{saved[used.name]}; now {current}. Give the one it was fitted with: {EFFECT_FIX}"

@@ -21,7 +21,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, check
 from bayescal._calibration.fit import load
 from bayescal._calibration.leave_group_out import choose_groups
-from bayescal._calibration.storage import current_name, identity
+from bayescal._calibration.storage import identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
@@ -34,7 +34,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import Discovery, discover
@@ -51,7 +50,6 @@ NOISE_KEYS = {
     **{"proportional": "proportional", "freedom": "freedom"},
 }
 AVERAGED_KEYS = ("mean", "sd", "interval95", "probability", "given")  # of an averaged unknown
-FORMER_SCHEMA = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     *("bayescal", "jax", "numpyro", "optimistix"),
     *("arviz-base", "arviz-stats", "numpy", "scipy"),
@@ -327,16 +325,9 @@ def of_folder(
 def _read_result(path: Path) -> dict[str, Any]:
     try:
         data = read_json(path)
-        schema = data.get("schema")
-        if schema == FORMER_SCHEMA:
-            rows = [{**r, "name": current_name(r["name"])} for r in data.pop("spreads", [])]
-            schema, data = SCHEMA, {**data, "hyperparameters": rows}
-        if schema != SCHEMA:
+        if (schema := data.get("schema")) != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
-        for candidate in (c for step in data["missing"] for c in step["candidates"]):
-            unnamed = covariate_in(candidate["effect"])
-            candidate.setdefault("role", "unnamed" if unnamed else "named")  # since 0.2.1
-    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+    except (OSError, ValueError, AttributeError) as error:
         raise InputError(
             f"{path} is no result of this version ({error}): calibrate again"
         ) from None

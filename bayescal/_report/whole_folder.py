@@ -33,8 +33,6 @@ class Manifest:
 
     schema: str
     files: dict[str, str]  # name → SHA-256
-    identity: str = ""  # this and the next of bayescal.manifest/1
-    calibration: str | None = None
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:

@@ -85,7 +85,7 @@ class Input:
     low: float  # low, high: range in the calibration, in `unit`
     high: float
     tau: float | None = None  # time constant of a lag, s; of a rate, its window
-    # of a lag, the longest gap over which the column is interpolated, s; None: always, as before 0.3.0
+    # of a lag, the longest gap over which the column is interpolated, s; None: always
     silence: float | None = None
     settled: bool = False  # of an elapsed time: at `high` its effects have decayed
     held: bool = False  # of a lag, whether the column is constant between readings
@@ -305,7 +305,6 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
-READABLE_VERSIONS = (2, 3)  # 2, of bayescal 0.2, had one noise everywhere
 REPAIR_ADVICE = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
 
@@ -328,7 +327,7 @@ class TracedEquation:
     expected: int  # node of the expected output
     slope: int  # node of its derivative by the stimulus
     gradient: tuple[int, ...]  # nodes of its derivatives by the unknowns
-    noise: int | None = None  # node of a reading's noise variance; None before version 3
+    noise: int  # node of a reading's noise variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,23 +417,13 @@ def from_data(data: Any, file: str) -> CompensationProgram:
     Raises:
         InputError: the program is of another version, or damaged.
     """
-    if data.get("version") not in READABLE_VERSIONS:
+    if (version := data.get("version")) != VERSION:
         raise InputError(
-            f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
-            f"{READABLE_VERSIONS[0]} to {READABLE_VERSIONS[-1]}: export it again"
+            f"{file} is a compensator of version {version!r}, this bayescal reads {VERSION}: export it again"
         )
     try:
-        fields = {k: v for k, v in data.items() if k not in ("schema", "version", "noise")}
+        fields = {k: v for k, v in data.items() if k not in ("schema", "version")}
         program = as_type(fields, CompensationProgram)
-        about, equation = program.about, program.equation
-        if "why_not" not in data["about"]:  # version 0.2 had it in a note only
-            note = next((n for n in about.notes if n.startswith(NOT_RELIABLE)), "")
-            about = replace(about, why_not=note.removeprefix(NOT_RELIABLE))
-        if data.get("noise") is not None:  # up to version 2, a standard deviation
-            variance = as_type(data["noise"], float, "noise") ** 2
-            operations = [*equation.operations, ["const", variance]]
-            equation = replace(equation, operations=operations, noise=len(operations) - 1)
-        program = replace(program, about=about, equation=equation)
         _refuse_inconsistent(program)
     except (InputError, ValueError) as error:
         raise InputError(f"{file} is damaged: {error}. {REPAIR_ADVICE}") from None

@@ -278,7 +278,7 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "more is not known": lambda d: d.update(more=1),
     "None is no operation of it": lambda d: d["equation"].pop("noise"),
     "is no correction": lambda d: d.update(schema="other"),
-    "of version 4, this bayescal reads 2 to 3": lambda d: d.update(version=4),
+    "of version 4, this bayescal reads 3": lambda d: d.update(version=4),
     "is not known here: ['system', 0]": lambda d: d["equation"]["operations"].append(["system", 0]),
     "is no operation of it": lambda d: d["equation"].update(slope=10**6),
     "covariance": lambda d: d["covariance"].pop(),

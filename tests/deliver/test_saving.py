@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import TRAILER_BYTES, resealed, write_sealed
+from tests.support.resealed import TRAILER_BYTES, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -153,36 +152,9 @@ def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -
     assert os.listdir(tmp_path) == ["line.nc"]
 
 
-def test_file_of_0_2_is_read(tmp_path) -> None:
-    """There all groups stood in the file; a group's deviation was its spread, priors told their defaults."""
-    fitted = bc.fit(INSTRUMENT.baseline() + "bias.run", simulate(seed=3))
-    fitted.save(tmp_path / "now.nc")
-
-    def older(tree: xr.DataTree) -> None:
-        tree["posterior"] = xr.DataTree(
-            fitted.posterior.rename({"bias.run.group_sd": "bias.run.spread"})
-        )
-        text = tree.attrs["bayescal"].replace("group_sd=", "spread=")
-        text = text.replace("Normal(sd=", "Normal(mean=0.0, sd=")
-        tree.attrs["bayescal"] = text.replace("bayescal.calibration/2", "bayescal.calibration/1")
-
-    loaded = bc.load(resealed(tmp_path / "now.nc", tmp_path / "then.nc", older))
-    same(fitted, loaded)
-
-
 def test_saved_file_holds_the_draws_once(line, tmp_path) -> None:
     size = line.joint.x.nbytes + line.joint.v.nbytes
     assert line.save(tmp_path / "line.nc").stat().st_size < size + 60_000
-
-
-def test_a_lag_saved_before_its_starts_had_a_learned_spread_is_read_as_it_was(tmp_path) -> None:
-    lag = INSTRUMENT.known["bias.thermal_lag"]
-    slope, begun = lag.coefficients
-    before = replace(lag, coefficients=(slope, replace(begun, group_sd=None)))
-    readings = simulate({"bias.thermal_lag": 0.05}, seed=1)
-    model = INSTRUMENT.baseline() + before
-    saved = bc.fit(model, readings, bc.LeastSquares(draws=50)).save(tmp_path / "saved.nc")
-    assert bc.load(saved).model.effect("bias.thermal_lag").coefficients == before.coefficients
 
 
 # A damaged calibration or batch is refused in words: whatever byte was changed, and whatever piece.
