@@ -9,10 +9,9 @@ import xarray as xr
 from bayescal._calibration.fitted import MAX_CELLS, Fitted, flatten, replicate, to_xarray
 from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import encode_name
-from bayescal._model.prior import HalfCauchy, HalfNormal, slope
+from bayescal._model.prior import HalfCauchy, HalfNormal
 
 PRIOR_DRAWS = 1000  # of the group `prior`: enough to plot a prior density
-MIN_SD, MAX_Z = float(np.finfo(float).tiny), 1e150  # whose square does not overflow
 
 
 def build_tree(c: Fitted) -> xr.DataTree:
@@ -24,7 +23,6 @@ def build_tree(c: Fitted) -> xr.DataTree:
     outputs = outputs.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(c),
         "posterior_predictive": xr.Dataset({"output": (dims, outputs, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
@@ -58,27 +56,6 @@ def _for_netcdf(group: xr.Dataset, count: int) -> xr.Dataset:
         group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
     names = {str(n): encode_name(str(n)) for n in (*group.variables, *group.dims)}
     return group.rename({old: new for old, new in names.items() if old != new})
-
-
-def _log_prior(c: Fitted) -> xr.Dataset:
-    """Return each unknown's log prior density, per its unit, given the hyperparameters; without flat priors."""
-    x, v = c.joint.x, c.joint.v
-    values, hyper = c.unknowns.values(x, v), c.problem.hyper(flatten(v).T)
-    sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flatten(v)),)).sd.reshape(x.shape)
-    density = np.zeros_like(values)
-    for i, u in enumerate(c.unknowns):
-        if (b := u.block) is None:
-            prior, coordinate = u.prior, v[..., u.v]
-            density[..., i] = prior.log_density(coordinate) - np.log(slope(prior, coordinate))
-            continue
-        group_sd = hyper.get(b.group_sd_name) if u.x is None else flatten(sd[..., u.x])
-        prior_sd = np.maximum(b.coefficient.size if group_sd is None else group_sd, MIN_SD)
-        z = np.clip((flatten(values[..., i]) - b.coefficient.mean) / prior_sd, -MAX_Z, MAX_Z)
-        coordinate = -0.5 * z**2 - np.log(prior_sd) - 0.5 * np.log(2 * np.pi)
-        density[..., i] = coordinate.reshape(v.shape[:-1])
-    keys = {u.key: u for u in c.unknowns if u.block is None}
-    keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
-    return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
 
 
 def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
