@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from bayescal._calibration.fitted import MAX_CELLS, Fitted, flatten, replicate, to_xarray
+from bayescal._calibration.fitted import MAX_CELLS, Fitted, replicate, to_xarray
 from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import encode_name
 from bayescal._model.prior import HalfCauchy, HalfNormal
