@@ -48,7 +48,7 @@ from bayescal._core.annex import first_offered, offered
 from bayescal._core.as_json import as_json
 from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
-from bayescal._core.progress import print_notes
+from bayescal._core.progress import counted, print_notes
 from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -382,7 +382,7 @@ class CompareCommand(ReadRequest, AsJson, Command):
         how = {"seed": self.seed, "strict": False}
         how["reference"] = named_numbers(self.reference, "--reference")
         method, fits = request.method_named(self.method), {}
-        for i, name in enumerate(models):
+        for i, name in enumerate(counted([*models], "structures")):
             with deadline.sooner(1 / (len(models) - i)):
                 fits[name] = bc.fit(models[name], readings, method, **how)
         comparison = bc.compare(fits)
@@ -453,7 +453,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             print_notes(request.flags_of(readings))
             devices, written = request.split_records(readings), list[Path]()
             results = dict[str, Any]()
-            for i, name in enumerate(devices):
+            for i, name in enumerate(counted([*devices], "records")):
                 with deadline.sooner(1 / (len(devices) - i)):
                     results[name] = bc.noise(devices[name], seed=self.seed)
             if self.yaml is not None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 from bayescal._core.quoting import one_line
 
@@ -35,6 +36,17 @@ def print_notes(notes: Iterable[str]) -> None:
     """Print warnings on stderr."""
     for note in notes:
         print(f"bayescal: note: {one_line(note)}", file=sys.stderr, flush=True)
+
+
+def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
+    """Yield items; every ten seconds a progress line counts them and estimates the time left."""
+    start = time.monotonic()
+    for i, item in enumerate(items):
+        elapsed = time.monotonic() - start
+        if min(quiet(), elapsed) >= INTERVAL_SECONDS:
+            left = elapsed * (len(items) / i - 1)
+            tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left")
+        yield item
 
 
 @contextmanager
