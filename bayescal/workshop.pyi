@@ -86,6 +86,7 @@ from ._core.quoting import html_text as html_text
 from ._core.quoting import identifier as identifier
 from ._core.quoting import one_line as one_line
 from ._core.quoting import python_words as python_words
+from ._core.renamed import renamed as renamed
 from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn

@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.special import expit, ndtri
 
 from bayescal._calibration.claim import Claim, limit
+from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
@@ -34,6 +35,7 @@ TIME_COLUMNS = ("time", "elapsed")
 AMPLITUDE_SHARE = 0.5  # prior sd of a column's effect over the rms of the model's own terms
 
 
+@renamed(of_column="label")
 class Confounder(NamedTuple):
     """A column collinear with coefficients, or off by part of its rounding step."""
 

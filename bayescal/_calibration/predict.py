@@ -14,6 +14,7 @@ from scipy.linalg import orth
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import predictive_moments, replicate
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
@@ -213,6 +214,7 @@ def _conditional_noise(
     return conditional_moments
 
 
+@renamed(share="ratio", most="coefficient")
 @dataclass(frozen=True)
 class HoldoutContradiction:
     """Score test and scatter of a fit on hold-out data."""
@@ -223,6 +225,7 @@ class HoldoutContradiction:
     coefficient: str  # the coefficient with the largest single score; empty if there is none
 
 
+@renamed(against="contradiction", worse_than="paired_test", unseen="deviations")
 @dataclass(frozen=True, eq=False)
 class HoldoutTest:
     """A fit's prediction of hold-out data, tested against readings replicated from the fit.

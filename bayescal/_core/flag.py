@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Self
 
+from bayescal._core.renamed import renamed
 
+
+@renamed(of="subjects")
 class Flag(str):
     """Words with a `code`, such as "column.ignored", and the names of its `subjects`; plain text for people alone."""
 

@@ -12,19 +12,37 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from bayescal._core.quoting import one_line
+from bayescal._core.quoting import html_text, one_line
 
 FIRST_SECONDS, INTERVAL_SECONDS = 1.0, 9.0  # until the first line of a stage, and between lines
 
 _open: list[threading.Event] = []  # stages, by the events that end them, the innermost last
 _last_line = 0.0  # time of the last line, s
+_bar: Any = None  # shown in a notebook
 
 
-def tell(what: str) -> None:
-    """Print a progress line on stderr."""
+def tell(what: str, share: float | None = None) -> None:
+    """Print a progress line on stderr; in a notebook, show a bar."""
     global _last_line
     _last_line = time.monotonic()
-    print(f"bayescal: {what} …", file=sys.stderr, flush=True)
+    if "ipykernel" in sys.modules:
+        show_bar(f"{what} …", share)
+    else:
+        print(f"bayescal: {what} …", file=sys.stderr, flush=True)
+
+
+def show_bar(text: str, share: float | None = None) -> None:
+    """Show a progress bar in a notebook's cell, of a share done or of work without an end; "" takes it away."""
+    from IPython.display import HTML, display
+
+    global _bar
+    value = "" if share is None else f' value="{share:.3f}"'
+    page = HTML(f"<progress{value}></progress> {html_text(text)}" if text else "")
+    if _bar is None:
+        _bar = display(page, display_id=True)
+    else:
+        _bar.update(page)
+    _bar = _bar if text else None
 
 
 def quiet() -> float:
@@ -45,7 +63,7 @@ def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
         elapsed = time.monotonic() - start
         if min(quiet(), elapsed) >= INTERVAL_SECONDS:
             left = elapsed * (len(items) / i - 1)
-            tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left")
+            tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left", i / len(items))
         yield item
 
 
@@ -72,3 +90,5 @@ def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
     finally:
         done.set()
         _open.remove(done)
+        if _bar is not None and not _open:
+            show_bar("")

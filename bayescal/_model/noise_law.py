@@ -23,6 +23,7 @@ from jaxtyping import Float
 from typing_extensions import dataclass_transform
 
 from bayescal._core.lazy_jax import Array, jax, jnp
+from bayescal._core.renamed import renamed
 from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
@@ -34,6 +35,7 @@ WHITE = "noise.white"  # standard deviation of the white noise, output unit
 LOG_2PI = math.log(2 * math.pi)
 
 
+@renamed(known="registry")
 @static
 @dataclass_transform(frozen_default=True)
 class Noise(abc.ABC):

@@ -15,6 +15,7 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.progress import stage
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
@@ -37,6 +38,7 @@ Follow = Callable[[str, SearchPath], None]
 APART_RATIO = 1.1
 
 
+@renamed(trails="search_paths")
 @dataclass(frozen=True, repr=False)
 class Channels(Printed):
     """Result of `calibrate_channels`."""

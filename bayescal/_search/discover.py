@@ -17,6 +17,7 @@ from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import folded, number, probability, with_error
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -66,6 +67,7 @@ class LawProbability:
         return f"{self.in_words} {probability(self.probability)}"
 
 
+@renamed(sets="findings", not_stated="without_completeness")
 @dataclass(frozen=True, repr=False)
 class Discovery(Printed):
     """Effects missing from a model, with their probabilities.

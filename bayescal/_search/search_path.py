@@ -17,6 +17,7 @@ from bayescal._calibration.judgement import multimodality
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.predict import HoldoutTest
 from bayescal._core.formatting import folded, number, probability
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
@@ -30,6 +31,8 @@ RISE_MARK = " ↑"  # beside a hold-out error that is so
 FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
 
 
+@renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")
+@renamed(left_out="leave_one_group_out", doubts="multimodality", judged="with_reasons")
 @dataclass(frozen=True)
 class Step:
     """One model of the sequence, with its errors in the output unit."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
+from bayescal._core.renamed import renamed
 from bayescal._inference.density import Density
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
@@ -80,6 +81,7 @@ class Conclusion(NamedTuple):
         return is_changed, is_changed or (is_possible and divergence > MIN_NATS)
 
 
+@renamed(says="log_ratios", evidence="log_bayes_factor", from_others="cavity_prior")
 @dataclass(frozen=True, eq=False)
 class SharedShape:
     """Evidence of all channels on an effect whose shape they share."""

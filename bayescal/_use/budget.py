@@ -24,6 +24,7 @@ from bayescal._calibration.prior_influence import not_measured, variance_by_orig
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
@@ -76,6 +77,7 @@ def list_inputs(values: Mapping[str, str]) -> str:
     return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
 
 
+@renamed(shown="in_output_unit")
 @dataclass(frozen=True, repr=False)
 class Budget(Printed):
     """An uncertainty budget.

@@ -85,6 +85,11 @@ def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) 
     assert max(map(len, str(results[name]).splitlines())) <= 110
 
 
+def test_former_names_warn_and_are_the_new_ones(results) -> None:
+    with pytest.warns(DeprecationWarning, match="findings"):
+        assert results["discovery"].sets is results["discovery"].findings
+
+
 def test_names_of_files_models_and_effects_are_escaped(results) -> None:
     effect = bc.Effect(
         f"bias.{SCRIPT}", "bias", lambda r: 1.0, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"

@@ -203,6 +203,7 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
     return tuple(fits)
 
 
+@ws.renamed(doubted="unreliable")
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.

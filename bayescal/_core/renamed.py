@@ -1,0 +1,30 @@
+"""Former public names: each warns, and is the new one for one release."""
+
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+C = TypeVar("C", bound=type)
+
+
+class _Former(NamedTuple):
+    name: str
+    new: str
+
+    def __get__(self, owned: Any, owner: type) -> Any:
+        message = (
+            f"{owner.__name__}.{self.name} is now called {self.new}; the former name goes in 0.4"
+        )
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return getattr(owner if owned is None else owned, self.new)
+
+
+def renamed(**names: str) -> Callable[[C], C]:
+    """Give a class its attributes' former names, as former="new"."""
+
+    def with_former(cls: C) -> C:
+        for name, new in names.items():
+            setattr(cls, name, _Former(name, new))
+        return cls
+
+    return with_former
