@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pyarrow as pa
@@ -48,14 +49,9 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         pa.default_memory_pool().release_unused()  # unpacked buffers, as large as the numbers
         return cells
 
-    return Table(file, arrow_headers(schema), rows, load)
-
-
-def arrow_headers(schema: pa.Schema) -> tuple[Header, ...]:
-    """Parse the headers, with the units that their fields' metadata state."""
     units = ((field.metadata or {}).get(b"units") for field in schema)
     decoded = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
-    return tuple(map(Header.parse, schema.names, decoded))
+    return Table(file, tuple(map(Header.parse, schema.names, decoded)), rows, load)
 
 
 def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
@@ -106,7 +102,11 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             f"{file!r}: reading Excel files needs openpyxl: pip install 'bayescal[logs]'; or save it as CSV UTF-8"
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
-        unpacked.refuse_zip(path, file)
+        with ZipFile(path) as archive:
+            total = sum(
+                entry.file_size for entry in archive.infolist()
+            )  # which limits its unpacking
+        unpacked.refuse_unpacked(file, path.stat().st_size, total, unpacked.SHEET)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
             filled = ((s, rows) for s in sheets if (rows := _rows_of(s, file, max_bytes)))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -34,13 +33,6 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
             f"{unpacked / packed:,.0f} times as much; at most {times:g} times are read"
         )
         raise unusable(file, came, _AS_CSV)
-
-
-def refuse_zip(path: Path, file: str) -> None:
-    """Raise InputError where the sizes that a ZIP archive states, which limit its unpacking, are too large."""
-    with zipfile.ZipFile(path) as archive:
-        total = sum(entry.file_size for entry in archive.infolist())
-    refuse_unpacked(file, path.stat().st_size, total, SHEET)
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
@@ -70,7 +62,7 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
 
 # Elements of a MATLAB file up to 7.2, and classes of arrays that hold others: cells, structures, objects, functions,
 # opaque ones ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
-_COMPRESSED, _HOLDS_OTHERS = 15, b"[\x01\x02\x03\x10\x11]"
+_COMPRESSED, _HOLDS_OTHERS, _FUNCTION = 15, b"[\x01\x02\x03\x10\x11]", 16
 _MAX_CONTAINERS = 2000  # in a file: their reader is recursive, and some thousands exhaust the stack
 
 
@@ -82,7 +74,7 @@ def refuse_matlab(path: Path, file: str) -> None:
         if 0 in head[:4]:  # version 4: plain matrices, each as long as the file has bytes for
             return
         order = ">" if head[126:] == b"MI" else "<"
-        # The array's flags with its class, then its dimensions: as a long element, or as a short one.
+        # The array's flags with its class, before its dimensions.
         kinds = b"..." * (order == ">") + _HOLDS_OTHERS
         flags = re.compile(re.escape(struct.pack(f"{order}II", 6, 8)) + kinds, re.DOTALL)
         while len(tag := handle.read(8)) == 8:
@@ -97,17 +89,11 @@ def refuse_matlab(path: Path, file: str) -> None:
                 refuse_unpacked(file, size, total, ARRAYS)
             for match in flags.finditer(data):
                 holding += 1
-                count = _entries(data[match.start() + 16 :], order)
+                count = 1
+                if data[match.end() - 1] < _FUNCTION:  # others state no dimensions
+                    (size_bytes,) = struct.unpack_from(f"{order}I", data, match.start() + 20)
+                    form = f"{order}{size_bytes // 4}i"
+                    count = math.prod(struct.unpack_from(form, data, match.start() + 24))
                 if holding > _MAX_CONTAINERS or 8 * count > len(data):
-                    states = f"states {count:,} that it does not hold"
-                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or {states}"
+                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or states more than it holds"
                     raise unusable(file, came, _AS_CSV)
-
-
-def _entries(data: bytes, order: str) -> int:
-    """Return the number of entries of an array by its dimensions at the start of `data`; 0 without them."""
-    if len(data) < 8:
-        return 0
-    kind, length = struct.unpack_from(f"{order}II", data)
-    begin, length = (4, kind >> 16) if kind >> 16 else (8, min(length, len(data) - 8))
-    return math.prod(struct.unpack_from(f"{order}{length // 4}i", data, begin))
