@@ -62,9 +62,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     shutil.copy(TABLE, folder / "table.csv")
     table(count=3).to_csv(folder / "lot.csv", index=False)
-    differential_pair.simulate_batch(
-        seed=5, campaign=differential_pair.Campaign(samples=20)
-    ).readings.write(folder / "pairs.csv")
+    batch = differential_pair.simulate(seed=5, campaign=differential_pair.Campaign(samples=20))
+    batch.write(folder / "pairs.csv")
     accelerometer_triad.simulate(seed=4).write(folder / "triad.csv")
     log = gyro_triad.simulate_log(seed=1, campaign=gyro_triad.MovesByHand(poses=14))
     units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}

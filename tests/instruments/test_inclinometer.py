@@ -135,9 +135,15 @@ def test_a_population_of_devices_is_learned() -> None:
 GRID = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0))
 
 
+def table_of(readings: bc.Measurements) -> inclinometer.Verification:
+    x, y = (readings.select(readings["axis"] == axis) for axis in "xy")
+    outputs = ARCSEC * x["output"], ARCSEC * y["output"]
+    return inclinometer.Verification(x["true_angle"], y["true_angle"], *outputs)
+
+
 @pytest.fixture(scope="module")
 def table() -> inclinometer.Verification:
-    return inclinometer.Verification.of(inclinometer.simulate(seed=5, campaign=GRID))
+    return table_of(inclinometer.simulate(seed=5, campaign=GRID))
 
 
 @pytest.mark.parametrize("law", ["document", "exact"])
@@ -180,16 +186,10 @@ def test_what_a_line_cannot_compensate_is_the_size_of_the_published_remainder(li
     campaign = replace(
         inclinometer.VERIFICATION, grid=(-45.0, 0.0, 45.0), axes=axes, noise=0.0, repeatability=0.0
     )
-    table = inclinometer.Verification.of(inclinometer.simulate(seed=0, campaign=campaign))
+    table = table_of(inclinometer.simulate(seed=0, campaign=campaign))
     made = inclinometer.compensate(lines, table.reading_x, table.reading_y, law="document")
     for left in (made.x - table.true_x, made.y - table.true_y):
         assert 38 * ARCSEC < np.abs(left).max() < 55 * ARCSEC
-
-
-def test_zero_of_gives_the_line_with_its_uncertainty(lines) -> None:
-    zero, uncertainty = inclinometer.zero_of(lines, np.deg2rad([-45.0, 45.0]), axis="x")
-    np.testing.assert_allclose(zero, [62.6211 - 32.447, 62.6211 + 32.447], atol=4.0)
-    assert (uncertainty > 0.3).all()
 
 
 def test_placement_angles_at_large_tilts() -> None:
@@ -217,9 +217,9 @@ def test_a_file_of_corrections_is_negated(tmp_path: Path) -> None:
 
 
 def test_verification_data_go_both_ways(table, tmp_path: Path) -> None:
-    again = inclinometer.Verification.of(table.readings())
-    for name in ("true_x", "true_y", "reading_x", "reading_y"):
-        np.testing.assert_allclose(getattr(again, name), getattr(table, name), rtol=1e-12)
+    simulated, again = inclinometer.simulate(seed=5, campaign=GRID), table.readings()
+    for name in ("true_angle", "placement_angle", "output"):
+        np.testing.assert_allclose(again[name], simulated[name], rtol=1e-12)
     path = tmp_path / "verification.csv"
     columns = np.rad2deg([table.true_x, table.true_y, table.reading_x, table.reading_y]).T
     names = ("true_x", "true_y", "reading_x", "reading_y")
@@ -243,7 +243,7 @@ def test_the_whole_equation_is_learned_from_verification_data() -> None:
     whole = bc.fit(dict(INSTRUMENT.structures)["projection, exact geometry"](), known)
     scale = whole.samples("scale.constant")
     assert (np.abs(scale.mean(axis=0) - 100.0) < 3.5 * scale.std(axis=0)).all()
-    held = inclinometer.Verification.of(other)
+    held = table_of(other)
     made = inclinometer.compensate(whole, held.reading_x, held.reading_y)
     for before, after in zip(
         held.errors, (made.x - held.true_x, made.y - held.true_y), strict=True

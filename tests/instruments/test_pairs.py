@@ -15,21 +15,21 @@ from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.selection import CRITERIA, judge
-from bayescal_models.differential_pair.simulator import columns_and_truth
+from bayescal_models.differential_pair.simulator import Truth
 from tests.support.command_line import needs_installation
-from tests.support.made_up.pairs import SMALL, made_up
+from tests.support.made_up.pairs import SMALL, made_up, simulated_batch
 
 IN_PHI = bc.Marginal(promote=tuple(order_names(SHARED)[:6]))
 
 
 @pytest.fixture(scope="module")
-def batch() -> dp.SimulatedBatch:
-    return dp.simulate_batch(seed=5, campaign=SMALL)
+def batch() -> Truth:
+    return simulated_batch(SMALL, seed=5)[0]
 
 
 @pytest.fixture(scope="module")
-def calibration(batch: dp.SimulatedBatch) -> bc.Calibration:
-    return bc.fit(dp.INSTRUMENT.baseline(), batch.readings, IN_PHI)
+def calibration() -> bc.Calibration:
+    return bc.fit(dp.INSTRUMENT.baseline(), simulated_batch(SMALL, seed=5)[1], IN_PHI)
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_the_environment_and_the_pairs_residual_are_recovered(calibration, batch
 
 def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch) -> None:
     devices = dp.devices_of(calibration)
-    outputs = batch.readings["output"].reshape(len(batch.names), -1)
+    outputs = calibration.readings["output"].reshape(len(batch.names), -1)
     table = dp.select(devices)
     i, j = (batch.names.index(name) for name in table.best)
     found = dp.measure(devices, *table.best, outputs[i], outputs[j])
@@ -74,8 +74,7 @@ def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch)
 def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed() -> None:
     """Readings are means: over a ramp the mean of the square is not the square of the mean, and is no noise of all."""
     plan = dp.Campaign(samples=80)
-    columns, truth = columns_and_truth({"scale.second_order": 1000.0}, seed=11, campaign=plan)
-    whole = bc.Measurements.from_arrays(dp.INSTRUMENT, **columns)
+    truth, whole = simulated_batch(plan, seed=11, **{"scale.second_order": 1000.0})
     readings = whole.select(np.arange(0, len(whole), 2))
     base = dp.INSTRUMENT.for_readings(readings).baseline() + "scale.second_order"
     model = bc.Model(base.instrument, base.effects, NoiseWhileChanging(), base.fixed)
@@ -132,16 +131,12 @@ def test_the_residual_is_the_rms_that_its_formula_says() -> None:
     assert found[1, 2, 2] == pytest.approx(np.sqrt(np.mean(left**2)))
 
 
-def plateau(**changed) -> tuple[np.ndarray, dp.SimulatedBatch]:
-    """Variances of ratios by the printed rule, on raw records at constant acceleration."""
-    plan = replace(SMALL, profile="plateau", **changed)
-    made = dp.simulate_batch(seed=11, campaign=plan)
-    records = made.readings["output"].reshape(len(made.names), -1)
-    return criteria.ratio_variance(criteria.polynomial(plan.time, records), made.outer), made
-
-
 def test_ideal_pairs_have_a_raw_variance_near_three_quarters() -> None:
-    found, _ = plateau(alike=True, noise=0.0)
+    """By the printed rule, on raw records at constant acceleration."""
+    plan = replace(SMALL, profile="plateau", alike=True, noise=0.0)
+    truth, readings = simulated_batch(plan, seed=11)
+    records = readings["output"].reshape(len(truth.names), -1)
+    found = criteria.ratio_variance(criteria.polynomial(plan.time, records), truth.outer)
     np.testing.assert_allclose(found, 0.75, atol=0.01)
 
 

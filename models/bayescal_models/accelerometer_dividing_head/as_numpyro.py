@@ -1,9 +1,6 @@
 """An accelerometer on a dividing head, lines over temperature: the model whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Output y of reading i, µg, at the angle θ and the temperature T:
 
@@ -47,6 +44,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return reference_problem.model()
+equal = reference_problem.model  # the same model as a sum of named effects

@@ -4,9 +4,7 @@ import bayescal as bc
 
 from .campaign import Campaign as Campaign
 from .model import INSTRUMENT as INSTRUMENT
-from .model import SimulatedBatch as SimulatedBatch
 from .model import simulate as simulate
-from .model import simulate_batch as simulate_batch
 from .pairing.devices import Devices as Devices
 from .pairing.devices import devices_of as devices_of
 from .pairing.measure import Measured as Measured

@@ -22,8 +22,6 @@ Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import bayescal as bc
@@ -31,10 +29,10 @@ from bayescal import xp
 from bayescal_models import catalogue
 from bayescal_models.catalogue import EffectTable, Maker, effect, one, progress
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
-from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
+from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, G
 from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
 from bayescal_models.differential_pair.noise import NoiseWhileChanging, ends, slope
-from bayescal_models.differential_pair.simulator import Truth, columns_and_truth, simulated_columns
+from bayescal_models.differential_pair.simulator import simulated_columns
 from bayescal_models.simulated import readings_of
 
 SOURCE = "source 3; size ours"
@@ -161,23 +159,3 @@ INSTRUMENT = bc.Instrument(
     source="source 3",
 )
 simulate = readings_of(INSTRUMENT)
-
-
-@dataclass(frozen=True)
-class SimulatedBatch(Truth):
-    """Measurements of all devices of a batch, and the truth behind them."""
-
-    readings: bc.Measurements = field(repr=False)
-
-
-def simulate_batch(
-    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
-) -> SimulatedBatch:
-    """Simulate a batch with hidden effects; return readings and truth. Arguments as of `simulate`.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is not finite.
-    """
-    columns, truth = columns_and_truth(effects, seed=seed, campaign=campaign)
-    readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
-    return SimulatedBatch(**vars(truth), readings=readings)

@@ -65,15 +65,9 @@ class Truth:
 
 
 def simulated_columns(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign | None = None,
-    noise_law: str = "white",
+    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Return the columns of `columns_and_truth`; raise ValueError for noise laws other than "white"."""
-    if noise_law != "white":
-        raise ValueError(f"noise law {noise_law!r} is not simulated for these devices: take white")
+    """Return the columns of `columns_and_truth`."""
     return columns_and_truth(effects, seed=seed, campaign=campaign)[0]
 
 

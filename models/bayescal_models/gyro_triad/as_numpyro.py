@@ -1,9 +1,6 @@
 """Three gyroscopes on a rate table: bias, scale factors, misalignments and the errors of mountings, whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 The table turns at a rate Ω about an axis u of the body, nominally; ω = Ω·u. Of axis a of the unit:
 
@@ -59,6 +56,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     return arms | groups | columns
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return INSTRUMENT.baseline()
+equal = INSTRUMENT.baseline  # the same model as a sum of named effects

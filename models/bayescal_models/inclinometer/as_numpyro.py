@@ -1,9 +1,6 @@
 """An inclinometer's zero offset over the placement angle, two axes in several mountings: the model whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Zero offset S of reading i on axis k in mounting j, arcsec, at the placement angle ω (source 4; mountings ours):
 
@@ -45,6 +42,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return INSTRUMENT.baseline()
+equal = INSTRUMENT.baseline  # the same model as a sum of named effects

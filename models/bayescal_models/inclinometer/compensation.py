@@ -154,26 +154,3 @@ def _solved(
         f"after {PASSES} passes the tilts still move by {moved:.1e} rad: check that the readings are in rad and "
         "that the calibration is of this inclinometer"
     )
-
-
-def zero_of(
-    calibration: bc.Calibration,
-    placement_angle: Any,
-    *,
-    axis: str,
-    device: str | None = None,
-    **covariates: Any,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the zero S(ω) at no tilt and its standard uncertainty for a new mounting, arcsec, (n,) each.
-
-    Args:
-        calibration: a fit of the inclinometer.
-        placement_angle: rad.
-        axis, device, covariates: as of `compensate`.
-
-    Raises:
-        InputError: unknown axis, or a covariate that an effect needs is not given.
-    """
-    angle = np.atleast_1d(np.asarray(placement_angle, float))
-    compensated = _axis(calibration, axis, device, covariates).zero(angle, noise=False)
-    return -compensated.value / ARCSEC, compensated.uncertainty / ARCSEC

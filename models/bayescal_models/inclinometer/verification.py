@@ -104,37 +104,6 @@ class Verification:
             output=np.concatenate([self.reading_x, self.reading_y]) / ARCSEC,
         )
 
-    @classmethod
-    def of(cls, readings: bc.Measurements) -> Verification:
-        """Build the table from readings that hold every set-up twice, x above y, as `readings()` returns them.
-
-        Raises:
-            InputError: they hold something else.
-        """
-        if not readings.has("true_angle") or not readings.has("axis"):
-            raise bc.InputError(
-                f"{readings.file} is no verification data: it lacks 'true_angle' or 'axis'"
-            )
-        of_x, of_y = readings["axis"] == "x", readings["axis"] == "y"
-        x, y = (readings.select(chosen) for chosen in (of_x, of_y))
-        same = len(x) == len(y) and len(x) + len(y) == len(readings)
-        if not same or not (
-            np.array_equal(x["true_angle"], y["placement_angle"])
-            and np.array_equal(y["true_angle"], x["placement_angle"])
-        ):
-            raise bc.InputError(
-                f"{readings.file}: verification data have a reading of y for each of x, in the same order, each "
-                "at the other's true tilt"
-            )
-        names = [n for n in ("device", "temperature", "time") if readings.has(n)]
-        return cls(
-            x["true_angle"],
-            y["true_angle"],
-            ARCSEC * x["output"],
-            ARCSEC * y["output"],
-            {**{n: x[n] for n in names}, "run": np.array([r.removeprefix("x") for r in x["run"]])},
-        )
-
 
 def read_verification(path_or_paths: Any, **options: Any) -> Verification:
     """Read files of `true_x, true_y, reading_x, reading_y`.

@@ -1,9 +1,6 @@
 """Three magnetometers turned in a constant field of unknown direction: hard and soft iron, whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 In each reading the field of magnitude F points along a latent unit vector u of which nothing is known; m = F·u:
 
@@ -49,6 +46,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     return {"magnitude": readings["magnitude"], "output": output}
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return INSTRUMENT.baseline()
+equal = INSTRUMENT.baseline  # the same model as a sum of named effects

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal_models.mems_gyro.resonance import Resonance
-from bayescal_models.simulated import Array, refuse, refuse_unknown
+from bayescal_models.simulated import Array, refuse
 
 GRID, LOGGING_INTERVAL = 1.0, 5.0  # s, steps of the simulated test and of the logger
 
@@ -31,21 +30,17 @@ class Campaign:
         rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
             None leaves the gyro at rest, and the column out.
         noise: standard deviation of the white noise of one averaged reading, °/s.
-        converter_step: averaged readings are rounded to this step, V; None for no rounding.
         thermometer_noise: white error of the column `temperature`, °C (standard deviation).
-        thermometer_offset: error shared by the whole column `temperature`, °C.
         constant: zero-rate output at `T0`, °/s.
         slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
         T0: temperature about which every law of the world is written, °C.
-        law: "line", or "resonance" (then `resonance` replaces `slope`).
-        resonance: the two modes, used by `law="resonance"`.
         nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
             their leading terms, numbers between or beyond a mixture.
         lag_time: time constant of the die behind the ambient thermometer, s.
         period: period of the out-of-catalogue periodic form, s.
 
     Raises:
-        ValueError: an unknown law, or times that do not divide one another.
+        ValueError: times that do not divide one another.
     """
 
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
@@ -58,20 +53,15 @@ class Campaign:
     average: float = 30.0
     rate_input: tuple[float, ...] | None = None
     noise: float = 0.05
-    converter_step: float | None = None
     thermometer_noise: float = 0.0
-    thermometer_offset: float = 0.0
     constant: float = 21.5
     slope: float = 0.0535
     T0: float = 55.0
-    law: str = "line"
-    resonance: Resonance = field(default_factory=Resonance)
     nonlinearity: float = 1.0
     lag_time: float = 300.0
     period: float = 700.0
 
     def __post_init__(self) -> None:
-        refuse_unknown(self, law=("line", "resonance"))
         # Every time of the plan is a multiple of the next shorter one.
         shorter = {"pause": GRID, "dwell": self.average, "average": LOGGING_INTERVAL}
         for name, unit in shorter.items():

@@ -24,12 +24,12 @@ them with data-sheet values.
 from __future__ import annotations
 
 import bayescal as bc
-from bayescal import effects, xp
+from bayescal import effects
 from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, EffectTable, centred, effect, one
 from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, THERMOMETER_SD, VOLTAGE_STEP
 from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.resonance import resonance_denominator
+from bayescal_models.mems_gyro.resonance import with_amplitude_held, with_force_held
 from bayescal_models.mems_gyro.simulator import simulated_columns
 from bayescal_models.simulated import experiments, readings_of
 
@@ -44,14 +44,11 @@ def _board(r):
 
 
 def _held_amplitude(r, k_drive, k_sense, ratio, quality):
-    change = r.centred()
-    denominator = resonance_denominator(change, k_drive, k_sense, ratio, quality)
-    return resonance_denominator(0.0, k_drive, k_sense, ratio, quality) / denominator - 1
+    return with_amplitude_held(r.centred(), k_drive, k_sense, ratio, quality)
 
 
 def _held_force(r, k_drive, k_sense, ratio, quality):
-    softening = 1 / xp.sqrt(1 - k_drive * r.centred())
-    return (1 + _held_amplitude(r, k_drive, k_sense, ratio, quality)) * softening - 1
+    return with_force_held(r.centred(), k_drive, k_sense, ratio, quality)
 
 
 MODES = (

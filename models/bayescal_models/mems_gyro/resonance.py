@@ -10,14 +10,9 @@ Source: source 1 (mode equations, modulus); the K_ET values, the ratio and Q are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from bayescal import xp
-from bayescal_models.simulated import refuse_unknown
 
 
 def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, quality: Any) -> Any:
@@ -37,44 +32,12 @@ def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, q
     return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
 
 
-@dataclass(frozen=True)
-class Resonance:
-    """The two modes of a gyro, as far as its zero-rate output needs them.
+def with_amplitude_held(change: Any, *modes: Any) -> Any:
+    """Return D(T0)/D(T) − 1, the zero rate's change per quadrature; arguments as of `resonance_denominator`."""
+    return resonance_denominator(0.0, *modes) / resonance_denominator(change, *modes) - 1
 
-    With one K_ET in both modes and the amplitude held, the slope at T0 is `quadrature·K_ET`: the
-    defaults give 0.0535 °/s/°C, the slope of the document's table, and are nearly straight.
 
-    Attributes:
-        quadrature: quadrature times the demodulation phase error, °/s, at T0.
-        k_drive, k_sense: relative loss of modulus per degree, 1/°C, of each mode.
-        ratio: sense over drive frequency at T0, without unit.
-        quality: Q of the sense mode at T0, without unit.
-        held: what the drive loop holds, "amplitude" or "force".
-    """
-
-    quadrature: float = 669.0
-    k_drive: float = 8e-5
-    k_sense: float = 8e-5
-    ratio: float = 1.05
-    quality: float = 1000.0
-    held: str = "amplitude"
-
-    def __post_init__(self) -> None:
-        refuse_unknown(self, held=("amplitude", "force"))
-
-    def zero_rate(self, temperature: ArrayLike, T0: float, constant: float) -> NDArray[np.float64]:
-        """Return the zero-rate output, °/s: `constant + q·(D(T0)/D(T)·f − 1)`, so `constant` at T0.
-
-        `f` is (1−ε_d)^−½ where the drive force is held (its amplitude then grows), else 1.
-
-        Args:
-            temperature: temperature of the structure, °C, any shape.
-            T0: reference temperature, °C.
-            constant: zero-rate output at T0, °/s.
-        """
-        modes = (self.k_drive, self.k_sense, self.ratio, self.quality)
-        change = np.asarray(temperature, dtype=float) - T0
-        gain = resonance_denominator(0.0, *modes) / resonance_denominator(change, *modes)
-        if self.held == "force":
-            gain = gain / np.sqrt(1.0 - self.k_drive * change)
-        return constant + self.quadrature * (gain - 1.0)
+def with_force_held(change: Any, k_drive: Any, *modes: Any) -> Any:
+    """Return (1−ε_d)^−½·D(T0)/D(T) − 1: the drive amplitude grows as its mode softens."""
+    gain = 1 + with_amplitude_held(change, k_drive, *modes)
+    return gain / xp.sqrt(1 - k_drive * change) - 1

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayescal_models import simulated
-from bayescal_models.mems_gyro import NOMINAL_SCALE
 from bayescal_models.mems_gyro.campaign import GRID, LOGGING_INTERVAL, Campaign
 from bayescal_models.simulated import Array, Clock, Simulated, correlated, refuse
 
@@ -240,19 +239,20 @@ def simulate_arrays(
     generators = simulated.generators(names, seed)
     world = World(campaign, generators)
 
-    contributions = {"baseline": world.average(_baseline(campaign, world))}
+    line = campaign.constant + campaign.slope * (world.ambient - campaign.T0)
+    contributions = {"baseline": world.average(line)}
     if campaign.rate_input is not None:
         contributions["rate_input"] = world.average(world.rate)
     for name, size in effects.items():
         contributions[name] = world.average(size * LAWS[name](world))
     noise_free = np.sum(list(contributions.values()), axis=0)
-    output = _rounded(noise_free + _noise(world, generators, noise_law), campaign)
+    output = noise_free + _noise(world, generators, noise_law)
 
     error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
     columns: dict[str, NDArray[Any]] = {
         "run": np.array([str(k + 1) for k in world.run]),
         "time": world.average(world.time),
-        "temperature": world.average(world.ambient) + campaign.thermometer_offset + error,
+        "temperature": world.average(world.ambient) + error,
         "board_temperature": world.average(world.board),
     }
     if campaign.rate_input is not None:
@@ -266,13 +266,6 @@ def simulate_arrays(
 
 
 simulated_columns = simulated.columns_of(simulate_arrays)
-
-
-def _baseline(campaign: Campaign, world: World) -> Array:
-    """Return the zero-rate output on the grid, °/s: the line, or the two resonances."""
-    if campaign.law == "resonance":
-        return campaign.resonance.zero_rate(world.ambient, campaign.T0, campaign.constant)
-    return campaign.constant + campaign.slope * (world.ambient - campaign.T0)
 
 
 def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_law: str) -> Array:
@@ -289,13 +282,3 @@ def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_la
         record = world.average(correlated(wander, len(world.time), WANDER_TIME, GRID))
         slow[world.run == k] = record[world.run == k]
     return white + WANDER * slow
-
-
-def _rounded(output: Array, campaign: Campaign) -> Array:
-    """Round the output, °/s, to the converter's voltage step, where there is one."""
-    if campaign.converter_step is None:
-        return output
-    gain, offset = NOMINAL_SCALE.gain, NOMINAL_SCALE.offset
-    volts = offset + gain * output
-    volts = campaign.converter_step * np.rint(volts / campaign.converter_step)
-    return (volts - offset) / gain

@@ -6,7 +6,6 @@ from .campaign import INSTRUMENT_A as INSTRUMENT_A
 from .campaign import Campaign as Campaign
 from .campaign import fixed_point_heating as fixed_point_heating
 from .classical import classical_estimates as classical_estimates
-from .classical import fixed_point_tempcos as fixed_point_tempcos
 from .model import INSTRUMENT as INSTRUMENT
 from .model import simulate as simulate
 

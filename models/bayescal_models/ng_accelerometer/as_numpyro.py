@@ -2,10 +2,7 @@
 
 Bias and scale factor follow the temperature; the angles of fixture, base and tide are latent.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 The face of the table is tilted by γ and turned to θ; gravity acts along the input axis as a = g·u·s (source 0), with
 

@@ -1,9 +1,6 @@
 """A quartz resonant beam accelerometer with two thermometers: source 2's fifteen columns, whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 With t1 at the beams' circuit, t2 in the head, both from T0, and δ = t1 − t2:
 
@@ -87,6 +84,4 @@ def _per_minute(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
     return slope[np.argsort(order)]
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return two_thermometers()
+equal = two_thermometers  # the same model as a sum of named effects

@@ -1,9 +1,6 @@
 """Any sensor at rest, a line over temperature: the model whole, in NumPyro.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
-
-    nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Output y of reading i, µg; sizes are those of a plausible accelerometer on ramps:
 
@@ -37,6 +34,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     return {"temperature": temperature, "T0": T0, "output": readings["output"]}
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
-    return reference_problem.model()
+equal = reference_problem.model  # the same model as a sum of named effects
