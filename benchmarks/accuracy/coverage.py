@@ -1,7 +1,7 @@
 """Do the intervals cover? Simulation-based calibration of every instrument on its reference problem.
 
-Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/reference_problem.py`), and each is fitted
-as `bc.fit` fits it: mode and importance sampling on the host. Where its weights are uneven, `bc.fit` would go on to
+Data sets are drawn from the priors that the fit uses (`reference_problem` of an instrument), and each is fitted as
+`bc.fit` fits it: mode and importance sampling on the host. Where its weights are uneven, `bc.fit` would go on to
 NUTS; here they count as they are.
 Their ranks and coverage stand in results/coverage.json.
 """
@@ -56,7 +56,7 @@ class Ground:
 
     @classmethod
     def of(cls, name: str) -> Ground:
-        problem = import_module(f"bayescal_models.{name}.reference_problem")
+        problem = import_module(f"bayescal_models.{name}").reference_problem
         return cls(name, problem.model(), problem.readings())
 
     @cached_property

@@ -102,7 +102,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
     Raises:
         SystemExit: it could not be had to the tolerances.
     """
-    problem = import_module(f"bayescal_models.{name}.reference_problem")
+    problem = import_module(f"bayescal_models.{name}").reference_problem
     model, readings = problem.model(), problem.readings(seed=0)
     start, draws = time.perf_counter(), DRAWS
     for _ in range(LENGTHENED):

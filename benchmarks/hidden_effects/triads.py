@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._search.structures import Structure
-from bayescal_models.accelerometer_triad.campaign import Campaign as Poses
+from bayescal_models.accelerometer_triad import Campaign as Poses
 from bayescal_models.gyro_triad.campaign import Campaign as Rates
 from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import instrument_named

@@ -117,6 +117,20 @@ def correlated(
     return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
 
 
+def ramp_limited(
+    time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
+) -> Array:
+    """Return a ramp-limited set point, °C: goals set at their starts, s, with a ramp in °C/min."""
+    knots, values = [float(starts[0])], [float(goals[0])]
+    per_second = ramp / 60.0
+    for start, end, goal in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
+        reach = per_second * (end - start)
+        move = float(np.clip(goal - values[-1], -reach, reach))
+        knots += [start, start + abs(move) / per_second]
+        values += [values[-1], values[-1] + move]
+    return np.interp(time, knots, values)
+
+
 SLIPS = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of joints that stick and slip; ours
 SUPPLY, SUPPLY_WANDER, SUPPLY_TIME = 5.0, 0.1, 1200.0  # V, V and s, of a supply that wanders; ours
 
@@ -198,22 +212,25 @@ def readings_of(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
     return simulate
 
 
-def reference_problem(
-    instrument: bc.Instrument, campaign: Any, fuller: Any
-) -> tuple[Callable[..., bc.Model], Callable[..., bc.Measurements], Callable[..., bc.Measurements]]:
-    """Return `model`, `readings` and `hidden` of a reference problem that is the baseline, its priors as they stand.
+class ReferenceProblem(NamedTuple):
+    """A reference problem that is the baseline, its priors as they stand; `bayescal_models` says what it is for.
 
-    Args:
+    Attributes:
         instrument: whose.
         campaign: of its readings, in which nothing is hidden.
         fuller: in which effects are hidden; a campaign, or a function of the effects.
     """
 
-    def readings(seed: int = 0) -> bc.Measurements:
-        return instrument.simulate(seed=seed, campaign=campaign)
+    instrument: bc.Instrument
+    campaign: Any
+    fuller: Any
 
-    def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
-        plan = fuller(effects) if callable(fuller) else fuller
-        return instrument.simulate(effects, seed=seed, campaign=plan)
+    def model(self) -> bc.Model:
+        return self.instrument.baseline()
 
-    return instrument.baseline, readings, hidden
+    def readings(self, seed: int = 0) -> bc.Measurements:
+        return self.instrument.simulate(seed=seed, campaign=self.campaign)
+
+    def hidden(self, effects: Mapping[str, float], seed: int) -> bc.Measurements:
+        plan = self.fuller(effects) if callable(self.fuller) else self.fuller
+        return self.instrument.simulate(effects, seed=seed, campaign=plan)

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.campaign import LAG_TIME
+from bayescal_models.still_sensor.simulator import LAG_TIME
 
 LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
 HIDDEN = {"strong": {LAG: 8.0}, "weak": {LAG: 3.0}, "none": {QUADRATIC: 0.05}}

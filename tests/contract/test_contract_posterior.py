@@ -1,6 +1,6 @@
 """The contract of the posterior: three methods and a reference posterior agree on every instrument's problem.
 
-The reference problem of an instrument is `bayescal_models/NAME/reference_problem.py`.
+The reference problem of an instrument is `reference_problem` of `bayescal_models.NAME`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ SAME_LATENTS = (
 
 def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
     module = import_module(f"bayescal_models.{instrument}.as_numpyro")
-    problem = import_module(f"bayescal_models.{instrument}.reference_problem")
+    problem = import_module(f"bayescal_models.{instrument}").reference_problem
     return module, problem.readings(0)
 
 

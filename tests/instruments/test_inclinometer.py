@@ -11,7 +11,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import inclinometer
-from bayescal_models.inclinometer import model, reference_problem
+from bayescal_models.inclinometer import model
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement
 from tests.support.inside import frame_of
@@ -75,7 +75,7 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     assert (found.nothing_missing or 0.0) > 0.5
     said = {c.effect: c for c in found.candidates}
     assert found.latent == ("dividing.face",) and said["dividing.wobble"].kind == "not visible"
-    for name in reference_problem.ON_TILT:
+    for name in model.ON_TILT:
         assert said[name].kind == "not testable"
 
 

@@ -18,7 +18,7 @@ from bayescal._search.structures import Structure
 from bayescal._search.walk import FORM_NATS
 from bayescal.effects.thermal import BODIES
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import frame_of, why_not_testable
+from tests.support.inside import frame_of
 
 GYRO = mems_gyro.INSTRUMENT
 RUNS, HOURS, STEP, FINE = 3, 4, 60.0, 5.0  # s
@@ -157,15 +157,6 @@ def test_two_bodies_side_by_side_are_one_of_the_forms(seed: int) -> None:
     assert paths.log_evidence[0] > one.log_evidence[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [305, 306, 307])
-def test_two_bodies_side_by_side_are_found(seed: int) -> None:
-    readings = side_by_side(seed)
-    trail = bc.calibrate(still_sensor.INSTRUMENT.for_readings(readings).baseline(), readings)
-    slope = trail.calibration.samples("bias.temperature")
-    assert abs(slope.mean() - 40.0) < 3 * slope.std() and slope.std() < 5
-
-
 def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
     """Draws in which a body's temperature is that of the column are those of structures without it; saved or not."""
     used = trail.calibration
@@ -193,11 +184,3 @@ def test_a_form_is_as_large_as_the_search_found_it() -> None:
     assert trail.search is not None and trail.final.calibration.log_evidence is not None
     likeliest = trail.search.structures[0].log_evidence
     assert trail.final.calibration.log_evidence[0] == pytest.approx(likeliest, abs=5.0)
-
-
-def test_a_lag_can_be_tested_in_one_run() -> None:
-    """What its state adds when a run begins has a learned spread, of which one run tells nothing: the lag is seen."""
-    readings, *_ = campaign(1)
-    one = readings.select(readings.groups("run")[1] == 0)
-    lag = GYRO.known["bias.thermal_lag"]
-    assert all(why_not_testable(e, one) is None for e in (lag, *lag.forms))

@@ -12,7 +12,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration import judgement
-from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import Subject
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._search.gate import assess_last
@@ -60,20 +59,6 @@ def test_readings_against_the_prior_leave_with_1(tmp_path) -> None:
     assert done.data["verdict"]["ok"] is False
     (reason,) = done.data["verdict"]["reasons"]
     assert reason in done.said[-1]
-
-
-ROW = {"name": "x", "effect": "e", "unit": "deg/s", "mean": 0.1, "contraction": 0.5}
-
-
-def told_of(
-    line: bc.Calibration, monkeypatch: pytest.MonkeyPatch, coefficient: bool = False, **row: Any
-) -> list[Claim]:
-    """Conflicts of a fit whose summary has one spread more, or one coefficient."""
-    coefficients, spreads = judgement.summary(line)
-    more = [{**ROW, **row}]
-    both = ([*coefficients, *more], spreads) if coefficient else (coefficients, [*spreads, *more])
-    monkeypatch.setattr(judgement, "summary", lambda _: both)
-    return judgement.conflicts(Subject(line))
 
 
 @pytest.mark.parametrize(("sign", "count"), [(1.0, 0), (-1.0, 1)])
@@ -126,26 +111,6 @@ def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
     )
     with pytest.raises(bc.InputError):
         bc.calibrate(INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=200))
-
-
-def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
-    (reason,) = told_of(line, monkeypatch, coefficient=True, contraction=-1.5)
-    assert (reason.code, reason.subjects, reason.numbers) == (
-        "prior.widened",
-        ("x",),
-        {"contraction": -1.5},
-    )
-    assert told_of(line, monkeypatch, coefficient=True, contraction=-0.5)[1:] == []
-    monkeypatch.undo()
-    assert told_of(line, monkeypatch, contraction=-7.5) == []
-
-
-def test_a_scale_larger_than_the_outputs_range(line, monkeypatch) -> None:
-    reach = float(np.ptp(line.readings["output"]))
-    (reason,) = told_of(line, monkeypatch, name="noise.white", mean=1.1 * reach)
-    assert (reason.code, reason.subjects) == ("size.beyond_output", ("noise.white",))
-    monkeypatch.undo()
-    assert told_of(line, monkeypatch, name="bias.cause.length", mean=1.1 * reach) == []
 
 
 def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:

@@ -31,21 +31,6 @@ def test_a_rounded_output_is_said_and_nothing_finer_is_looked_for() -> None:
     assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares()).ok
 
 
-@pytest.mark.slow
-def test_clipped_readings_are_set_aside_and_said() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    low, high = np.quantile(readings["output"], [0.1, 0.9])
-    clipped = readings.with_column("output", np.clip(readings["output"], low, high))
-    trail = bc.calibrate(INSTRUMENT.baseline(), clipped, method=bc.LeastSquares())
-    kept = (readings["output"] > low) & (readings["output"] < high)
-    assert len(trail.final.calibration.readings) == kept.sum()
-    whole = bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares())
-    for name in ("bias.constant", "bias.temperature"):
-        difference = np.mean(trail.final.calibration.samples(name)) - np.mean(whole.samples(name))
-        assert abs(difference) < 3 * np.std(trail.final.calibration.samples(name))
-    assert len(trail.steps) == 1
-
-
 def test_an_output_that_stood_still_is_set_aside_and_said() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     output = readings["output"].copy()

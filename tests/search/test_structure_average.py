@@ -89,14 +89,6 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
     assert row.contribution == pytest.approx(slope * size, rel=0.02)
 
 
-def test_deviations_of_ones_own_that_learn_no_spread_count_nothing() -> None:
-    stated = bc.Coefficient("deg/s", bc.Normal(0.0, 0.05), per="run")
-    own = bc.Effect("bias.shift", "bias", lambda r: 1.0, (stated,), columns=("run",))
-    readings, baseline = mems_gyro.simulate({}, seed=3), mems_gyro.INSTRUMENT.baseline()
-    found = bc.calibrate(baseline, readings, effects=[own], max_effects=1).calibration
-    assert set(found.unfound_spreads) == {"bias.run"}
-
-
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     discovery = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings))
@@ -165,16 +157,6 @@ def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average)
 
 
 @pytest.mark.slow
-def test_a_search_of_one_structure_is_not_averaged() -> None:
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.3}, seed=1)
-    found = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)
-    if found.average is None:
-        assert found.calibration is found.final.calibration and len(found.shares) < 2
-    else:
-        assert found.shares[0].probability < 1 - 0.009
-
-
-@pytest.mark.slow
 def test_where_the_search_is_split_the_average_covers_and_one_structure_does_not() -> None:
     """95 % intervals of the true noise-free curve over the readings; sizes too small for a certain answer."""
     sizes = np.random.default_rng(11).uniform(0.003, 0.012, CAMPAIGNS)
@@ -239,16 +221,6 @@ def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
     with bc.use_settings(bc.Settings(temperature_span=0.5)), pytest.raises(bc.InputError):
         line_of(20.0, 20.3)
     assert len(line_of(20.0, 20.3)) == 2
-
-
-@pytest.mark.slow
-def test_draws_are_judged_by_them() -> None:
-    readings = line_of(*range(20, 40))
-    model, few = mems_gyro.INSTRUMENT.baseline(), bc.Marginal(draws=100, proposals=100)
-    with bc.use_settings(bc.Settings(effective_draws=1e6)):
-        assert not bc.fit(model, readings, few, strict=False).verdict.ok
-    with bc.use_settings(bc.Settings(effective_draws=10)):
-        assert bc.fit(model, readings, few, strict=False).verdict.ok
 
 
 @pytest.mark.slow

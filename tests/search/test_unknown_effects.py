@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,18 +62,6 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> Non
     assert found.unit == "deg/s"
 
 
-@pytest.mark.slow
-def test_least_squares_fits_and_predicts_with_it(trail: bc.SearchPath) -> None:
-    """Its amplitude must not run away while its coefficients shrink: draws of their product would be worthless."""
-    sampled, readings = trail.final.calibration, trail.final.calibration.readings
-    fitted = bc.fit(sampled.model, readings, bc.LeastSquares(draws=400), strict=False)
-    assert fitted.verdict.ok
-    assert bc.predict(fitted).rmse < 1.05 * bc.predict(sampled).rmse
-    amplitude = "unknown(humidity, line).amplitude"
-    ratio = fitted.samples(amplitude).mean() / np.median(sampled.samples(amplitude))
-    assert 0.2 < ratio < 5
-
-
 def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     readings = mems_gyro.simulate(HUMID, seed=1)
     far = readings.with_column("humidity", readings["humidity"] + 10.0)
@@ -97,21 +84,6 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     assert np.allclose(kernel[np.ix_(inner, inner)], exact[np.ix_(inner, inner)], atol=0.3)
 
 
-@pytest.mark.slow
-def test_its_gradient_is_finite_at_any_length() -> None:
-    readings = mems_gyro.simulate({}, seed=1).select(np.arange(20))
-    frame = frame_of(readings)
-    effect = INSTRUMENT.unknown("time")
-
-    def total(length):
-        assert effect.weights is not None
-        shapes = {"length": length, "amplitude": jnp.asarray(1.0)}
-        return (effect.evaluate(frame, shapes) * effect.weights(**shapes)).sum()
-
-    for length in (1e-3, 0.3, 100.0):
-        assert np.isfinite(jax.grad(total)(length))
-
-
 def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> None:
     fit = bc.fit(INSTRUMENT.baseline(), mems_gyro.simulate(HUMID, seed=1), bc.LeastSquares())
     found = [e.against for e in bc.check(fit).entries if not e.by_group]
@@ -127,13 +99,6 @@ def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=200)))
     assert {name for s in found.findings for name in s.effects} >= set(hidden)
     assert found.best[0].name in hidden
-
-
-@pytest.mark.slow
-def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate() -> None:
-    curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
-    found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
-    assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
 
 
 # A package that jumps, an adhesive that softens, modes that cross: forms of an unknown dependence on a temperature.
@@ -242,16 +207,6 @@ def test_a_fast_wave_is_found_and_measured_by_the_default_method() -> None:
     draws = trail.final.calibration.samples("unknown(time, cycle).cycles")
     assert abs(draws.mean() - 13.2) < max(4 * draws.std(), 0.02)
     assert 0 < draws.std() < 0.1
-
-
-@pytest.mark.slow
-def test_a_jump_is_measured_by_the_default_method() -> None:
-    readings = changed(45, lambda at: np.where(at > PLACE, HEIGHT, 0.0))
-    sampled = bc.fit(INSTRUMENT.baseline() + "unknown(time, jump)", readings)
-    assert sampled.verdict.ok
-    height = sampled.samples("unknown(time, jump)[1]")
-    assert abs(height.mean() - HEIGHT) < 4 * height.std()
-    assert 0 < sampled.samples("unknown(time, jump).place").std() < 0.02
 
 
 # Outputs without a dimension (ppm, ppb, %, 1), in Hz and in s: read, judged, shown and handed on in their unit.

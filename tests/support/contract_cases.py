@@ -90,7 +90,7 @@ class Case:
 
     @cached_property
     def problem(self) -> ModuleType:
-        return import_module(f"bayescal_models.{self.name}.reference_problem")
+        return import_module(f"bayescal_models.{self.name}").reference_problem
 
     @cached_property
     def model(self) -> bc.Model:

@@ -46,14 +46,14 @@ def shared(make: Callable[P, T]) -> Callable[P, T]:
 @shared
 def calibration(instrument: str) -> bc.Calibration:
     """The reference problem of an instrument by least squares, seed 0."""
-    problem = import_module(f"bayescal_models.{instrument}.reference_problem")
+    problem = import_module(f"bayescal_models.{instrument}").reference_problem
     return bc.fit(problem.model(), problem.readings(seed=0), bc.LeastSquares())
 
 
 @shared
 def marginal(instrument: str) -> bc.Calibration:
     """The same by the default method."""
-    problem = import_module(f"bayescal_models.{instrument}.reference_problem")
+    problem = import_module(f"bayescal_models.{instrument}").reference_problem
     return bc.fit(problem.model(), problem.readings(seed=0))
 
 

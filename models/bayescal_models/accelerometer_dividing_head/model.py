@@ -31,7 +31,7 @@ from bayescal_models.accelerometer_dividing_head import COLUMNS, NOMINAL_SCALE
 from bayescal_models.accelerometer_dividing_head.campaign import Campaign
 from bayescal_models.accelerometer_dividing_head.simulator import simulated_columns
 from bayescal_models.catalogue import HOUR, MINUTE, EffectTable, centred, effect, one
-from bayescal_models.simulated import experiments, readings_of
+from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
 G = 1e6  # µg
 
@@ -126,3 +126,9 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1293",
 )
 simulate = readings_of(INSTRUMENT)
+# 36 readings; effects are hidden in 360, up and down in three mountings.
+reference_problem = ReferenceProblem(
+    INSTRUMENT,
+    Campaign(positions=12, temperatures=(0.0, 25.0, 50.0)),
+    Campaign(temperatures=(-20.0, 25.0, 70.0, 25.0, -20.0), runs=3),
+)

@@ -31,7 +31,8 @@ from bayescal_models import local_gravity
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.catalogue import EffectTable
-from bayescal_models.simulated import readings_of
+from bayescal_models.simulated import ReferenceProblem, readings_of
+from bayescal_models.triad.campaign import TWO_SESSIONS, Campaign
 from bayescal_models.triad.equation import (
     BIAS,
     CROSS,
@@ -116,3 +117,5 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
 simulate = readings_of(INSTRUMENT)
+# 24 poses in unknown directions at 0.5 mg.
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(), Campaign(**TWO_SESSIONS))

@@ -2,6 +2,7 @@
 
 import bayescal as bc
 
+from . import reference_problem as reference_problem
 from .campaign import Campaign as Campaign
 from .model import INSTRUMENT as INSTRUMENT
 from .model import simulate as simulate

@@ -7,6 +7,7 @@ from .campaign import MovesByHand as MovesByHand
 from .log_simulator import simulate_log as simulate_log
 from .model import INSTRUMENT as INSTRUMENT
 from .model import moved as moved
+from .model import reference_problem as reference_problem
 from .model import simulate as simulate
 
 COLUMNS: tuple[bc.Column, ...]

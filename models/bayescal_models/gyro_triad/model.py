@@ -38,8 +38,9 @@ import bayescal as bc
 from bayescal import xp
 from bayescal_models.catalogue import EffectTable, family, one
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS
+from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.gyro_triad.simulator import simulated_columns
-from bayescal_models.simulated import readings_of
+from bayescal_models.simulated import ReferenceProblem, readings_of
 from bayescal_models.triad.columns import AROUND, PULLED, SQUARED, TURNED
 from bayescal_models.triad.equation import (
     AXES,
@@ -203,3 +204,9 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
 simulate = readings_of(INSTRUMENT)
+# Five rates in three mountings.
+reference_problem = ReferenceProblem(
+    INSTRUMENT,
+    Campaign(mountings=("x", "y", "z")),
+    Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2),
+)

@@ -11,6 +11,7 @@ from .files import accelerometers as accelerometers
 from .files import negated as negated
 from .files import read as read
 from .model import INSTRUMENT as INSTRUMENT
+from .model import reference_problem as reference_problem
 from .model import simulate as simulate
 from .verification import Verification as Verification
 from .verification import read_verification as read_verification

@@ -40,6 +40,7 @@ Sizes are prior standard deviations for a first calibration, ours where no sourc
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -50,10 +51,10 @@ import bayescal as bc
 from bayescal import xp
 from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress, recorded
 from bayescal_models.inclinometer import COLUMNS
-from bayescal_models.inclinometer.campaign import Campaign
+from bayescal_models.inclinometer.campaign import VERIFICATION, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 from bayescal_models.inclinometer.simulator import simulated_columns
-from bayescal_models.simulated import experiments, readings_of
+from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
 KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
 
@@ -289,3 +290,16 @@ INSTRUMENT = bc.Instrument(
     source="source 4",
 )
 simulate = readings_of(INSTRUMENT)
+
+ON_TILT = {"zero.electrical_tilt", "zero.exact_placement", "scale.constant"}
+
+
+def _fuller(effects) -> Campaign:
+    """Choose a zero test; a verification where effects are on tilt."""
+    return replace(VERIFICATION, runs=2) if ON_TILT & {*effects} else Campaign()
+
+
+# ±45° by 15°, forward and backward, two mountings of each axis: 56 rows.
+reference_problem = ReferenceProblem(
+    INSTRUMENT, Campaign(angles=tuple(float(a) for a in range(-45, 46, 15))), _fuller
+)

@@ -4,6 +4,7 @@ import bayescal as bc
 
 from .campaign import Campaign as Campaign
 from .model import INSTRUMENT as INSTRUMENT
+from .model import reference_problem as reference_problem
 from .model import simulate as simulate
 
 COLUMNS: tuple[bc.Column, ...]

@@ -21,8 +21,10 @@ from typing import Any
 import bayescal as bc
 from bayescal_models.catalogue import EffectTable
 from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS
+from bayescal_models.magnetometer_triad.campaign import Campaign
 from bayescal_models.magnetometer_triad.simulator import simulated_columns
-from bayescal_models.simulated import readings_of
+from bayescal_models.simulated import ReferenceProblem, readings_of
+from bayescal_models.triad.campaign import TWO_SESSIONS
 from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, equation, slots
 from bayescal_models.triad.experiments import experiments
 from bayescal_models.triad.families import (
@@ -87,3 +89,5 @@ INSTRUMENT = bc.Instrument(
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )
 simulate = readings_of(INSTRUMENT)
+# 40 readings in unknown directions at 0.3 µT.
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(poses=40), Campaign(**TWO_SESSIONS))

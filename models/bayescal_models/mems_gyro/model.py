@@ -31,7 +31,7 @@ from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, THERMOMETER_SD, VO
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.resonance import with_amplitude_held, with_force_held
 from bayescal_models.mems_gyro.simulator import simulated_columns
-from bayescal_models.simulated import experiments, readings_of
+from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
 
 def _response(slots, r):
@@ -162,3 +162,13 @@ INSTRUMENT = bc.Instrument(
     source="source 1",
 )
 simulate = readings_of(INSTRUMENT)
+
+
+def _fuller(effects) -> Campaign:
+    """Return a campaign on a turntable, without which no scale factor shows, where one is hidden."""
+    turning = any(INSTRUMENT.effect(name).slot == "scale" for name in effects)
+    return Campaign(rate_input=(0.0, 100.0, -100.0) if turning else None)
+
+
+# Over 30 to 80 °C, one reading a step: 44 rows.
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(average=300, runs=4), _fuller)

@@ -11,7 +11,7 @@ is a law in that world, and the logger's samples are averaged into readings at t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -102,21 +102,7 @@ def _set_point(plan: Campaign, time: Array) -> Array:
         if k + 1 < plan.runs and plan.pause > 0:
             starts.append(start + plan.run_duration)
             goals.append(plan.set_points(k + 1)[0])
-    return ramp_limited(time, starts, goals, plan.chamber_ramp)
-
-
-def ramp_limited(
-    time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
-) -> Array:
-    """Return a ramp-limited set point, °C: goals set at their starts, s, with a ramp in °C/min."""
-    knots, values = [float(starts[0])], [float(goals[0])]
-    per_second = ramp / 60.0
-    for start, end, goal in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
-        reach = per_second * (end - start)
-        move = float(np.clip(goal - values[-1], -reach, reach))
-        knots += [start, start + abs(move) / per_second]
-        values += [values[-1], values[-1] + move]
-    return np.interp(time, knots, values)
+    return simulated.ramp_limited(time, starts, goals, plan.chamber_ramp)
 
 
 # Laws: what one unit of an effect adds to the output, °/s. None uses the columns from which a candidate effect builds

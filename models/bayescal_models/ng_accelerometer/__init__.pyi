@@ -2,6 +2,7 @@
 
 import bayescal as bc
 
+from . import reference_problem as reference_problem
 from .campaign import INSTRUMENT_A as INSTRUMENT_A
 from .campaign import Campaign as Campaign
 from .campaign import fixed_point_heating as fixed_point_heating

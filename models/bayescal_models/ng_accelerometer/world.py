@@ -14,7 +14,14 @@ import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
 from bayescal_models.ng_accelerometer.moon_and_sun import BEGIN, DAY, tide
-from bayescal_models.simulated import HOUR, Array, correlated, first_order_body, wandering_supply
+from bayescal_models.simulated import (
+    HOUR,
+    Array,
+    correlated,
+    first_order_body,
+    ramp_limited,
+    wandering_supply,
+)
 
 CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
 BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
@@ -74,7 +81,7 @@ class World:
         on = np.array([first for first, _ in done.power])[run][:, None]
         self.warmth = np.exp(-(self.time - on) / WARM_UP_TIME)
         wander = correlated(generators["chamber"], grid.size, WANDER_TIME, GRID)
-        calm = body(_set_point(grid, done.goals, plan.ramp), CHAMBER_TIME)
+        calm = body(ramp_limited(grid, *zip(*done.goals, strict=True), plan.ramp), CHAMBER_TIME)
         air = calm + plan.chamber_wander * wander
         device = body(air, DEVICE_TIME)
         self.device = device[index]
@@ -129,15 +136,6 @@ class _CarriedOut:
             self.power[-1] = (self.power[-1][0], now)
             free, now = now, now + plan.pause
         self.end = self.readings[-1][-1] + 2 * READING_TIME
-
-
-def _set_point(grid: Array, goals: list[tuple[float, float]], ramp: float) -> Array:
-    """Return a ramp-limited set point, °C, at `ramp`, °C/min."""
-    times, values = [0.0], [goals[0][1]]
-    for start, goal in goals[1:]:
-        times += [start, start + abs(goal - values[-1]) / ramp * 60.0]
-        values += [values[-1], goal]
-    return np.interp(grid, times, values)
 
 
 def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:

@@ -41,7 +41,7 @@ from bayescal_models.catalogue import MINUTE, SIGNS, EffectTable, Maker, effect,
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
-from bayescal_models.simulated import experiments, readings_of
+from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
@@ -348,3 +348,9 @@ INSTRUMENT = bc.Instrument(
     source="source 2",
 )
 simulate = readings_of(INSTRUMENT)
+# Two tumbles over five temperatures and a ramp at each of three attitudes, a reading every ten minutes.
+reference_problem = ReferenceProblem(
+    INSTRUMENT,
+    Campaign(temperatures=(-40.0, -10.0, 20.0, 45.0, 70.0), interval=600.0, soak=3600.0),
+    Campaign(),
+)

@@ -20,17 +20,12 @@ from bayescal_models.simulated import (
     supplied,
     wandering_supply,
 )
-from bayescal_models.still_sensor.campaign import (
-    CHAMBER_TIME,
-    LAG_TIME,
-    PAUSE,
-    RAMPS,
-    REVERSAL_TIME,
-    SLOW_TIME,
-    WANDER_TIME,
-    WARM_UP_TIME,
-)
 
+RAMPS = ((0.0, 25.0), (10.0, -15.0), (25.0, 65.0), (40.0, 25.0))  # min, °C: cooled, heated, cooled
+PAUSE = 3600.0  # s between runs
+CHAMBER_TIME, LAG_TIME, SLOW_TIME = 60.0, 300.0, 2400.0  # s
+REVERSAL_TIME = 30.0  # s, in which hysteresis follows a change of direction
+WARM_UP_TIME, WANDER_TIME = 600.0, 300.0  # s
 NOISE_LAWS = ("white", "ornstein_uhlenbeck")
 BASELINE = {"bias.constant": 2000.0, "bias.temperature": 40.0}
 NOISE = 20.0  # standard deviation of white noise, and of the wander beside it, output unit

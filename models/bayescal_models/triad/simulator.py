@@ -6,7 +6,6 @@ own equation. All of it is computed pose by pose in NumPy, independently of the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -23,20 +22,12 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 OFF_DIAGONAL = (*PAIRS, (1, 0), (2, 0), (2, 1))
 # Laws, and how many coefficients each has.
 COUNTS = {
-    "bias.constant": 3,
-    "bias.temperature": 3,
-    "bias.temperature_quadratic": 3,
-    "bias.thermal_lag": 3,
-    "bias.drift": 3,
-    "bias.run": 3,
-    "scale.constant": 3,
-    "scale.temperature": 3,
-    "misalignment.constant": 3,
-    "misalignment.temperature": 3,
-    "misalignment.frame": 3,
-    "square.constant": 3,
+    **dict.fromkeys(("bias.constant", "bias.temperature", "bias.temperature_quadratic"), 3),
+    **dict.fromkeys(("bias.thermal_lag", "bias.drift", "bias.run"), 3),
+    **dict.fromkeys(("scale.constant", "scale.temperature"), 3),
+    **dict.fromkeys(("misalignment.constant", "misalignment.temperature"), 3),
+    **dict.fromkeys(("misalignment.frame", "square.constant", "cube.constant"), 3),
     "cross.constant": 9,
-    "cube.constant": 3,
 }
 
 
@@ -68,12 +59,33 @@ def members_of(
     return sizes
 
 
-def matrix_of(scale: Any, angles: Sequence[float]) -> np.ndarray:
-    """Return the sensor matrix from scale factor deviations and three or six angles, rad."""
-    matrix = np.eye(3) + np.diag(scale)
-    for at, angle in zip(OFF_DIAGONAL, angles, strict=False):
-        matrix[at] = angle
+def matrix_of(scale: Any, angles: Any) -> np.ndarray:
+    """Return sensor matrices (…, 3, 3) of scale factor deviations (…, 3) and three or six angles (…, k), rad."""
+    matrix = np.eye(3) * (1 + np.asarray(scale)[..., None])
+    for k in range(np.shape(angles)[-1]):
+        matrix[..., *OFF_DIAGONAL[k]] = np.asarray(angles)[..., k]
     return matrix
+
+
+def bias_of(
+    sizes: Mapping[str, np.ndarray],
+    temperature: np.ndarray,
+    progress: np.ndarray,
+    lag: np.ndarray,
+    of_run: np.ndarray,
+) -> np.ndarray:
+    """Return the bias of each axis (n, 3), in the unit of its effects.
+
+    Args:
+        sizes: of the members of each effect.
+        temperature, progress, lag: °C, share of the test, °C behind the thermometer, (n,) each.
+        of_run: standard normal numbers (n, 3), alike within a run.
+    """
+    warm = (temperature - REFERENCE)[:, None]
+    bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
+    bias = bias + sizes["bias.temperature_quadratic"] * warm**2
+    bias = bias + sizes["bias.thermal_lag"] * lag[:, None]
+    return bias + sizes["bias.drift"] * progress[:, None] + sizes["bias.run"] * of_run
 
 
 def simulator_of(
@@ -127,22 +139,17 @@ def _poses(
     time = campaign.interval * np.arange(count) + 3600.0 * run
     of_run, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
     warm = (temperature - REFERENCE)[:, None]
-    progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
-    bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
-    bias = bias + sizes["bias.temperature_quadratic"] * warm**2 + sizes["bias.drift"] * progress
-    bias = bias + sizes["bias.thermal_lag"] * lag_of(temperature, run, campaign.interval)[:, None]
-    bias = small * (bias + sizes["bias.run"] * of_run[run])
+    progress = (time - time.mean()) / max(float(np.ptp(time)), 1.0)
+    lag = lag_of(temperature, run, np.full(count, campaign.interval))
+    bias = bias_of(sizes, temperature, progress, lag, of_run[run])
     scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
     upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm)
-    lower = 1e-3 * sizes["misalignment.frame"]
-    output = np.empty((count, 3))
-    for i in range(count):
-        matrix = matrix_of(scale[i], (*upper[i], *lower))
-        products = np.array([force[i, a] * force[i, b] for a, b in PAIRS])
-        second = sizes["square.constant"] * force[i] ** 2
-        second = second + sizes["cross.constant"].reshape(3, 3) @ products
-        output[i] = matrix @ force[i] + bias[i] + small * second
-        output[i] += small * sizes["cube.constant"] * force[i] ** 3
+    lower = np.tile(1e-3 * sizes["misalignment.frame"], (count, 1))
+    products = np.stack([force[:, i] * force[:, j] for i, j in PAIRS], axis=1)
+    higher = sizes["square.constant"] * force**2 + sizes["cube.constant"] * force**3
+    higher = higher + products @ sizes["cross.constant"].reshape(3, 3).T
+    matrix = matrix_of(scale, np.hstack([upper, lower]))
+    output = np.einsum("nij,nj->ni", matrix, force) + small * (bias + higher)
     output += campaign.noise * noise
     table: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
     table["magnitude"] = np.full(count, campaign.magnitude)
@@ -153,13 +160,16 @@ def _poses(
     return table
 
 
-def lag_of(temperature: np.ndarray, run: np.ndarray, interval: float) -> np.ndarray:
-    """Return the lag of the dies behind the thermometer, °C, with time constant `BODY`; zero when each run begins."""
-    lag = np.zeros(len(temperature))
+def lag_of(temperature: np.ndarray, run: np.ndarray, pause: np.ndarray) -> np.ndarray:
+    """Return the lag of the dies behind the thermometer, °C, with time constant `BODY`; zero when each run begins.
+
+    Args:
+        temperature, run, pause: of each reading, °C, from 0, and s since the reading before.
+    """
+    lag, kept = np.zeros(len(temperature)), np.exp(-pause / BODY)
     for i in range(1, len(lag)):
         if run[i] == run[i - 1]:
-            before = lag[i - 1] + temperature[i - 1] - temperature[i]
-            lag[i] = before * math.exp(-interval / BODY)
+            lag[i] = (lag[i - 1] + temperature[i - 1] - temperature[i]) * kept[i]
     return lag
 
 
