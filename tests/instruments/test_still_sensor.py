@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal_models import catalogue, mems_gyro, still_sensor
 from bayescal_models.mems_gyro.simulator import simulated_columns
 from tests.support.command_line import QUICK, needs_installation, run
-from tests.support.inside import frame_of, why_not_testable
 
 UNITS = [
     ("m/s^2", "ug", 1e6 / 9.80665), ("mg", "ug", 1e3), ("rad/s", "deg/s", 180 / np.pi),
@@ -84,29 +81,6 @@ def test_plausible_sizes_grow_with_the_record_and_say_so() -> None:
         assert "empirical" in effect.source
     line = instrument.effect("bias.temperature").coefficients[0]
     assert 100 < line.size < 1000
-
-
-@pytest.mark.slow
-def test_hysteresis_is_the_direction_of_the_temperature() -> None:
-    time = np.arange(0.0, 3600.0, 10.0)
-    ramp = np.interp(time, [0, 1200, 2400, 3600], [0.0, 20.0, 20.0, -5.0])
-    readings = bc.Measurements.from_arrays(
-        still_sensor.instrument("V"), time=time, temperature=ramp, output=np.sin(time)
-    )
-    effect = effects.hysteresis("bias", 1.0, "V", source="a test")
-    frame = frame_of(readings)
-    turned, left = np.asarray(effect.evaluate(frame, {"width": jnp.asarray(2.0)})).T
-    travel = np.abs(np.diff(ramp, prepend=0.0)).cumsum()
-    np.testing.assert_allclose(left, np.exp(-travel / 2.0), atol=1e-12)
-    up = time <= 2400  # from nothing; kept while it stands
-    np.testing.assert_allclose(turned[up], 1 - np.exp(-ramp[up] / 2.0), atol=1e-12)
-    expected = 2 * np.exp(-(20.0 - ramp[~up]) / 2.0) - 1
-    np.testing.assert_allclose(turned[~up], expected, atol=1e-4)
-    assert why_not_testable(effect, readings) is None
-    for chosen, seen in ((time < 1200, "only rises"), (time > 2460, "only falls")):
-        reason = why_not_testable(effect, readings.select(chosen))
-        assert reason is not None and reason.endswith(f"°C; it {seen}")
-    readings.with_column("temperature", ramp / 1000)
 
 
 def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) -> None:

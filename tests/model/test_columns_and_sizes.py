@@ -100,16 +100,6 @@ def test_a_model_found_on_one_record_keeps_its_sizes_on_another(tmp_path) -> Non
     assert bc.load(tmp_path / "c.nc").model.effects[-1].shapes == found.effects[-1].shapes
 
 
-def test_the_prior_of_its_coefficients_is_in_their_unit() -> None:
-    """An amplitude of 0.3 m, not one metre, is what a coefficient is measured against."""
-    c = waved("start")
-    kept, of = (c.tree.children[name].dataset for name in ("log_prior", "posterior"))
-    name = "unknown(time, cycle)[1]"
-    sd = of["unknown(time, cycle).amplitude"].values
-    expected = -0.5 * (of[name].values / sd) ** 2 - np.log(sd * np.sqrt(2 * np.pi))
-    np.testing.assert_allclose(kept[name].values, expected)
-
-
 # Effects of a column that is no temperature, in its own unit: fitted to simulated readings with truth, seed 9.
 
 
@@ -206,28 +196,6 @@ def test_hysteresis_is_that_of_the_body_behind_the_thermometer(method) -> None:
         draws = found.samples(f"bias.{name}")
         assert draws.mean() == pytest.approx(truth, abs=4 * draws.std(), rel=0.02), name
     assert found.samples("noise.white").mean() == pytest.approx(0.02, rel=0.15)
-
-
-OTHERS = {
-    "lag": effects.thermal_lag(
-        *("response", 0.3, "mV/kPa"),
-        **{"low": 20.0, "high": 500.0, "start": 5.0, "start_unit": "mV"},
-        source=S,
-        column="pressure",
-    ),
-    "rate": effects.rate("response", 1.0, "mV/(kPa/s)", source=S, column="pressure"),
-    "product": effects.temperature_x_lag(
-        "response", 0.01, "mV/kPa^2", low=20.0, high=500.0, source=S, column="pressure"
-    ),
-}
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_what_follows_the_past_of_a_column_is_fitted(name) -> None:
-    found = fitted(20.0 + 0.3 * (PRESSURE - MIDDLE), POLYNOMIALS[1], OTHERS[name])
-    assert found.verdict.ok
-    draws = found.samples("response.pressure")
-    assert draws.mean() == pytest.approx(0.3, abs=5 * draws.std())
 
 
 def test_a_delay_of_a_column_without_rates_is_refused() -> None:

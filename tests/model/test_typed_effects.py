@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import pickle
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.export_check import needs_compiler, run_header
 from tests.support.golden import assert_golden
 from tests.support.inside import frame_of
@@ -191,52 +188,6 @@ def test_a_body_is_one_state_wherever_it_is_used(tmp_path: Path) -> None:
     for suffix in ("py", "h"):
         text = used.export(tmp_path / f"die.{suffix}").read_text("utf-8")
         assert "temperature_lag" in text and "temperature_lag_2" not in text
-
-
-@pytest.mark.slow
-@needs_installation
-def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> None:
-    random = np.random.default_rng(7)
-    time = np.arange(120) * 30.0
-    supply = 5 + 0.3 * np.sin(time / 700) + 0.02 * random.normal(size=time.size)
-    temperature = 25 + 20 * np.sin(time / 1500)
-    output = 20 + 0.05 * (temperature - 25) + 0.8 * (supply - 5) + random.normal(0, 0.02, time.size)
-    table = {
-        "time [s]": time,
-        "temperature [degC]": temperature,
-        "supply_voltage [V]": supply,
-        "output [deg/s]": output,
-    }
-    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
-    typed = ("--effect", "supply: s * (supply_voltage - 5); s = 0.5 deg/s/V")
-    found = run(
-        "calibrate",
-        tmp_path / "lab.csv",
-        *GYRO,
-        *typed,
-        "--max-effects",
-        1,
-        "--out",
-        tmp_path / "out",
-        "--json",
-    )
-    assert found.status == 0, found.err
-    loaded = bc.load(tmp_path / "out" / "calibration.nc")  # without a file of effects
-    assert "bias.supply" in loaded.model.names
-    assert abs(loaded.samples("bias.supply").mean() - 0.8) < 0.03
-    done = run("compensate", tmp_path / "out", tmp_path / "lab.csv", "--out", tmp_path / "c.csv")
-    assert done.status == 0, done.err
-    exported = run("export", tmp_path / "out", "--out", tmp_path / "c.py")
-    assert exported.status == 0, exported.err
-    fitted = run(
-        "fit", tmp_path / "lab.csv", *GYRO, *QUICK, *typed, "--add", "bias.supply", "--json"
-    )
-    assert fitted.status == 0, fitted.err
-    refused = run(
-        "fit", tmp_path / "lab.csv", *GYRO, *QUICK, "--effect", "supply: s * exp(supply_voltage)"
-    )
-    assert refused.status == 2
-    assert "bias.supply" in json.dumps(found.data)
 
 
 FUNCTION = bc.Effect(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bayescal_models.gyro_triad.simulator import BASELINE
-from bayescal_models.triad.simulator import OFF_DIAGONAL
+from bayescal_models.triad import simulator
 
 TRUE = {
     f"{name}[{part}]": value
@@ -22,7 +22,5 @@ TRUE = {
 
 def matrix_of(baseline: Mapping[str, Sequence[float]]) -> np.ndarray:
     """Of the outputs by what acts, of scale factors in ppm and misalignments in mrad."""
-    matrix = np.eye(3) + 1e-6 * np.diag(baseline["scale.constant"])
-    for angle, at in zip(baseline["misalignment.constant"], OFF_DIAGONAL, strict=False):
-        matrix[at] = 1e-3 * angle
-    return matrix
+    scale, angles = (np.array(baseline[f"{n}.constant"]) for n in ("scale", "misalignment"))
+    return simulator.matrix_of(1e-6 * scale, 1e-3 * angles)
