@@ -1,7 +1,12 @@
-"""Model comparison: leave-one-group-out (leave_group_out.py) and log evidence (laplace.py)."""
+"""Model comparison: leave-one-group-out (leave_group_out.py), leave-one-out, evidence (laplace.py), stacking.
+
+Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
+917 (stacking). PSIS-LOO is ArviZ's.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
@@ -15,13 +20,16 @@ from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_gr
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number
+from bayescal._core.importance_weights import stacking_weights
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
+from bayescal._inference.trust import K_HAT
 
 FEWEST_GROUPS = limit("compare.few_groups", "groups")
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
-TERMS = "elpd: expected log predictive density."
+BY_READINGS = "pointwise leave-one-out"
+TERMS = "elpd: expected log predictive density; stacking weight: share in the mixture of models with the largest elpd."
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,12 @@ class ComparisonRow:
     group_difference: float | None  # group_score less that of the best model
     group_error: float | None  # standard error of the difference; None with fewer than ten groups
     group_rmse: float | None  # of readings predicted from the other groups, output unit
+    loo: float  # expected log pointwise predictive density by PSIS-LOO
+    loo_difference: float  # loo less that of the best model
+    loo_error: float  # standard error of the difference
+    pareto_k: float  # largest Pareto k of the readings
     log_evidence: float | None  # None where a prior is flat
+    weight: float  # stacking weight
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,10 +57,10 @@ class Comparison(Printed):
 
     Attributes:
         rows: scores, one row per model.
-        group: kind of the left-out groups: device, run, cell or block; empty if none was left out.
+        group: kind of the left-out groups: device, run, cell, block or reading.
         groups: number of groups.
-        chosen_by: ranking criterion: "leave-one-group-out" or "log evidence".
-        warnings: undecided rankings, disagreement of criteria.
+        chosen_by: ranking criterion: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
+        warnings: undecided rankings, disagreement of criteria, unreliable PSIS-LOO.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -59,7 +72,7 @@ class Comparison(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
-        unit = unit_label(self.unit)
+        grouped, unit = self.chosen_by != BY_READINGS, unit_label(self.unit)
         by_group = (
             TableColumn(f"{scheme(self.group)} rmse", "group_rmse", number, unit),
             TableColumn("elpd", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
@@ -68,13 +81,15 @@ class Comparison(Printed):
         columns = (
             TableColumn("model", "name"),
             TableColumn("rmse", "rmse", number, unit),
-            *(by_group if self.group else ()),
+            *(by_group if grouped else ()),
+            TableColumn("leave-one-out elpd", "loo", "{:.1f}".format),
+            TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
             TableColumn("log evidence", "log_evidence", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
-        heading = f"best first, by {self.chosen_by}{count}"
-        heading += f"; differences are from the best. {TERMS}" * bool(self.group)
+        heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {TERMS}"
         return [table, *(folded(line, "") for line in (heading, *self.warnings))]
 
     def _brief(self) -> str:
@@ -93,17 +108,16 @@ def _gap(difference: tuple[float | None, float | None]) -> str:
 
 
 def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
-    """Compare fitted models by cross-validation and log evidence.
+    """Compare fitted models by cross-validation, log evidence and stacking weight.
 
-    The best comes first: by the leave-one-group-out log scores where there are ten groups or more, or no evidence as a
-    prior is flat; by log evidence where groups are too few for a standard error, or the noise is not Gaussian.
-    (ArviZ compares readings left out one by one: `arviz_stats.compare` of `with_log_likelihood()`.)
+    The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
+    where there are fewer, too few for a standard error; by pointwise leave-one-out where the noise is not Gaussian.
 
     Args:
         calibrations: name → fit, of the same readings; or the fits, named after the effects that not all share.
 
     Raises:
-        InputError: fewer than two, fits of different readings, or neither criterion is defined for all.
+        InputError: fewer than two, or fits of different readings.
     """
     if not isinstance(calibrations, Mapping):
         calibrations = _name_by_effects(calibrations)
@@ -117,13 +131,16 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
                 f"{first_name!r} and {name!r} were fitted to different readings ({first_fit.readings.file}, "
                 f"{c.readings.file}): fit both to the same"
             )
+    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
+    weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     scored = [f for f in folds.values() if f is not None]
-    fold = scored[0] if len(scored) == len(folds) else None
-    best = max((f.log_score for f in scored), key=np.sum) if fold else None
+    fold, grouped = next(iter(scored), None), len(scored) == len(folds)
+    best = max((f.log_score for f in scored), key=np.sum) if grouped else None
     rows = list[ComparisonRow]()
-    for name, c in calibrations.items():
-        held_out = folds[name]
+    for (name, c), weight in zip(calibrations.items(), weights, strict=True):
+        (densities, pareto_k), held_out = loo[name], folds[name]
         gaps = None if held_out is None or best is None else held_out.log_score - best
         row = ComparisonRow(
             name=name,
@@ -133,36 +150,51 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             group_difference=None if gaps is None else float(gaps.sum()),
             group_error=None if gaps is None or len(gaps) < FEWEST_GROUPS else _sum_error(gaps),
             group_rmse=held_out and held_out.rmse,
+            loo=float(densities.sum()),
+            loo_difference=float((densities - best_loo).sum()),
+            loo_error=_sum_error(densities - best_loo),
+            pareto_k=pareto_k,
             log_evidence=c.log_evidence and c.log_evidence[0],
+            weight=float(weight),
         )
         rows.append(row)
-    has_evidence = all(r.log_evidence is not None for r in rows)
-    if fold is None and not has_evidence:
-        raise InputError(
-            "These fits have no common criterion: leave-one-group-out needs Gaussian noise, log evidence priors that "
-            "are not flat. Give the coefficients priors, or compare by arviz_stats.compare of with_log_likelihood()"
-        )
-    ranking, ranking_field = BY_GROUPS, "group_score"
-    if has_evidence and (fold is None or fold.count < FEWEST_GROUPS):
+    ranking, ranking_field = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
+    few_groups = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    if few_groups and all(r.log_evidence is not None for r in rows):
         ranking, ranking_field = BY_EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, ranking_field))
     return Comparison(
         rows=tuple(rows),
-        group=fold.group if fold else "",
-        groups=fold.count if fold else 0,
+        group=fold.group if fold else "reading",
+        groups=fold.count if fold else len(output),
         unit=first_fit.unit,
         chosen_by=ranking,
         warnings=tuple(_warnings(rows, ranking, fold)),
     )
 
 
+def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
+    """Return the PSIS leave-one-out log predictive density of each reading, and the largest Pareto k."""
+    import arviz_stats  # a second that only a comparison needs
+    import xarray as xr
+
+    parts = {"log_likelihood": calibration.log_likelihood(), "posterior": calibration.posterior}
+    tree = xr.DataTree.from_dict(parts)
+    with warnings.catch_warnings():  # high Pareto k: reported as a claim, by model
+        warnings.simplefilter("ignore", UserWarning)
+        elpd: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
+    return np.asarray(elpd.elpd_i).ravel(), float(np.max(np.asarray(elpd.pareto_k)))
+
+
 def _sum_error(differences: np.ndarray) -> float:
-    """Return the standard error of a sum of differences over the left-out groups."""
+    """Return the standard error of a sum of differences over the left-out readings or groups."""
+    if differences.size < 2:
+        return float("nan")
     return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Yield claims where the ranking is undecided, or the other criterion disagrees."""
+    """Yield claims where the by is undecided, or another measure is unreliable or disagrees."""
     best, second = rows[:2]
     if fold and fold.count < FEWEST_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)
@@ -172,12 +204,14 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         if gap < settings().strong_evidence:
             yield undecided(gap=f"{gap:.1f}", measure=by)
         best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
-        if fold and best_by_groups is not best:
+        if best_by_groups is not best:
             yield Claim("compare.other_first", best_by_groups.name)
     elif by == BY_GROUPS and second.group_error:
         gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < limit("compare.undecided", "errors") * error:
             yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{by} score")
+    for row in (r for r in rows if r.pareto_k > K_HAT):
+        yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 
 
 def _name_by_effects(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
