@@ -24,6 +24,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 import bayescal as bc
 from bayescal import effects, xp
 from bayescal.effects.constant import one as one
@@ -311,3 +313,20 @@ def progress(r: bc.Frame) -> Any:
 def centred(r: bc.Frame) -> Any:
     """Return T − T0, °C."""
     return r.centred()
+
+
+def goes_one_way(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
+    """Return why readings show no hysteresis: a temperature never rises, or never falls, by over `dead_band`, °C."""
+    rises = falls = False
+    _, run = readings.groups("run")
+    for k in np.unique(run):
+        path = readings[column][run == k][np.argsort(readings["time"][run == k], kind="stable")]
+        stood = path[0]
+        for now in path:
+            if abs(now - stood) > dead_band:
+                rises, falls = rises or now > stood, falls or now < stood
+                stood = now
+    if rises and falls:
+        return None
+    way = "only rises" if rises else "only falls" if falls else "stands still"
+    return f"needs {column} to rise and to fall within runs, by over {dead_band:g} °C; it {way}"

@@ -1,4 +1,4 @@
-"""A simulated log of nine channels: a unit turned by hand between poses at rest.
+"""A simulated log of six channels: a unit turned by hand between poses at rest.
 
 The true attitude is integrated in many steps between two samples, from rates in closed form; nothing of the model's own
 integration is used.
@@ -15,17 +15,11 @@ import numpy as np
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad.campaign import MovesByHand
 from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS
-from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from bayescal_models.triad.simulator import matrix_of, members_of
 
 EARTH = 15.041 / 3600  # °/s
-FIELD_NOISE, DIP = (
-    0.05,
-    65.0,
-)  # µT/√Hz, white, of magnetometers; °, of the magnetic field below the level
 SHAKE = 0.1  # g, standard deviation of the hand's acceleration in moves
 SUBSTEPS = 16  # between samples, in which the true attitude is integrated
-MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
 LAWS = (
     "bias.constant",
     "bias.g_sensitivity",
@@ -38,7 +32,7 @@ LAWS = (
 def simulate_log(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: MovesByHand | None = None
 ) -> dict[str, np.ndarray]:
-    """Simulate a log: columns time (s), gyro_x, … (°/s), accel_x, … (g), mag_x, … (µT).
+    """Simulate a log: columns time (s), gyro_x, … (°/s), accel_x, … (g).
 
     Args:
         effects: of the gyroscopes: canonical name → true size, in the unit of the effect's coefficients, or one for
@@ -63,34 +57,15 @@ def simulate_log(
     sensitivity = sizes["bias.g_sensitivity"].reshape(3, 3)
     gyro = rate @ matrix.T + sizes["bias.constant"] + force @ sensitivity.T
     gyro = gyro + 1e-6 * sizes["square.constant"] * rate**2
-    cross_axis = _matrix(ACCELEROMETERS)
-    accel = force @ cross_axis.T + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
+    scale, angles = (np.array(ACCELEROMETERS[f"{n}.constant"]) for n in ("scale", "misalignment"))
+    accel = force @ matrix_of(1e-6 * scale, 1e-3 * angles).T
+    accel = accel + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
     root_rate = math.sqrt(plan.rate)
     gyro = gyro + plan.gyro_noise * root_rate * rng.standard_normal(gyro.shape)
     accel = accel + plan.force_noise * root_rate * rng.standard_normal(accel.shape)
     columns = {"time": np.arange(len(gyro)) / plan.rate}
     columns |= {f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")}
-    columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
-    # Its own generator: a log with and without magnetometers has the same noise.
-    mag = _magnetometers(plan, up, np.random.default_rng([seed, 1]))
-    return columns | {f"mag_{a}": mag[:, i] for i, a in enumerate("xyz")}
-
-
-def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return outputs (n, 3), µT, of a triad with axes off the body's, in a field of 50 µT."""
-    heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(DIP)
-    level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
-    field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
-    matrix = _matrix(MAGNETOMETERS)
-    in_axes = field @ _rotation(np.array(MOUNTED)).T
-    noise = FIELD_NOISE * math.sqrt(plan.rate)
-    bias = np.array(MAGNETOMETERS["bias.constant"])
-    return in_axes @ matrix.T + bias + noise * rng.standard_normal(in_axes.shape)
-
-
-def _matrix(of: Mapping[str, Any]) -> np.ndarray:
-    scale, angles = np.array(of["scale.constant"]), np.array(of["misalignment.constant"])
-    return matrix_of(1e-6 * scale, 1e-3 * angles)
+    return columns | {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,7 +7,6 @@ from .campaign import Accelerometer as Accelerometer
 from .campaign import Campaign as Campaign
 from .compensation import Compensated as Compensated
 from .compensation import compensate as compensate
-from .files import accelerometers as accelerometers
 from .files import negated as negated
 from .files import read as read
 from .model import INSTRUMENT as INSTRUMENT

@@ -108,16 +108,13 @@ def compensate(
         covariates: what effects need beside the tilts, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis or law, readings of unequal length, pairs that no tilt gives, or a covariate that an
-            effect in use needs is not given.
+        InputError: unknown axis or law, pairs that no tilt gives, or a covariate that an effect in use needs is not
+            given.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
     if law not in ("exact", "document"):
         raise bc.InputError(f'law={law!r} is none: choose "exact" or "document"')
-    if rx.shape != ry.shape or rx.ndim != 1:
-        raise bc.InputError(
-            f"readings of x and y must be vectors of one length, these are {rx.shape} and {ry.shape}"
-        )
+    rx, ry = np.broadcast_arrays(rx, ry)
     for axis, reading in zip(axes, (rx, ry), strict=True):
         if np.any(wrong := ~(np.abs(reading) <= MOST)):
             row = int(np.argmax(wrong))

@@ -1,4 +1,4 @@
-"""Files of a zero test: read, with corrections negated; and labels that tell accelerometers apart."""
+"""Files of a zero test: read, with corrections negated."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 import bayescal as bc
 from bayescal_models.inclinometer.model import INSTRUMENT
@@ -45,22 +43,3 @@ def negated(readings: bc.Measurements) -> bc.Measurements:
     flag = "the outputs were taken as corrections and negated"
     turned = readings.with_column("output", -readings["output"])
     return replace(turned, flags=(*turned.flags, flag))
-
-
-def accelerometers(readings: bc.Measurements) -> bc.Measurements:
-    """Label readings so that every accelerometer, and each of its mountings, is distinct.
-
-    Axis x of device 7 becomes axis "7 x", its run 1 becomes "7 x 1". Without this, devices share an axis' own
-    coefficients, and axes share a run's deviation where their runs are called alike.
-    """
-    axis = _joined(readings, ("device", "axis"))
-    run = _joined(readings, ("device", "axis", "run"))
-    return readings.with_column("axis", axis).with_column("run", run)
-
-
-def _joined(readings: bc.Measurements, names: tuple[str, ...]) -> np.ndarray:
-    """Join the labels of those columns that the readings have."""
-    parts = [readings[name].astype(str) for name in names if readings.has(name)]
-    if not parts:
-        return np.full(len(readings), "1")
-    return np.array([" ".join(labels) for labels in zip(*parts, strict=True)])

@@ -25,7 +25,7 @@ reading_x) and the same for y: `Verification.readings()`. The column `true_angle
 Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, and not acting in use:
 `dividing`, `base_tilt` (arcsec; added to the tilt). Every accelerometer has coefficients of its own, so that effects
 on the instrument have one for each axis; the dividing table is one and the same for all. A *run* is one mounting of
-one axis, its label unique to it (x1, y1, …): `accelerometers` makes labels so.
+one axis, its label unique to it (x1, y1, …); of several devices each axis has a label of its own (7 x, 7 y, …).
 
 **Aliases.** `dividing.face` is a constant as S_e is, exactly; so is `dividing.wobble` of m = 1 the projection of one
 axis (a second axis on the same table, with projections of its own, tells them apart). `zero.cross_axis` is S_d·sin ω

@@ -37,7 +37,6 @@ class Campaign:
         nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
             their leading terms, numbers between or beyond a mixture.
         lag_time: time constant of the die behind the ambient thermometer, s.
-        period: period of the out-of-catalogue periodic form, s.
 
     Raises:
         ValueError: times that do not divide one another.
@@ -59,7 +58,6 @@ class Campaign:
     T0: float = 55.0
     nonlinearity: float = 1.0
     lag_time: float = 300.0
-    period: float = 700.0
 
     def __post_init__(self) -> None:
         # Every time of the plan is a multiple of the next shorter one.

@@ -34,7 +34,6 @@ BOARD_TIME, BOARD_HEATING = 480.0, 2.0  # s, of the electronics board; °C, by w
 WARM_UP_TIME = 600.0  # s, of the electronics after power-on
 NOISE_DEGREES = 4.0  # of freedom, of Student-t noise
 WANDER, WANDER_TIME = 0.05, 300.0  # °/s and s, of correlated noise
-STEP_SHARE = 0.45  # of the logged time, at which the step that no catalogue holds falls
 
 
 class World(Clock):
@@ -142,14 +141,6 @@ def _mixed(w: World, leading: Array, law: Array) -> Array:
     return leading + w.plan.nonlinearity * (law - leading)
 
 
-def _step(w: World) -> Array:
-    """Return a step at a fraction of the logged time (never within a pause)."""
-    plan = w.plan
-    run, within = divmod(STEP_SHARE * plan.runs, 1.0)
-    at = run * (plan.run_duration + plan.pause) + within * plan.run_duration
-    return 1.0 * (w.time > at)
-
-
 LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
     {
         "bias.temperature_quadratic": _quadratic,
@@ -178,10 +169,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         # the scale factor follows the package: κ(T_package)·Ω, nothing at rest
         "scale.temperature": lambda w: 1e-6 * (w.package - w.plan.T0) * w.rate,
         "scale.constant": lambda w: 1e-6 * w.rate,
-        # three that no catalogue holds: pick-up of a compressor, the size its amplitude; a step;
-        # leakage that grows with the relative humidity, about 45 %, in °/s/%
-        "unlisted.periodic": lambda w: np.sin(2.0 * np.pi * w.time / w.plan.period),
-        "unlisted.step": _step,
+        # one that no catalogue holds: leakage that grows with the relative humidity, about 45 %, in °/s/%
         "unlisted.humidity": lambda w: w.humidity - 45.0,
     }
 )

@@ -35,9 +35,9 @@ Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
-import numpy as np
 from jaxtyping import Float
 
 import bayescal as bc
@@ -165,23 +165,6 @@ def direction(r: bc.Frame) -> Float[Any, "n"]:
     return xp.placed(r.order, xp.scan(advance, start, (temperature, first)))
 
 
-def one_direction(readings: bc.Measurements) -> str | None:
-    """Return why readings show no hysteresis: their temperature never rises, or never falls."""
-    rises = falls = False
-    _, run = readings.groups("run")
-    for k in np.unique(run):
-        path = readings["temperature"][run == k][np.argsort(readings["time"][run == k])]
-        stood = path[0]
-        for now in path:
-            if abs(now - stood) > DEAD_BAND:
-                rises, falls = rises or now > stood, falls or now < stood
-                stood = now
-    if rises and falls:
-        return None
-    way = "only rises" if rises else "only falls" if falls else "stands still"
-    return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {way}"
-
-
 def _laboratory(r: bc.Frame) -> Float[Any, "n"]:
     return r.centred("lab_temperature")
 
@@ -239,7 +222,7 @@ TURNED = effect(
     direction,
     f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
     *("time", "temperature"),
-    untestable=one_direction,
+    untestable=partial(catalogue.goes_one_way, "temperature", DEAD_BAND),
     kind="hysteresis",
 )
 OF_RUNS = effect(

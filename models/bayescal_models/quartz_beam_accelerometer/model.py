@@ -32,8 +32,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 import bayescal as bc
 from bayescal import xp
 from bayescal_models import catalogue
@@ -46,7 +44,6 @@ from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
 SLIP = 1.0  # °C, width of the play
-MIN_SHARE = 0.02  # share of the readings that a direction must have to count as one
 
 
 def _response(slots, r):
@@ -104,20 +101,6 @@ def _slipped(r: bc.Frame) -> Any:
         return seat, (now - seat) / SLIP
 
     return xp.placed(r.order, xp.scan(advance, temperature[0], (temperature, begins)))
-
-
-def _one_way(readings: bc.Measurements) -> str | None:
-    """Return why readings show no hysteresis: the head's temperature goes one way only."""
-    _, run = readings.groups("run")
-    rises = falls = 0
-    for k in np.unique(run):
-        chosen = np.flatnonzero(run == k)
-        order = chosen[np.argsort(readings["time"][chosen], kind="stable")]
-        change = np.diff(readings["temperature_head"][order])
-        rises, falls = rises + (change > 0.05).sum(), falls + (change < -0.05).sum()
-    if min(rises, falls) >= MIN_SHARE * len(readings):
-        return None
-    return "needs temperature_head to rise and to fall within runs; it goes one way only"
 
 
 # Families of this instrument.
@@ -181,7 +164,7 @@ SLIPPING = _either(
     _slipped,
     f"c·(t2 − s)/w,  s dragged along within ±w = {SLIP:g} °C: the direction of the last change",
     *("time", T2),
-    untestable=_one_way,
+    untestable=partial(catalogue.goes_one_way, T2, SLIP),
     along=None,
     kind="hysteresis",
 )

@@ -158,27 +158,14 @@ def _table(readings: bc.Measurements) -> _Table:
         InputError: they are not; says which.
     """
     names, codes = readings.groups("device")
-    groups = readings["group"]
-    sides = {}
-    for i, name in enumerate(names):
-        sides_found = sorted(set(groups[codes == i].tolist()))
-        if len(sides_found) > 1:
-            raise bc.InputError(
-                f"{readings.file}, column 'group': device {name!r} is in both groups, {' and '.join(sides_found)}; a "
-                "device has one place on the arm. Give it another label in its second place"
-            )
-        sides[i] = sides_found[0]
-    for side, other in (("outer", "inner"), ("inner", "outer")):
-        if side not in sides.values():
-            raise bc.InputError(
-                f"{readings.file}, column 'group': has {other} devices only; a pair is one outer and one inner "
-                f"device. Record both groups together"
-            )
-    if len(readings.groups("run")[0]) > 1:
+    groups, runs = readings["group"], readings.groups("run")[0]
+    of_device = [np.unique(groups[codes == i]).tolist() for i in range(len(names))]
+    if len(runs) > 1 or set(map(len, of_device)) != {1} or len(np.unique(groups)) < 2:
         raise bc.InputError(
-            f"{readings.file} has {len(readings.groups('run')[0])} runs; pairs are chosen on one record. "
-            "Give one run at a time"
+            f"{readings.file}, column 'group': pairs are of one outer and one inner device, each in one place, in one "
+            f"run; here are {len(runs)} runs and {dict(zip(names, of_device, strict=True))}"
         )
+    sides = {i: side for i, (side,) in enumerate(of_device)}
     order = np.array(sorted(sides, key=lambda i: sides[i] == "inner"))
     rows = [np.flatnonzero(codes == i) for i in order]
     rows = [r[np.argsort(readings["time"][r], kind="stable")] for r in rows]

@@ -52,8 +52,8 @@ class Pair:
         expected_residual: posterior mean, µg.
         expected_loss: expected residual beyond that of the best pair, µg.
         ratio_variance, ratio_variance_raw: the document's own figures, from the records as they are.
-        near_zero: orders whose denominator, the inner device's coefficient, is near zero.
-        ratio: λbd.
+        orders_near_zero: orders whose denominator, the inner device's coefficient, is near zero.
+        environment_ratio: λbd.
     """
 
     outer: str
@@ -65,8 +65,8 @@ class Pair:
     expected_loss: float
     ratio_variance: float
     ratio_variance_raw: float
-    near_zero: tuple[int, ...]
-    ratio: Ratio
+    orders_near_zero: tuple[int, ...]
+    environment_ratio: Ratio
 
     @property
     def names(self) -> tuple[str, str]:
@@ -85,8 +85,8 @@ _CELLS: dict[str, Callable[[Pair], str]] = {  # of the printed table, by their h
     "P(raw)": lambda p: f"{p.probability_ratio_variance_raw:.2f}",
     "residual": lambda p: f"{p.expected_residual:.0f}",
     "loss": lambda p: f"{p.expected_loss:.0f}",
-    "λbd": lambda p: f"{p.ratio.median:.3f}",
-    "95 %": lambda p: f"{p.ratio.low:.3f} to {p.ratio.high:.3f}",
+    "λbd": lambda p: f"{p.environment_ratio.median:.3f}",
+    "95 %": lambda p: f"{p.environment_ratio.low:.3f} to {p.environment_ratio.high:.3f}",
 }
 
 
@@ -123,15 +123,16 @@ class PairTable:
         """Return the table as plain JSON."""
         return {
             "criterion": self.criterion,
-            "pairs": [_pair_data(pair) for pair in self.pairs],
+            "pairs": [as_json(pair) | {"unit": UNIT} for pair in self.pairs],
             "best": list(self.best),
             "matching": [list(pair) for pair in self.matching],
-            "environment_ratio": vars(self.of(*self.best).ratio),
+            "environment_ratio": vars(self.of(*self.best).environment_ratio),
             "remarks": list(self.remarks),
         }
 
     def __str__(self) -> str:
         best = self.of(*self.best)
+        ratio = best.environment_ratio
         cells = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:PRINTED_PAIRS]]
         lines = str(plain_table([*_CELLS], cells, left=2)).splitlines()
         hidden = len(self.pairs) - PRINTED_PAIRS
@@ -144,20 +145,13 @@ class PairTable:
             "",
             f"best pair by {self.criterion}: {best}, expected residual {best.expected_residual:.0f} µg, "
             f"expected loss {best.expected_loss:.0f} µg",
-            f"environment ratio λbd: {best.ratio.median:.3f} ± {best.ratio.sd:.3f} "
-            f"(by sums over the record: {best.ratio.document:.3f})",
+            f"environment ratio λbd: {ratio.median:.3f} ± {ratio.sd:.3f} "
+            f"(by sums over the record: {ratio.document:.3f})",
             "best set of pairs: "
             + "; ".join(f"{outer} with {inner}" for outer, inner in self.matching),
         ]
         notes = [textwrap.fill(remark, WIDTH, subsequent_indent="  ") for remark in self.remarks]
         return "\n".join([*lines, "", *notes])
-
-
-def _pair_data(pair: Pair) -> dict[str, Any]:
-    fields = as_json(pair) | {"unit": UNIT}  # a variance that is not finite is null
-    fields["orders_near_zero"] = fields.pop("near_zero")
-    fields["environment_ratio"] = fields.pop("ratio")
-    return fields
 
 
 def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
@@ -179,7 +173,7 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
             f"expected loss of {ratios.expected_loss:.0f} µg). Each order has equal weight in the ratios, "
             "even where the environment contributes little."
         )
-    near = sorted({(p.inner, n) for p in pairs for n in p.near_zero})
+    near = sorted({(p.inner, n) for p in pairs for n in p.orders_near_zero})
     if near:
         what = ", ".join(f"order {n} of {name}" for name, n in near[:4])
         others = f" and {len(near) - 4} more" if len(near) > 4 else ""
@@ -197,9 +191,9 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
             "A constant acceleration does not tell a device's scale factor from the constant part of its environment: "
             "record steps."
         )
-    if not best.ratio.document_reliable:
+    if not best.environment_ratio.document_reliable:
         sentences.append(
-            f"The environment ratio of {best} by sums over the record ({best.ratio.document:.3g}) is not "
+            f"The environment ratio of {best} by sums over the record ({best.environment_ratio.document:.3g}) is not "
             "reliable: the sum of the environment is near zero. Use the posterior."
         )
     return tuple(sentences)

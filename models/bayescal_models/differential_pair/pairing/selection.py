@@ -124,8 +124,10 @@ def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
         devices.names[i],
         devices.names[devices.outer + j],
         **{name: float(values[i, j]) for name, values in figures.of_pair.items()},
-        near_zero=tuple(np.flatnonzero(figures.near_zero[j]).tolist()),
-        ratio=Ratio(**{name: values[i, j].item() for name, values in figures.of_ratio.items()}),
+        orders_near_zero=tuple(np.flatnonzero(figures.near_zero[j]).tolist()),
+        environment_ratio=Ratio(
+            **{name: values[i, j].item() for name, values in figures.of_ratio.items()}
+        ),
     )
 
 
