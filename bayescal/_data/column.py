@@ -55,16 +55,12 @@ class Column:
         """Raise InputError where the column contradicts itself."""
         if not self.name.strip() or self.name in RESERVED_NAMES:
             raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
-        low, high, unit = self.low, self.high, self.unit
-        faults = {
-            f" is a number in {unit}: it has no allowed labels": unit is not None and self.allowed,
-            " is a label: it has no low and high": unit is None and (low, high) != (None, None),
-            f" may be in any unit: its default {self.default!r} has none": unit == ANY
-            and self.default is not None,
-            f": low {low} is not below high {high}": None not in (low, high) and not low < high,
-        }
-        for fault in (text for text, holds in faults.items() if holds):
-            raise InputError(f"column {self.name!r}{fault}")
+        low, high = self.low, self.high
+        if low is not None and high is not None and not low < high:
+            raise InputError(f"column {self.name!r}: low {low} is not below high {high}")
+        if self.unit == ANY and self.default is not None:
+            default = f"its default {self.default!r} has none"
+            raise InputError(f"column {self.name!r} may be in any unit: {default}")
 
     @property
     def example(self) -> str | None:

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
-from bayescal._data.column import ARRAYS, ASSUMED_GRAVITY, ConvertedColumns, Place, file_names
-from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.column import ARRAYS, ConvertedColumns, Place, file_names
 from bayescal._data.records import PAUSE_STEPS, Columns, Records, distinct, equal_runs
 from bayescal._tables.raw_table import Objection, Objections, option
 
@@ -129,7 +128,6 @@ def flags_of(
             for a in anomalies
         ),
         *_find_leaps(converted, records, anomalies),
-        *_find_standstills(converted, {a.column for a in anomalies}),
     ]
     flags = [f"{names}: {message}" for message in messages]
     if many := len(repeated):
@@ -198,19 +196,6 @@ MIN_STUCK_READINGS = 8  # readings in a row without a change, below which that m
 MIN_STUCK_RATIO = 4.0  # to the next longest stretch without a change; below, it is like others
 # Largest share of the other readings that repeat the one before: above, all are rounded, or set.
 MAX_REPEATED_SHARE = 0.1
-
-
-def _find_standstills(converted: ConvertedColumns, anomalous: Collection[str]) -> Iterator[str]:
-    """Yield a warning of columns that are constant, or stuck for long where no thermometer's anomaly says so."""
-    no_reading = {*converted.filled, MAGNITUDE, ASSUMED_GRAVITY}
-    for name, values in converted.values.items():
-        if values.dtype.kind != "f" or name in no_reading:
-            continue
-        if len(values) > 1 and (values == values[0]).all():
-            yield f"column {name!r} is constant ({values[0]:g})"
-        elif name not in anomalous and len(rows := standing_rows(values, [np.arange(len(values))])):
-            first, last = (converted.where(int(rows[i])) for i in (0, -1))
-            yield f"column {name!r} stands still at {values[rows[0]]:g} from {first} to {last}: was it stuck?"
 
 
 # Share of all readings that distinct values are at most where values occur again by rounding.

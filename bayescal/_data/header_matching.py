@@ -78,8 +78,6 @@ LABELS = {
     "axis": "axis achse axe",
 }
 COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
-# Words for a chamber's set point, which is no thermometer's reading: never proposed for one.
-COMMANDED = "setpoint set soll sollwert solltemperatur consigne target command commanded demand"
 # Texts in place of a unit where there is none.
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
@@ -108,10 +106,10 @@ _AXIS = re.compile(
 )
 
 
-def unit_among(header: Header, kinds: tuple[str, ...]) -> str | None:
-    """Return the unit of one of these kinds that a header has in one of its readings; None for none."""
-    units = (unit_in(reading.unit or "", kinds) for reading in readings_of(header))
-    return next(filter(None, units), None)
+def units_among(header: Header, kinds: tuple[str, ...]) -> dict[str, Header]:
+    """Return the units of these kinds that a header has, each with its reading."""
+    pairs = ((unit_in(reading.unit or "", kinds), reading) for reading in readings_of(header))
+    return {unit: replace(reading, unit=unit) for unit, reading in pairs if unit}
 
 
 def unit_behind(header: Header) -> Header | None:
@@ -229,21 +227,16 @@ class ColumnRule:
         """Return the one reading of a header, of any name, with a unit of the column's kind; None if not just one."""
         if ANY in self.kinds:
             return None if header.raw in units else longest_unit(header)
-        readings = {
-            unit: replace(reading, unit=unit)
-            for reading in readings_of(header)
-            if reading.unit and (unit := unit_in(reading.unit, self.kinds)) and not unit.isdigit()
-        }
+        readings = units_among(header, self.kinds)
+        readings.pop("1", None)
         return readings.popitem()[1] if len(readings) == 1 and header.raw not in units else None
 
     def candidates(self, headers: Sequence[Header]) -> list[Header]:
         """Return the headers that may mean the column: in a unit of its kind, else in none; of these those that share a
         word with its name, if any does."""
-        word, commanded = plain(self.column.name), frozenset(COMMANDED.split())
-        if word.startswith("temperature"):
-            headers = [h for h in headers if commanded.isdisjoint(plain(h.name).split("_"))]
+        word = plain(self.column.name)
         tiers = (MOTION, self.kinds) if ANY in self.kinds else (self.kinds, RAW * self.output)
-        tried = ([h for h in headers if unit_among(h, kinds)] for kinds in tiers)
+        tried = ([h for h in headers if units_among(h, kinds)] for kinds in tiers)
         unknown = [h for h in headers if not longest_unit(h)]
         fitting = next(filter(None, tried), [])
         named = [h for h in (fitting or unknown) if _share_a_word(plain(h.name), word)]
@@ -527,7 +520,7 @@ class MatchedFile:
         options, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
         if column.unit is None or rule.sole_reading(header, {}):
             return options
-        raw = unit_among(header, RAW)
+        raw = next(iter(units_among(header, RAW)), None)
         if raw and rule.output and self.options.nominal_scale is None:
             per = f"({column.unit})" if "/" in column.unit else column.unit
             return f"{options} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"

@@ -105,11 +105,8 @@ class Measurements(Printed):
         *,
         units: Mapping[str, str] | None = None,
         local_gravity: float | None = None,
-        nominal_scale: NominalScale | str | None = None,
-        nominal_zero: str | None = None,
         allow_one_temperature: bool = False,
         missing: str = "refuse",
-        begin: str = "",
         **columns: ArrayLike,
     ) -> Measurements:
         """Make measurements of arrays, checked as `read` checks a file; options as of `read`.
@@ -120,36 +117,22 @@ class Measurements(Printed):
                 coordinates and a named index.
             units: unit of a column that is not in the instrument's own (or has none: "any"), and of further columns
                 to keep.
-            local_gravity, nominal_scale, nominal_zero: as of `read`.
+            local_gravity: as of `read`.
             allow_one_temperature: accept one temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.
-            begin: date of the first reading, where `time` counts from none.
             **columns: one entry per reading, or one for all; in the instrument's units unless `units` says otherwise, a
                 unit of pint or astropy that they carry, an attribute `units` of xarray's,
                 or a name like a file's header, `humidity [%]`.
 
         Raises:
-            InputError: what `read` refuses, columns of unequal length, or columns where the instrument is expected.
+            InputError: what `read` refuses, or columns of unequal length.
         """
-        if not hasattr(instrument, "nominal_scale"):
-            raise InputError(
-                "from_arrays takes the instrument first, and then the columns: from_arrays(instrument, {'output': …}); "
-                f"a {type(instrument).__name__} came first"
-            )
         named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
         held, own_units = _held_columns({} if arrays is None else arrays, columns)
         table = Table.of_columns(ARRAYS, broadcast_columns(held), default_units | own_units)
-        options = ReadOptions.of(
-            instrument,
-            units=units or {},
-            local_gravity=local_gravity,
-            nominal_scale=nominal_scale,
-            nominal_zero=nominal_zero,
-            missing=missing,
-            begin=begin,
-        )
+        options = ReadOptions(units=units or {}, local_gravity=local_gravity, missing=missing)
         return measure_tables([table], instrument, options, allow_one_temperature)
 
     @cached_property

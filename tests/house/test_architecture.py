@@ -230,7 +230,7 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 CEILINGS = {
     "bayescal/_core": 2_075,
     "bayescal/_tables": 1_577,
-    "bayescal/_data": 4_249,
+    "bayescal/_data": 4_206,
     "bayescal/_model": 5_475,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,

@@ -161,23 +161,3 @@ def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
     assert "minimum -1" in flags(temperature=t, output=np.clip(x, -1.0, None))
     for rounded in (np.round(x, 1), np.round(x), np.sin(np.arange(500) * np.pi / 2), x):
         assert "saturated" not in flags(temperature=t, output=rounded)
-
-
-def test_a_constant_column_is_flagged_unless_it_is_a_default():
-    said = flags(temperature=[20.0, 30.0], output=[1.0, 2.0], lab_temperature=23.0)
-    assert "column 'lab_temperature' is constant (23)" in said and "rate_input" not in said
-
-
-def test_a_column_that_stands_still_for_a_while_is_flagged():
-    rng = np.random.default_rng(2)
-    temperature = np.linspace(20, 60, 100) + rng.normal(0, 0.01, 100)
-    output, time = rng.normal(size=100), np.arange(100.0)
-    columns = {"run": ["a"] * 100, "time": time, "rate_input": 0.0, "output": output}
-    assert "stuck?" not in flags(temperature=temperature, **columns)
-    temperature[30:45] = temperature[30]
-    assert "stuck?" in flags(temperature=temperature, **columns)
-    assert "stands still" not in flags(temperature=np.round(temperature), **columns)  # rounded
-    temperature[:3], temperature[80:83] = 20.0, 50.0  # soaks, much shorter
-    assert "stuck?" in flags(temperature=temperature, **columns)
-    temperature[:12] = 20.0  # soaks like it
-    assert "stands still" not in flags(temperature=temperature, **columns)
