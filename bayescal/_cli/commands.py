@@ -125,7 +125,7 @@ class SimulateCommand(AsJson, Command):
         "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
     )
     instrument: str = Shared.instrument
-    out: Path = opt("File to write: .csv, .parquet or .nc.", ...)
+    out: Path = opt("File to write: .csv.", ...)
     effect: Texts = opt("name=size: an effect to hide; repeat for more.")
     noise_law: str = opt("white, student_t or ornstein_uhlenbeck.", "white")
     seed: int = Shared.seed
@@ -398,7 +398,7 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
     example = "bayescal predict result/calibration.nc new.csv --out predicted.csv"
     calibration: Path = Shared.calibration
     files: list[Path] = Shared.files
-    out: Path | None = opt("File to write: .csv, .parquet or .nc.")
+    out: Path | None = opt("File to write: .csv.")
     average: str | None = Shared.average
 
     def answer(self) -> Answer:

@@ -97,17 +97,6 @@ def write_text(text: str, path: str | Path) -> Path:
     return path
 
 
-def flush(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
-    if path.is_dir() and os.name != "posix":
-        return  # only POSIX can open a folder
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, read in chunks."""
     with path.open("rb") as file:

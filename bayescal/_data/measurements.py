@@ -386,7 +386,7 @@ class Measurements(Printed):
         return replace(self, values=values, units=units, flags=(*self.flags, flag))
 
     def write(self, path: str | Path) -> Path:
-        """Write the readings to .csv, .parquet or .nc, as `read` reads them; dated times count from 1970.
+        """Write the readings to a .csv file, as `read` reads it; dated times count from 1970.
 
         Raises:
             InputError: another suffix, or a place that cannot be written to.
@@ -394,7 +394,7 @@ class Measurements(Printed):
         dated = self
         if self.since is not None and self.has("time"):
             dated = self.with_column("time", self["time"] + self.since)
-        return write(dated.values, dated.units, path, dated.variables())
+        return write(dated.values, dated.units, path)
 
 
 def measure_tables(

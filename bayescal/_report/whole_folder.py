@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayescal._core.as_json import write_json
-from bayescal._core.atomic_file import flush, list_leftovers, sha256_of, write_advice
+from bayescal._core.atomic_file import list_leftovers, sha256_of, write_advice
 from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.json_shape import read_json
 
@@ -171,12 +171,10 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
 
 
 def _write_manifest(source: Path, target: Path, keep_results: bool) -> tuple[list[str], list[str]]:
-    """Write the manifest and flush all files to disk; return the names to move, manifest last, and to remove."""
+    """Write the manifest; return the names to move, manifest last, and to remove."""
     paths, old = sorted(p for p in source.iterdir() if p.is_file()), _unmodified(target)
     new = {p.name: sha256_of(p) for p in paths}
     if not new:
         return [], [] if keep_results else [*old, *[MANIFEST] * bool(old)]
     write_json({"schema": SCHEMA, "files": (old if keep_results else {}) | new}, source / MANIFEST)
-    for path in (*paths, source / MANIFEST, source):
-        flush(path)
     return [*new, MANIFEST], [] if keep_results else [*(old.keys() - new.keys())]

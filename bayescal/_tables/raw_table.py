@@ -116,7 +116,6 @@ def _problems_text(problems: Sequence[Objection]) -> str:
 
 
 ROW = "reading"  # the one dimension of readings
-FORMATS = (".csv", ".parquet", ".nc")  # that are written
 MAX_COLUMNS = 100_000  # a file of more has readings in columns, or is no table
 
 

@@ -28,7 +28,6 @@ COMMANDS = {
     "export to C": ("export", "{saved}", "-o", "{out}/gyro.h"),
     "export to JSON": ("export", "{saved}", "-o", "{out}/gyro.json"),
     "predict to CSV": ("predict", "{saved}", TABLE, "--out", "{out}/new.csv"),
-    "predict to Parquet": ("predict", "{saved}", TABLE, "--out", "{out}/new.parquet"),
     "predict to NetCDF": ("predict", "{saved}", TABLE, "--out", "{out}/new.nc"),
     "compensate": ("compensate", "{saved}", TABLE, "--out", "{out}/done.csv"),
     "decide": ("decide", "{saved}", "--limit", "bias: ±500 °/s", "-o", "{out}/decisions.json"),

@@ -100,8 +100,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    for name in ("readings.nc", "lot.parquet"):
-        bc.read(TABLE, mems_gyro.INSTRUMENT).write(folder / name)
+    readings = bc.read(TABLE, mems_gyro.INSTRUMENT)
+    readings.to_xarray().to_netcdf(folder / "readings.nc", engine="h5netcdf")
+    readings.to_pandas().to_parquet(folder / "lot.parquet")
     for name in ("unit", "vacant", "damaged"):
         (folder / name).mkdir()
     for name in ("calibration.nc", "manifest.json", "result.json"):

@@ -212,9 +212,8 @@ def test_the_command_asks_when_a_file_begins(
     assert status(undated, file(tmp_path, "later.csv", LATER, 7, "since the first run")) == 0
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet", "nc"])
-def test_written_readings_keep_their_dates(tmp_path: Path, suffix: str) -> None:
+def test_written_readings_keep_their_dates(tmp_path: Path) -> None:
     readings = bc.read(file(tmp_path, "used.csv", LATER, 7), GYRO)
-    back = bc.read(readings.write(tmp_path / f"written.{suffix}"), GYRO)
+    back = bc.read(readings.write(tmp_path / "written.csv"), GYRO)
     assert back.since == readings.since
     np.testing.assert_allclose(back["time"], readings["time"], atol=1e-6)

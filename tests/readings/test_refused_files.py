@@ -135,7 +135,14 @@ def test_whatever_a_file_holds_it_is_read_or_refused(tmp_path_factory, data):
     m = bc.Measurements.from_arrays(
         GYRO, temperature=[20, 30, 40], output=[1, 2, 3], run=["a", "b", "c"]
     )
-    whole = bytearray(m.write(path).read_bytes())
+    units = {"temperature": "temperature [degC]", "output": "output [deg/s]"}
+    if path.suffix == ".csv":
+        m.write(path)
+    elif path.suffix == ".parquet":
+        m.to_pandas().rename(columns=units).to_parquet(path)
+    else:
+        m.to_xarray().to_netcdf(path, engine="h5netcdf")
+    whole = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         place = data.draw(st.integers(0, len(whole) - 1))
         whole[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))

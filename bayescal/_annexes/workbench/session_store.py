@@ -73,8 +73,8 @@ class Origin:
         Raises:
             InputError: it cannot be written to.
         """
-        files = [readings.write(folder / "readings.nc")]
-        held_out = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
+        files = [readings.write(folder / "readings.csv")]
+        held_out = [] if holdout is None else [holdout.write(folder / "holdout.csv")]
         name = instrument.name if instrument.name in ws.installed_names() else ""
         return cls.of(name, files, held_out, keep_spikes=keep_spikes)
 
