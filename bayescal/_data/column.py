@@ -138,7 +138,6 @@ class ConvertedColumns:
         missing: name → indices of the readings that are missing there.
         origin: seconds since 1970 at time zero; None where the time counts from no date.
         kept_rows: indices of the rows of the file that were kept; None for all.
-        unread: names of columns that are in the file, and could not be read.
         other_channels: names of columns that are other channels of the unit whose output this is.
         by_gravity: names of columns that were converted by the local gravity.
     """
@@ -151,7 +150,6 @@ class ConvertedColumns:
     missing: dict[str, np.ndarray] = field(default_factory=dict)
     origin: float | None = None
     kept_rows: np.ndarray | None = None
-    unread: set[str] = field(default_factory=set)
     other_channels: set[str] = field(default_factory=set)
     by_gravity: set[str] = field(default_factory=set)
 

@@ -48,31 +48,24 @@ _BITS = (12, 16, 20, 24, 32)  # of converters
 
 
 def convert_columns(
-    table: Table,
-    instrument: InstrumentLike,
-    options: ReadOptions,
-    problems: Objections | None = None,
+    table: Table, instrument: InstrumentLike, options: ReadOptions
 ) -> ConvertedColumns:
     """Convert a file's columns to the instrument's units, in its order, then the further columns that are kept.
 
-    Problems are added to `problems`, and the columns without any are converted all the same; where `problems` is None,
-    InputError is raised. Rows with a missing reading are dropped where the options say so.
+    Rows with a missing reading are dropped where the options say so. Raises InputError with all problems of the file.
     """
-    objections = Objections() if problems is None else problems
-    before = len(objections)
-    file = MatchedFile(table, instrument, options, objections)
+    problems = Objections()
+    file = MatchedFile(table, instrument, options, problems)
     extra, flags = ({}, []) if file.note_missing() else file.further_columns()
-    objections += table.problems
     converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
-    cells = _load(file, extra) if table.readable else {}
+    cells = _load(file, extra)
     _read_expected(file, cells, converted)
     _read_further(file, extra, cells, converted)
     _note_gravity(file, converted)
     _note_channels(file, extra, converted)
-    if converted.missing and len(objections) == before:
-        _drop(file.table, converted, objections)
-    if problems is None:
-        objections.refuse()
+    if converted.missing and not problems:
+        _drop(file.table, converted, problems)
+    problems.refuse()
     return converted
 
 
@@ -99,7 +92,6 @@ def _read_expected(
         default = column.default
         if name in cells:
             ColumnReader(file, column, converted).read(cells[name])
-            converted.unread |= {name} - set(converted.values)
         if name == MAGNITUDE and file.options.local_field is not None:
             if name in cells:
                 raise InputError(
@@ -208,9 +200,8 @@ class ColumnReader:
             self._flag("is empty and was left out")
             return
         if label:
-            if empty.any():  # such labels are kept: others tell the order of times
+            if empty.any():
                 self._note_missing(np.flatnonzero(empty), "is empty", "a label")
-            before = len(self.problems)
             self._note_labels(cells.values)
             if len(self.problems) == before:
                 self._keep(cells.values)
@@ -236,8 +227,7 @@ class ColumnReader:
         self._note_not_finite(raw, values, unit, noted)
         if unit is not None:
             self._note_implausible(raw, values, unit)
-        # without a unit, the order of times can be looked at all the same
-        if len(self.problems) == before or (unit is None and not cells.bad):
+        if len(self.problems) == before:
             self._keep(self._on_clock(values, dates) if self.is_time else values)
 
     def _keep(self, values: np.ndarray) -> None:

@@ -452,7 +452,7 @@ class MatchedFile:
 
     def _holds_labels(self, position: int, in_turn: bool = False) -> bool:
         """Return whether the cells of a column are labels."""
-        if self.options.is_ignored(self.table.headers[position]) or not self.table.readable:
+        if self.options.is_ignored(self.table.headers[position]):
             return False
         return are_labels(load_whole(self.table, {position: False})[position].values, in_turn)
 

@@ -415,11 +415,7 @@ def measure_tables(
     file_options = [options.of_file(table, tables) for table in tables]
     for table, table_options in zip(tables, file_options, strict=True):
         with problems.collecting():
-            part = convert_columns(table, instrument, table_options, problems)
-            parts.append(part)
-            records_known = part.unread.isdisjoint(("run", "device", "axis"))
-            if problems and records_known:  # reported together
-                problems += checks.problems_of_whole(part, instrument, True)
+            parts.append(convert_columns(table, instrument, table_options))
     problems.refuse()
     whole, output = join_files(parts, labels), output_name(instrument)
     checks.problems_of_whole(whole, instrument, one_temperature).refuse()

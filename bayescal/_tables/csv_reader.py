@@ -22,7 +22,7 @@ import numpy as np
 
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MAX_BAD, Cells, is_missing, parse_date, to_number, to_numbers
-from bayescal._tables.raw_table import Header, Objection, Table, refuse_many, unusable
+from bayescal._tables.raw_table import Header, Objection, Objections, Table, refuse_many, unusable
 
 _MAX_LINE_BYTES = 1 << 24  # 16 MiB
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
@@ -60,10 +60,7 @@ class CsvText:
         decimal: a point or a comma; empty until a number shows it.
         named: row of the header.
         first, offset: row and byte of the first line after the header.
-        ragged: row, text and number of fields where that is not the header's.
-        skipped: blank rows, and ragged ones where there are others.
         readings: rows of readings (n,).
-        readable: whether these can be parsed.
         notes: unusual ways in which it was read.
     """
 
@@ -77,10 +74,7 @@ class CsvText:
     named: int = 0
     first: int = 0
     offset: int = 0
-    ragged: list[tuple[int, str, int]] = field(default_factory=list)
-    skipped: frozenset[int] = frozenset()
     readings: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    readable: bool = True
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -98,8 +92,6 @@ class CsvText:
             self.sha256,
             lambda index: f"row {self.readings[index]}",
             notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *further_notes)),
-            problems=_ragged_rows(self),
-            readable=self.readable,
         )
 
     def rows(self) -> Iterable[bytes]:
@@ -111,8 +103,7 @@ class CsvText:
     def cells(self, columns: Mapping[int, bool]) -> dict[int, Cells]:
         """Parse columns (position → whether of numbers); one chunk of rows is held as text at a time."""
         parts: dict[int, list[Cells]] = {position: [] for position in columns}
-        numbered = enumerate(self.rows(), self.first)
-        lines = (line for row, line in numbered if row not in self.skipped)
+        lines = (line for line in self.rows() if line.strip(self.blank))
         while stretch := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(stretch).decode()
             text = text.replace("\r\n", "\n").removesuffix("\n")
@@ -144,13 +135,14 @@ class CsvText:
 
 
 def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
-    """Parse the bytes of a file: its layout, its rows, and those that are blank or have another number of fields.
+    """Parse the bytes of a file: its layout, and its rows.
 
     Comma, semicolon, tab, bar or blanks separate fields. `decimal` is a point or a comma; empty for a point, or for a
     comma where semicolons or tabs separate the fields and a number such as 20,5 cannot have a thousands separator.
 
     Raises:
-        InputError: it is empty, in an encoding that cannot be told, or ends lines in a way that cannot be counted.
+        InputError: it is empty, in an encoding that cannot be told, ends lines in a way that cannot be counted, or has
+            rows with another number of fields than the header.
     """
     text = CsvText(file, *_decoded(data, file), hashlib.sha256(data).hexdigest(), decimal=decimal)
     if text.encoding != "utf-8":
@@ -299,7 +291,7 @@ def _scan_lines(text: CsvText) -> None:
         text.decimal = ","
     if text.decimal == ",":
         text.notes.append("its numbers have decimal commas")
-    row, blanks = text.first - 1, set[int]()
+    row, blanks, ragged = text.first - 1, list[int](), list[tuple[int, str, int]]()
     for row, line in enumerate(text.rows(), text.first):
         if len(line) > _MAX_LINE_BYTES:
             came = f"is longer than {_MAX_LINE_BYTES} bytes"
@@ -310,30 +302,27 @@ def _scan_lines(text: CsvText) -> None:
         elif line.strip(blank):
             fields = line.count(separator) + 1
         else:
-            blanks.add(row)
+            blanks.append(row)
             continue
-        if fields != expected and len(text.ragged) < MAX_BAD:
-            text.ragged.append((row, line.decode().strip()[:80], fields))
-    rows, odd = np.arange(text.first, row + 1), {row for row, _, _ in text.ragged}
-    text.readable = len(odd) < min(MAX_BAD, max(1, len(rows) - len(blanks)))
-    text.skipped = frozenset(blanks | odd if text.readable else blanks)
-    text.readings = np.setdiff1d(rows, [*text.skipped])
+        if fields != expected and len(ragged) < MAX_BAD:
+            ragged.append((row, line.decode().strip()[:80], fields))
+    if ragged:
+        _refuse_ragged(text, ragged)
+    text.readings = np.setdiff1d(np.arange(text.first, row + 1), blanks)
 
 
-def _ragged_rows(text: CsvText) -> tuple[Objection, ...]:
-    """Return the rows with another number of fields than columns, as one problem."""
-    if not text.ragged:
-        return ()
-    _, line, fields = text.ragged[0]
+def _refuse_ragged(text: CsvText, ragged: Sequence[tuple[int, str, int]]) -> None:
+    """Raise InputError for rows (number, text, number of fields) with another number of fields than columns."""
+    _, line, fields = ragged[0]
     expected = len(text.header)
     comma = text.separator == "," and fields > expected
     cure = "If its numbers have decimal commas, export them with decimal points. " * comma
-    if any(expected < n for _, _, n in text.ragged):
+    if any(expected < n for _, _, n in ragged):
         cure += "If the first lines only tell of the test, begin each with #. "
     cure += "Give every row one field for each column"
     came = f"has {fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
-    places = tuple(f"row {row}" for row, _, _ in text.ragged)
-    return (Objection(text.file, came, cure=cure, places=places),)
+    places = tuple(f"row {row}" for row, _, _ in ragged)
+    Objections([Objection(text.file, came, cure=cure, places=places)]).refuse()
 
 
 class _HeaderRows(NamedTuple):

@@ -204,8 +204,6 @@ class Table:
         sha256: of the bytes; "" for arrays.
         place: index of a reading → its row, "row 12".
         notes: unusual ways in which it was read, a sentence each.
-        problems: that prevent its use.
-        readable: whether its cells can be parsed all the same.
     """
 
     file: str
@@ -215,8 +213,6 @@ class Table:
     sha256: str = ""
     place: Callable[[int], str] = lambda index: f"row {index + 1}"
     notes: tuple[str, ...] = ()
-    problems: tuple[Objection, ...] = ()
-    readable: bool = True
 
     def __post_init__(self) -> None:
         """Raise InputError for no readings, or one name for two columns."""

@@ -178,7 +178,7 @@ def _column_names(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """Return the output's header in the file, and the names of the columns to add."""
-    problems = Objections(table.problems)
+    problems = Objections()
     file = MatchedFile(table, expected, options, problems)
     file.note_missing()
     problems.refuse()

@@ -168,7 +168,7 @@ def devices_of(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
     table = ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
-    problems, options = ws.Objections(table.problems), options.of_file(table)
+    problems, options = ws.Objections(), options.of_file(table)
     ws.unused_options([table], options, problems)
     problems.refuse()
     columns = (*instrument.columns, *_further(table, instrument, options, needs))
@@ -222,8 +222,8 @@ def _convert_usable(
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, some = ws.Objections(), table.take(rows)
-        converted = ws.convert_columns(some, expects, options, problems)
-        if not problems:
+        with problems.collecting():
+            converted = ws.convert_columns(some, expects, options)
             rows = rows if converted.kept_rows is None else rows[converted.kept_rows]
             return converted.values, converted.units, rows, refused
         ws.Objections(p for p in problems if not p.rows).refuse()
