@@ -313,7 +313,6 @@ class MatchedFile:
     def __post_init__(self) -> None:
         """Match the headers: by the user's options, by their names and units, then by their cells."""
         self.expected = expected_columns(self.instrument)
-        self.options = self.options.of_file(self.table)
         self._headers, self._notes = list(self.table.headers), list(self.table.notes)
         self._free = set(range(len(self._headers)))
         self._take_named()

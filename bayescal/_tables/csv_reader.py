@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import hashlib
 import io
 import math
 import re
@@ -67,7 +66,6 @@ class CsvText:
     file: str
     data: bytes
     encoding: str
-    sha256: str
     header: list[str] = field(default_factory=list)
     separator: str = ","
     decimal: str = ""
@@ -89,8 +87,7 @@ class CsvText:
             tuple(Header.parse(csv_cell_read(text)) for text in self.header),
             len(self.readings),
             self.cells,
-            self.sha256,
-            lambda index: f"row {self.readings[index]}",
+            place=lambda index: f"row {self.readings[index]}",
             notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *further_notes)),
         )
 
@@ -144,7 +141,7 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
         InputError: it is empty, in an encoding that cannot be told, ends lines in a way that cannot be counted, or has
             rows with another number of fields than the header.
     """
-    text = CsvText(file, *_decoded(data, file), hashlib.sha256(data).hexdigest(), decimal=decimal)
+    text = CsvText(file, *_decoded(data, file), decimal=decimal)
     if text.encoding != "utf-8":
         text.notes.append(f"read as {text.encoding}")
     _read_header(text)

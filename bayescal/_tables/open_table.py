@@ -77,12 +77,9 @@ def open_table(
         what = repr(suffix) if suffix else "a file without a suffix"
         raise InputError(f"{name!r}: {what} cannot be read. Give one of {', '.join(READ)}")
     with _reachable(path):
-        if not path.stat().st_size:
-            expected = "a header and rows of readings were expected"
-            raise unusable(name, "is empty (0 bytes)", expected)
         if suffix in TEXT:
-            return parse_text(path.read_bytes(), name, decimal).table()
-        if suffix in LOGS:
+            table = parse_text(path.read_bytes(), name, decimal).table()
+        elif suffix in LOGS:
             table = first_offered("log", f"{name!r}, a log,")(path, name, asked)
         else:  # a second that text does without
             from bayescal._tables import formats
