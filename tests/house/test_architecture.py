@@ -228,9 +228,9 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_075,
-    "bayescal/_tables": 1_577,
-    "bayescal/_data": 4_206,
+    "bayescal/_core": 2_064,
+    "bayescal/_tables": 1_527,
+    "bayescal/_data": 4_189,
     "bayescal/_model": 5_475,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
@@ -245,7 +245,7 @@ CEILINGS = {
     "bayescal/_annexes/validation": 747,
     "bayescal/_annexes/workbench": 3_246,
     "models": 8_302,
-    "tests": 24_379,
+    "tests": 24_360,
     "benchmarks": 10_609,
 }
 WORDS = 49_418  # of docs/, README.md and CHANGELOG.md together
