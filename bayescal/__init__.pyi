@@ -30,7 +30,6 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 
 # what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._use.compensator import compensator as compensator
-from ._use.compensator import load_compensator as load_compensator
 from ._annexes.imu.vector_series import vector_correction as vector_correction
 from ._annexes.imu.still_stretches import poses as poses
 from ._annexes.imu.moves import moves as moves

@@ -7,9 +7,11 @@ from ._calibration.check import covariates_of as covariates_of
 from ._calibration.check import place_in_words as place_in_words
 from ._calibration.check import why_not as why_not
 from ._calibration.claim import Claim as Claim
-from ._calibration.judgement import noiseless as noiseless
-from ._calibration.prior_influence import coefficients_not_measured as coefficients_not_measured
-from ._calibration.prior_influence import not_measured as not_measured
+from ._calibration.judgement import explain_missing_noise as explain_missing_noise
+from ._calibration.prior_influence import (
+    find_coefficients_not_measured as find_coefficients_not_measured,
+)
+from ._calibration.prior_influence import find_not_measured as find_not_measured
 from ._calibration.sensor_noise import FILTER_QUANTILE as FILTER_QUANTILE
 from ._calibration.storage import identity as identity
 from ._calibration.storage import sources_of as sources_of

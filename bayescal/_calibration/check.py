@@ -23,6 +23,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._core.formatting import folded, number
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -69,6 +70,7 @@ class Pair:
     log_bayes_factor: float
 
 
+@renamed(wrong="is_wrong")
 @dataclass(frozen=True)
 class FixedComparison:
     """Reference noise for the residuals of a model with fixed coefficients, output unit."""
@@ -78,7 +80,7 @@ class FixedComparison:
     free_fit: float  # noise standard deviation of the same model with free coefficients
 
     @property
-    def wrong(self) -> bool:
+    def is_wrong(self) -> bool:
         """Return whether the rms is more than twice the noise of the same model with free coefficients."""
         return self.rms > 2 * self.noise
 
@@ -284,7 +286,9 @@ def why_not(calibration: Calibration) -> str:
         return verdict.why_not
     cached = vars(calibration)  # cached with the other computed attributes
     if "why_not" not in cached:
-        cached["why_not"] = judgement.noiseless(calibration) or " ".join(_failures(calibration))
+        cached["why_not"] = judgement.explain_missing_noise(calibration) or " ".join(
+            _failures(calibration)
+        )
     return cached["why_not"]
 
 

@@ -129,7 +129,9 @@ def is_widened_by(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool
     return is_single_coefficient(linear.problem.layout) & wider
 
 
-def unmodelled(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
+def find_unmodelled_columns(
+    model: Model, readings: Measurements
+) -> dict[str, Float[np.ndarray, "n"]]:
     """Return the varying columns that no effect depends on, except columns that the instrument declares, columns of the
     same quantity (a second thermometer, a set point) and time, for which the catalogue has named effects."""
     declared = {c.name for c in model.instrument.columns}

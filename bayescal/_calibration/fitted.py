@@ -11,9 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtrc
 
-from bayescal._calibration.confounding import Confounder, find_confounders, unmodelled, widen_draws
+from bayescal._calibration.confounding import (
+    Confounder,
+    find_confounders,
+    find_unmodelled_columns,
+    widen_draws,
+)
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.renamed import renamed
 from bayescal._data.dataset_checks import MIN_CHANGES, resolution
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
@@ -45,6 +51,8 @@ class Vectors(NamedTuple):
     v: Float[np.ndarray, "b d"]
 
 
+@renamed(having="inclusion_masks", dated="dated_effects", thinned="thin_draws")
+@renamed(likeliest="likeliest_effects", held_at="reference_constants")
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The fields and computations of a fit result; `Calibration` adds printing, saving and the ArviZ tree.
@@ -106,7 +114,7 @@ class Fitted:
             return self.confounded
         if not self.verdict.ok:
             return ()
-        columns, steps = unmodelled(self.model, self.readings), self._rounding_steps()
+        columns, steps = find_unmodelled_columns(self.model, self.readings), self._rounding_steps()
         return find_confounders(self.linear, columns, steps) if columns or steps else ()
 
     def _rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
@@ -170,10 +178,10 @@ class Fitted:
 
         Only columns that an effect depends on have one; otherwise constants are means over the readings.
         """
-        return {name: value for name, (value, _) in self.held_at.items()}
+        return {name: value for name, (value, _) in self.reference_constants.items()}
 
     @cached_property
-    def held_at(self) -> dict[str, tuple[float, str]]:
+    def reference_constants(self) -> dict[str, tuple[float, str]]:
         """Return `hold_at`, each with its unit."""
         constants: dict[str, tuple[float, str]] = {}
         for column in self.readings.columns:
@@ -210,7 +218,7 @@ class Fitted:
         return effect.evaluate(frame, shapes)
 
     @cached_property
-    def dated(self) -> tuple[str, ...]:
+    def dated_effects(self) -> tuple[str, ...]:
         """Return names of the effects that depend on absolute time, not only on time since the start of a run."""
         if not self.readings.has("time"):
             return ()
@@ -227,7 +235,7 @@ class Fitted:
         Raises:
             InputError: one has dates and the other has none, and an effect changes with the date.
         """
-        return readings.on_clock(self.readings.since, lambda: ", ".join(self.dated))
+        return readings.on_clock(self.readings.since, lambda: ", ".join(self.dated_effects))
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Build the frame of other readings on this calibration's clock, T0, runs and groups."""
@@ -236,7 +244,7 @@ class Fitted:
         return build_frame(self.on_clock(readings), self.reference, self.levels, self.readings)
 
     @cached_property
-    def having(self) -> dict[str, Bool[np.ndarray, "draws"]]:
+    def inclusion_masks(self) -> dict[str, Bool[np.ndarray, "draws"]]:
         """Mask, for each effect, the draws whose structure includes it (in an average, not all)."""
         x, blocks = self.draws().x, self.layout.x_blocks
         return {e.name: has_effect(x, blocks, e.name) for e in self.model.effects}
@@ -244,14 +252,14 @@ class Fitted:
     @property
     def inclusion(self) -> dict[str, float]:
         """Return each effect's inclusion probability; 1 where no structures were averaged."""
-        return {name: float(included.mean()) for name, included in self.having.items()}
+        return {name: float(included.mean()) for name, included in self.inclusion_masks.items()}
 
     @property
-    def likeliest(self) -> set[str]:
+    def likeliest_effects(self) -> set[str]:
         """Return the effects of the most probable structure."""
-        patterns, counts = np.unique([*self.having.values()], axis=1, return_counts=True)
+        patterns, counts = np.unique([*self.inclusion_masks.values()], axis=1, return_counts=True)
         best = patterns[:, counts.argmax()]
-        return {name for name, included in zip(self.having, best, strict=True) if included}
+        return {name for name, included in zip(self.inclusion_masks, best, strict=True) if included}
 
     @property
     def usual_columns(self) -> set[str]:
@@ -268,7 +276,7 @@ class Fitted:
 
     def without(self, names: Collection[str]) -> Self:
         """Return the posterior conditional on structures without these effects; itself if too few draws remain."""
-        rows = np.flatnonzero(~np.any([self.having[name] for name in names], axis=0))
+        rows = np.flatnonzero(~np.any([self.inclusion_masks[name] for name in names], axis=0))
         if len(rows) < CHAIN_DRAWS:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
@@ -289,7 +297,7 @@ class Fitted:
         step = 1 if limit is None else max(1, -(-len(arrays[0]) // limit))
         return Vectors(*(a[::step] for a in arrays))
 
-    def thinned(self, limit: int) -> tuple[Vectors, int]:
+    def thin_draws(self, limit: int) -> tuple[Vectors, int]:
         """Thin each chain so that draws times readings stay within a limit; return draws and chain count."""
         chains, length = self.joint.x.shape[:2]
         step = -(-length // max(1, min(length, limit // max(1, chains * len(self.readings)))))
@@ -314,7 +322,7 @@ class Fitted:
         """
         import xarray as xr  # loading takes half a second, with pandas
 
-        vectors, chains = self.thinned(limit)
+        vectors, chains = self.thin_draws(limit)
         by_chain = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), by_chain)})
 

@@ -79,9 +79,9 @@ def contradictions(
 
 def residual_claims(subject: Subject) -> list[Claim]:
     """Return failed residual checks; only the first claim if the fit did not converge or fixed values are wrong."""
-    if claims := [*not_converged(subject)]:
+    if claims := [*find_nonconvergence(subject)]:
         return claims
-    claims += [*not_finite(subject), *subject.mode_claims, *slow_noise(subject)]
+    claims += [*find_infinite_evidence(subject), *subject.mode_claims, *slow_noise(subject)]
     claims += [*normality(subject), *dependence(subject)]
     return [*claims, *steps_between_runs(subject), *autocorrelation(subject)]
 
@@ -92,11 +92,11 @@ def failures(subject: Subject) -> list[Claim]:
     return [*claims, *thermometer_anomalies(subject), *outlying_groups(subject)]
 
 
-def not_converged(subject: Subject) -> Iterator[Claim]:
+def find_nonconvergence(subject: Subject) -> Iterator[Claim]:
     verdict = subject.fit.verdict
     if not verdict.ok:
         yield Claim("fit.not_converged", reasons=" ".join(verdict.reasons))
-    elif subject.check and (fixed := subject.check.fixed) and fixed.wrong:
+    elif subject.check and (fixed := subject.check.fixed) and fixed.is_wrong:
         unit = subject.check.unit
         yield Claim("fixed.wrong", rms=fixed.rms, unit=unit, times=fixed.rms / fixed.noise)
 
@@ -341,7 +341,7 @@ def multimodality(fit: Fitted) -> list[Claim]:
     return []
 
 
-def noiseless(fit: Fitted) -> str:
+def explain_missing_noise(fit: Fitted) -> str:
     """Return a message if the noise estimate is below the output's precision or not finite, else "".
 
     Without a noise estimate no check is possible.
@@ -436,7 +436,7 @@ def steps_between_runs(subject: Subject) -> Iterator[Claim]:
         if effect.kind in ("jump", "cycle") and effect.covariate == "time":
             contribution = fit.linear.contribution(effect.name)
             means, deviations = split_by_run(fit, contribution)
-            if only_between_runs(contribution - contribution.mean(), deviations):
+            if is_between_runs_only(contribution - contribution.mean(), deviations):
                 distance = float(np.ptp(means))
                 yield Claim("runs.apart", effect.name, apart=distance, unit=fit.unit)
                 return
@@ -449,12 +449,12 @@ def split_by_run(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return means, values - means[codes]
 
 
-def only_between_runs(values: np.ndarray, deviations: np.ndarray) -> bool:
+def is_between_runs_only(values: np.ndarray, deviations: np.ndarray) -> bool:
     """Return whether the sum of squares within runs is a negligible part of the total."""
     return bool(np.sum(deviations**2) < limit("runs.apart", "within_share") * np.sum(values**2))
 
 
-def not_finite(subject: Subject) -> Iterator[Claim]:
+def find_infinite_evidence(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if the evidence is not finite."""
     evidence = subject.fit.log_evidence
     if evidence is not None and not math.isfinite(evidence[0]):

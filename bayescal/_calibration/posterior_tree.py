@@ -18,7 +18,7 @@ def build_tree(c: Fitted) -> xr.DataTree:
     """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     readings, dims = c.readings, ("chain", "draw", "reading")
     units = {"units": readings.unit("output")}
-    draws, chains = c.thinned(MAX_CELLS)
+    draws, chains = c.thin_draws(MAX_CELLS)
     outputs = replicate(c.problem, draws, np.random.default_rng([c.seed, 1]))
     outputs = outputs.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {

@@ -77,7 +77,7 @@ class NotMeasured:
         if not coefficients:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in coefficients]
-        present_by_draw = [calibration.having[u.effect] for u, _ in coefficients]
+        present_by_draw = [calibration.inclusion_masks[u.effect] for u, _ in coefficients]
         unknowns, present, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
         for pattern in np.unique(present, axis=0):  # structures of a model average
             in_pattern = np.all(present == pattern, axis=1)
@@ -99,7 +99,7 @@ class NotMeasured:
         return quantity
 
 
-def not_measured(
+def find_not_measured(
     calibration: Calibration,
     values: Float[np.ndarray, "d g"],
     *,
@@ -134,7 +134,7 @@ def not_measured(
     shares, is_counted = list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
     for u, c, in_use in _stated_priors(calibration):
-        present = calibration.having[u.effect]
+        present = calibration.inclusion_masks[u.effect]
         if present.mean() <= rare:
             continue
         samples, quantity = calibration.samples(u.name)[present], values[present]
@@ -168,10 +168,10 @@ def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "")
     return f"{u.name} ({value}{suffix})"
 
 
-def coefficients_not_measured(calibration: Calibration) -> set[str]:
+def find_coefficients_not_measured(calibration: Calibration) -> set[str]:
     """Return the names of the coefficients that priors determine more than the readings."""
     names, samples = (u.name for u, *_ in _stated_priors(calibration)), calibration.samples
-    return {n for n in names if not_measured(calibration, samples(n)[:, None], of=n)}
+    return {n for n in names if find_not_measured(calibration, samples(n)[:, None], of=n)}
 
 
 def _stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:

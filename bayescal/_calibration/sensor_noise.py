@@ -248,7 +248,6 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     with deadline.until(time_limit):
         seed = seed_of(seed)
         sums = _evaluate_sums(readings, seed)
-    step = allan.even_runs(readings).step
     readings, runs, unit = sums.readings, sums.runs, readings.unit("output") or ""
     measured = allan.of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in sums.noises])
@@ -258,13 +257,11 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     random = np.random.default_rng(seed)
     estimates = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
-    claims, repetition = list(sums.claims), runs.step / (sums.count or 1) / step
+    claims, step = list(sums.claims), runs.step / (sums.count or 1)
     if sums.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=allan.habit(unit).names[0]))
     elif sums.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=sums.count))
-    if repetition > 1:
-        claims.insert(0, Claim("noise.held", "N", times=repetition))
     outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
     if outside.sum() > limit("noise.outside", "times"):
         tau = tuple(number(t) for t in measured.tau[outside])
@@ -365,7 +362,7 @@ class EvaluatedSums(NamedTuple):
 def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     """Evaluate sums of noise terms on a channel at rest, and draw parameters of the probable sums; see `noise`."""
     output = np.asarray(readings["output"], float)
-    runs = _drop_repeats(output, allan.even_runs(readings))
+    runs = allan.even_runs(readings)
     z, line = _find_line(output, runs)
     count = _readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.
@@ -477,27 +474,6 @@ def _differences(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.nda
     """Return the finite differences of successive readings within runs."""
     changes = np.concatenate([np.diff(run) for run in runs.of(output)])
     return changes[np.isfinite(changes)]
-
-
-def _drop_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
-    """Reduce a sample-and-hold output to the first reading of each value, at their mean step; keep others unchanged.
-
-    Rounding to steps of g makes a share 0.27·g/m of neighbours equal, m their median difference. In a held output many
-    more are equal, and no value lasts much longer than the mean, unlike in an output that is temporarily stuck.
-    """
-    changes = np.abs(_differences(output, runs))
-    nonzero = changes[changes > 0]
-    resolution = np.min(np.diff(np.unique(output)), initial=math.inf)
-    ratio = resolution / np.median(nonzero) if len(nonzero) else 1.0
-    recorded_rows = [r[r >= 0] for r in runs.rows]
-    is_first = [np.append(True, np.diff(output[rows_of_run]) != 0) for rows_of_run in recorded_rows]
-    longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in is_first)
-    repeats = len(nonzero) < (1 - max(limit("noise.held", "share"), ratio)) * len(changes)
-    if not repeats or longest * len(nonzero) > limit("noise.held", "ratio") * len(changes):
-        return runs
-    span = sum(len(r) - 1 for r in runs.rows) * runs.step
-    rows = tuple(rows_of_run[f] for rows_of_run, f in zip(recorded_rows, is_first, strict=True))
-    return EvenRuns(rows, span / sum(len(r) - 1 for r in rows))
 
 
 def _readings_per_mean(
@@ -616,8 +592,8 @@ def _run_columns(
     scale = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
     if not scale > 0:
         raise InputError(
-            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
-            "more coarsely than its noise: record it with more digits"
+            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is held, or "
+            "rounded more coarsely than its noise: record each value once, with more digits"
         )
     columns = (output - np.median(output))[:, None]
     least_range = limit("noise.temperature", "degrees")

@@ -50,7 +50,9 @@ def unknowns_parts(
         )
     if any(row[-1].startswith("-") for row in rows.values()):
         lines.append("contraction below 0: the posterior is wider than the prior")
-    if constants := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
+    if constants := [
+        f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.reference_constants.items()
+    ]:
         lines.append("coefficients refer to " + ", ".join(constants))
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
@@ -152,7 +154,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
         values = calibration.samples(u.name)
-        present = calibration.having.get(u.effect, np.ones(len(values), dtype=bool))
+        present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
         conditional = values[present] if present.sum() > 1 else values
         values = conditional if u.kind == "shape" else values  # absent, a shape has no value
         low, high = np.quantile(values, [0.025, 0.975])

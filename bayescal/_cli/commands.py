@@ -9,7 +9,6 @@ Imports are placed where they are first needed: a bad file is refused before a s
 
 from __future__ import annotations
 
-import inspect
 import shutil
 import sys
 from collections.abc import Sequence
@@ -64,7 +63,6 @@ from bayescal._report.whole_folder import (
 PAIR_SELECTIONS = "bayescal.pair_selections"
 """`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
-IN_USE: Any = Argument(help="Folder of results, its calibration (.nc), or a JSON export.")
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 
 
@@ -127,7 +125,6 @@ class SimulateCommand(AsJson, Command):
     instrument: str = Shared.instrument
     out: Path = opt("File to write: .csv.", ...)
     effect: Texts = opt("name=size: an effect to hide; repeat for more.")
-    noise_law: str = opt("white, student_t or ornstein_uhlenbeck.", "white")
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
@@ -136,13 +133,9 @@ class SimulateCommand(AsJson, Command):
         chosen = instrument_named(self.instrument)
         if chosen.simulator is None:
             raise InputError(f"instrument {chosen.name!r} has no simulator")
-        noise_options = {} if self.noise_law == "white" else {"noise_law": self.noise_law}
-        if noise_options and "noise_law" not in inspect.signature(chosen.simulator).parameters:
-            why = f"the simulator of {chosen.name!r} has white noise only: leave --noise-law out"
-            raise InputError(why)
         hidden = named_numbers(self.effect, "--effect")
         try:
-            readings = chosen.simulate(hidden, seed=self.seed, **noise_options)
+            readings = chosen.simulate(hidden, seed=self.seed)
         except ValueError as error:
             raise InputError(str(error)) from None
         readings.write(self.out)
@@ -151,7 +144,7 @@ class SimulateCommand(AsJson, Command):
         listing = ", ".join(sizes) or "nothing"
         text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
-        return Answer(text, {**data, "noise_law": self.noise_law, "effects": hidden})
+        return Answer(text, {**data, "effects": hidden})
 
 
 class PairsCommand(ReadRequest, AsJson, Command):
@@ -217,7 +210,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
     simple_noise: bool = opt("Leave out sums of noise terms: faster on long records.", False)
     covariates: str | None = Shared.covariates
     out: Path | None = Shared.folder
-    verbose: bool = opt("With all candidates of every step, and drafts of effects.", False)
+    verbose: bool = opt("With all candidates of every step.", False)
 
     def answer(self) -> Answer:
         names = options.channel_names(self.channels)
@@ -488,11 +481,9 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
 
     example = "bayescal compensate result/calibration.nc flight.csv --out done.csv"
     in_place = "file"
-    calibration: Path = IN_USE
-    file: Path = Argument(help="Readings: text, .parquet, .nc, .xlsx or .mat.")
-    out: Path = opt(
-        "File to write, of the same format (Excel, MATLAB: .csv).", *(..., "--out", "-o")
-    )
+    calibration: Path = Shared.calibration
+    file: Path = Argument(help="Readings: text, .parquet, .xlsx or .mat.")
+    out: Path = opt("File to write: .csv, or .parquet of such.", ..., "--out", "-o")
     first_order: bool = opt("Propagate mean and covariance, as exports do, not draws.", False)
     without_noise: bool = opt("Leave the noise of each reading out.", False)
 
@@ -501,7 +492,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
 
         chosen = request.compensator_from(self.calibration, self)
         how = {**self.for_read(), "missing": self.missing or "drop"}
-        how["method"] = "first order" if self.first_order else None
+        how["method"] = "first order" if self.first_order else "draws"
         done = compensate_file(chosen, self.file, self.out, **how, noise=not self.without_noise)
         self.keep()
         outside = (
@@ -533,7 +524,7 @@ class ExportCommand(InUse, DecisionRule, Command):
 
     example = "bayescal export result/calibration.nc --format c --out gyro.h"
     calibrations: list[Path] = Argument(
-        [], help="Folders of results, calibrations (.nc), exports: one, one an axis, or a unit's."
+        [], help="Folders of results, calibrations (.nc): one, one an axis, or a unit's."
     )
     format_: str | None = opt(
         "json, c or python; of three axes yaml; px4-params or ardupilot-params; dcc.",

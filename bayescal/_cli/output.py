@@ -22,7 +22,6 @@ from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import result
 from bayescal._report.save_search import channels_data
 from bayescal._search.calibrate_channels import Channels
-from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import SearchPath, Step
 
 SOURCES = 'sources (numbered in docs/sources.md; "ours": estimated by the authors of bayescal)'
@@ -150,7 +149,7 @@ def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) 
     Args:
         path: result of the search.
         started: whether the first table has been printed.
-        verbose: include all candidates of every step, and drafts of effects.
+        verbose: include all candidates of every step.
     """
     final = path.final
     parts = [""] if started else [format_first_model(path, verbose)]
@@ -160,10 +159,6 @@ def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) 
     for i, step in enumerate(path.steps if verbose else ()):
         heading = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
         parts.append(_section(heading, step.discovery or _reason_not_tested(step)))
-    unknown = [e.name for e in final.calibration.model.effects if e.is_placeholder]
-    for name in unknown if verbose else ():
-        heading = f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)"
-        parts.append(_section(heading, draft_effect(final.calibration, name)))
     notes = [] if verbose else _missing_lines(path)
     notes += [folded(f"end: {path.ending}")] if path.ending else []
     parts.append(_section("THE ERROR, STEP BY STEP", path, *notes))

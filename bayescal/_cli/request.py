@@ -239,7 +239,7 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
 
 
 def compensator_from(path: Path, user: InUse) -> bc.Compensator:
-    """Load the compensator of one output, from a saved calibration or a JSON export."""
+    """Load the compensator of one output from a saved calibration."""
     correction = correction_from(path, user)
     if not isinstance(correction, bc.Compensator):
         raise InputError(
@@ -249,17 +249,11 @@ def compensator_from(path: Path, user: InUse) -> bc.Compensator:
 
 
 def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
-    """Load a correction of one output or three axes, from a saved calibration or a JSON export."""
+    """Load a correction from a saved calibration; one of three axes also from its JSON export."""
     if path.suffix.lower() == ".json":
-        from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
 
-        if user.member:
-            why = f"{path.name} is an export, made for its members: give the calibration"
-            raise InputError(why)
-        correction = load_correction(path)
-        single = isinstance(correction, CompensationProgram)
-        return bc.Compensator(loaded=correction) if single else correction
+        return load_correction(path)
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=user.members)

@@ -31,7 +31,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
-from bayescal._report.result_json import RESULT, Chapter, Foreword, Foreworded, chapters
+from bayescal._report.result_json import Chapter, Foreword, Foreworded, chapters
 from bayescal._search.discover import candidates_table, group_confounded, group_untested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
@@ -52,8 +52,8 @@ class Picture:
 class Pictures:
     """Pictures of one page, with unique ids."""
 
-    def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
-        self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()
+    def __init__(self) -> None:
+        self.count, self.failed = 0, list[NotDrawn]()
 
     def draw(self, make: Callable[[], Figure], caption: str) -> Picture:
         self.count += 1
@@ -62,7 +62,7 @@ class Pictures:
                 return Picture(
                     embed(render_svg(make()), f"f{self.count}-", caption + ELSEWHERE), caption
                 )
-        except self.refused:
+        except InputError:
             raise
         except Exception as error:  # the page is written without the figure
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
@@ -119,8 +119,6 @@ def embed(svg: str, prefix: str, alt: str) -> Markup:
     return Markup(f"{head} {view[0] if view else ''}>{content}")
 
 
-# Exceptions of rendering a damaged result.json, besides errors of the template.
-DAMAGE_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 NO_STIMULUS = (
     "There is no budget: nothing is measured with this instrument in use, so that the uncertainties are those of its "
     "coefficients."
@@ -153,8 +151,8 @@ def report(
         The path.
 
     Raises:
-        InputError: no calibration, another suffix, a file that cannot be written, a certificate with an unknown entry,
-            or a damaged result folder.
+        InputError: no calibration, another suffix, a file that cannot be written, or a certificate with an unknown
+            entry.
         NotDrawn: a figure could not be drawn; the page is written with a note instead.
     """
     path = Path(path)
@@ -164,25 +162,13 @@ def report(
         raise InputError(
             f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
         )
-    from jinja2 import TemplateError  # only a report needs it
-
     if isinstance(certificate, str | Path):
         certificate = first_offered("certificate", "certificate=")(certificate)
     results = given if isinstance(given, list | tuple) else [given]
     parts = chapters(results, effects)
     forewords = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
-    folders = [str(c.folder) for c in parts if c.folder is not None]
-    pictures = Pictures(DAMAGE_ERRORS if folders else ())
-    try:
-        text = render_page(parts, pictures, title, forewords)
-    except (TemplateError, *DAMAGE_ERRORS) as e:
-        if not folders:
-            raise
-        raise InputError(
-            f"{RESULT} in {' or '.join(folders)} is not as it was written ({type(e).__name__}: {e}): calibrate again, "
-            "or give the calibration alone"
-        ) from None
-    written = write_text(text, path)
+    pictures = Pictures()
+    written = write_text(render_page(parts, pictures, title, forewords), path)
     if pictures.failed:
         raise pictures.failed[0]
     return written
@@ -238,7 +224,7 @@ def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "further": len(rows.rows) - len(signed_rows.rows) + len(c.model.fixed),
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "noise": c.model.noise.in_words,
-        "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
+        "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.reference_constants.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MAX_ROWS]),
         "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
         "check": chapter.check,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.prior_influence import coefficients_not_measured
+from bayescal._calibration.prior_influence import find_coefficients_not_measured
 from bayescal._calibration.storage import sources_of
 from bayescal._calibration.summary import curve_range, given_text, point_text, summary, unknown_rows
 from bayescal._core.flag import Flag
@@ -96,7 +96,7 @@ def files(chapter: Chapter) -> ResultTable:
 
 def coefficients(chapter: Chapter) -> ResultTable:
     """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
-    not_measured = coefficients_not_measured(chapter.used)
+    not_measured = find_coefficients_not_measured(chapter.used)
     summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
         empty = dict.fromkeys(("u", "k2", "credible"), "–")

@@ -25,7 +25,7 @@ from bayescal._calibration.storage import identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
-from bayescal._core.errors import InputError, NotConverged
+from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._core.settings import unusual
@@ -262,7 +262,6 @@ class Chapter:
     calibration: Calibration  # of the last model
     check: Check  # residual checks of the last model
     data: dict[str, Any]  # all results, as in result.json
-    folder: Path | None = None  # the folder it was read from; None for a result in memory
     # the last model's calibration averaged over structures; None if one has nearly all probability
     average: Calibration | None = None
 
@@ -273,10 +272,8 @@ class Chapter:
 
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
-    """Build report chapters from calibrations, search paths, chapters or failed fits; raise InputError for others."""
-    user_effects, accepted = tuple(effects), (Calibration, SearchPath, Chapter)
-    failed_fits = ((g, g.calibration if isinstance(g, NotConverged) else None) for g in results)
-    several = [g if calibration is None else calibration for g, calibration in failed_fits]
+    """Build report chapters from calibrations, search paths or chapters; raise InputError for others."""
+    user_effects, accepted, several = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
     wrong_types = [type(g).__name__ for g in several if not isinstance(g, accepted)]
     if wrong_types or not several:
         raise InputError(
@@ -303,35 +300,24 @@ def of_folder(
             f"The folder {folder} has no {' and no '.join(missing)}: give a folder that `bayescal calibrate --out` "
             "wrote, or a saved calibration (…nc)"
         )
-    data = _read_result(folder / RESULT)
+    try:
+        data = read_json(folder / RESULT)
+        if (schema := data.get("schema")) != SCHEMA:
+            raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
+    except (OSError, ValueError, AttributeError) as error:
+        why = f"{folder / RESULT} is no result of this version ({error}): calibrate again"
+        raise InputError(why) from None
     refuse_mixed(folder)
     user_parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
     calibration = load(folder / CALIBRATION, **user_parts)
-    fitted, saved, files = identity(calibration), data.get("calibration"), files_of(folder)
-    if not {RESULT, CALIBRATION} <= files.keys() and saved != fitted:  # no manifest of one run
+    if (fitted := identity(calibration)) != (saved := data.get("calibration")):
         raise InputError(
             f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {saved} and {fitted}. Calibrate "
             f"again, or give {CALIBRATION} alone"
         )
-    return Chapter(
-        calibration,
-        check(calibration),
-        data,
-        folder=folder,
-        average=load(folder / AVERAGED, **user_parts) if AVERAGED in files else None,
-    )
-
-
-def _read_result(path: Path) -> dict[str, Any]:
-    try:
-        data = read_json(path)
-        if (schema := data.get("schema")) != SCHEMA:
-            raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{path} is no result of this version ({error}): calibrate again"
-        ) from None
-    return data
+    has_average = AVERAGED in files_of(folder)
+    average = load(folder / AVERAGED, **user_parts) if has_average else None
+    return Chapter(calibration, check(calibration), data, average)
 
 
 def path_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:

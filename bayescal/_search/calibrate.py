@@ -174,7 +174,7 @@ class StepwiseSearch:
         self.started = time.monotonic()
         self.steps, c, fixed = [first], first.calibration, first.check.fixed
         # Probabilities need a converged fit; a published calibration that fails its check is not extended by effects.
-        if not c.verdict.ok or (fixed is not None and fixed.wrong):
+        if not c.verdict.ok or (fixed is not None and fixed.is_wrong):
             self.max_effects, widen_noise = 0, False
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
         named = [e for e in self.reconsidered if not e.is_placeholder]
@@ -380,7 +380,7 @@ def step_of(
     calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
     """Check a fit and return it as a step with its errors; raise InputError for readings without noise."""
-    if message := judgement.noiseless(calibration):
+    if message := judgement.explain_missing_noise(calibration):
         raise InputError(message)
     checked, floor, prediction, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:

@@ -6,14 +6,13 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 from scipy.special import expit
 
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, probability, with_error
+from bayescal._core.formatting import WIDTH, number, probability, with_error
 from bayescal._core.progress import stage
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, plain_table
@@ -45,16 +44,14 @@ class Channels(Printed):
 
     search_paths: Mapping[str, SearchPath]  # of each channel, by name
     shared: tuple[SharedShape, ...]  # evidence of all channels on each effect with a shared shape
+    save: ClassVar[
+        Callable[..., None]
+    ]  # writes all results to a folder; `save_search.py` attaches it
 
     @property
     def ok(self) -> bool:
         """Return whether every channel's result is reliable."""
         return all(path.ok for path in self.search_paths.values())
-
-    if TYPE_CHECKING:
-
-        def save(self, folder: Path) -> None:
-            """Write all results to a folder; `save_search.py` attaches it."""
 
     @property
     def reason(self) -> str:
@@ -64,24 +61,16 @@ class Channels(Printed):
     @property
     def effects(self) -> tuple[str, ...]:
         """Return the effects of all channels' last models, in the order of the models."""
-        models = (t.final.calibration.model for t in self.search_paths.values())
-        return tuple(dict.fromkeys(n for model in models for n in model.names))
+        finals = (t.final.calibration for t in self.search_paths.values())
+        return tuple(dict.fromkeys(n for c in finals for n in c.model.names))
 
     def _parts(self) -> list[str | ResultTable]:
-        laws = (t.final.calibration.model.noise.law for t in self.search_paths.values())
-        rows = self._errors()
-        for name in self.effects:
-            sizes = (_size(path, name) for path in self.search_paths.values())
-            cells = ("–" if mean is None else with_error(mean, sd) for mean, sd in sizes)
-            rows.append([name, *cells])
-        rows.append(["noise", *laws])
-        parts: list[str | ResultTable] = [plain_table(["", *self.search_paths], rows)]
+        parts = [part for table in _tables(self._rows()) for part in (table, "")][:-1]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
-        # Searches that ended early; one that could not begin is listed as not reliable.
-        searches = {n: t.search for n, t in self.search_paths.items() if t.search is not None}
-        parts += [f"{n}: {s.stopped}" for n, s in searches.items() if not s.complete]
-        against = {n: t.gate.reason for n, t in self.search_paths.items() if not t.ok}
-        return [*parts, *(f"{n}: result not reliable: {why}" for n, why in against.items())]
+        searches = ((n, t.search) for n, t in self.search_paths.items() if t.search)
+        parts += [f"{n}: {s.stopped}" for n, s in searches if not s.complete]
+        doubted = ((n, t.gate) for n, t in self.search_paths.items() if not t.ok)
+        return [*parts, *(f"{n}: result not reliable: {gate.reason}" for n, gate in doubted)]
 
     def _brief(self) -> str:
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
@@ -95,23 +84,35 @@ class Channels(Printed):
             "as fitted, first model": [t.steps[0].rmse_fitted for t in self.search_paths.values()],
             "as fitted, last": [s.rmse_fitted for s in finals],
             "new run, last": [s.rmse for s in finals],
-            "held out": [s.holdout_rmse for s in finals],
+            "held out, first": [t.steps[0].holdout_rmse for t in self.search_paths.values()],
+            "held out, last": [s.holdout_rmse for s in finals],
             "noise floor": [s.noise_floor for s in finals],
             **{e: [_size(t, e)[0] for t in self.search_paths.values()] for e in self.effects},
             "noise": [s.calibration.model.noise.law for s in finals],
         }
 
-    def _errors(self) -> list[list[str]]:
+    def _rows(self) -> list[list[str]]:
+        """Return the printed rows, with a column for each channel; the first row is the head."""
         paths, columns = self.search_paths.values(), self._columns()
-        row_names = ["as fitted, first model", "as fitted, last"]
-        if any(p.final.rmse > APART_RATIO * p.final.rmse_fitted for p in paths):
-            row_names.append("new run, last")
-        if any(p.holdout is not None for p in paths):
-            row_names += ["held out, first", "held out, last"]
-            columns["held out, first"] = [p.steps[0].holdout_rmse for p in paths]
-            columns["held out, last"] = columns["held out"]
-        rows = [[name, *map(number, columns[name])] for name in (*row_names, "noise floor")]
-        return [["unit", *map(unit_label, columns["unit"])], *rows]
+        new_run_differs = any(p.final.rmse > APART_RATIO * p.final.rmse_fitted for p in paths)
+        has_holdout = any(p.holdout is not None for p in paths)
+        names = ["as fitted, first model", "as fitted, last", *["new run, last"] * new_run_differs]
+        names += [*["held out, first", "held out, last"] * has_holdout, "noise floor"]
+        rows = [["", *self.search_paths], ["unit", *map(unit_label, columns["unit"])]]
+        rows += [[name, *map(number, columns[name])] for name in names]
+        for name in self.effects:
+            sizes = (_size(path, name) for path in paths)
+            rows.append([name, *("–" if m is None else with_error(m, sd) for m, sd in sizes)])
+        return [*rows, ["noise", *columns["noise"]]]
+
+
+def _tables(rows: Sequence[Sequence[str]]) -> Iterator[ResultTable]:
+    """Yield tables of as many channels as fit the page, each with the rows' names; the first row is the head."""
+    name_width, *widths = (2 + max(map(len, column)) for column in zip(*rows, strict=True))
+    count = max(1, (WIDTH + 2 - name_width) // max(widths))
+    for i in range(1, len(rows[0]), count):
+        head, *body = ([row[0], *row[i : i + count]] for row in rows)
+        yield plain_table(head, body)
 
 
 def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
@@ -170,7 +171,7 @@ def calibrate_channels(
             evaluated structure: the first model, where there was no time for others.
 
     Raises:
-        InputError: fewer than two channels, or models, readings and holdout with different channels.
+        InputError: models, readings and holdout have different channels.
         ModelError: the readings lack what a model needs.
     """
     for records in (readings, holdout):
@@ -179,8 +180,6 @@ def calibrate_channels(
                 f"models are given for {', '.join(models)}; readings for {', '.join(records)}: "
                 "give both for each channel"
             )
-    if len(models) < 2:
-        raise InputError("a unit has two channels or more: use `calibrate` for one")
     channels, count, paths = list[_Channel](), len(models), dict[str, SearchPath]()
     with deadline.until(time_limit):
         for i, (name, model) in enumerate(models.items(), 1):

@@ -178,7 +178,7 @@ def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
         return
     means, within = judgement.split_by_run(calibration, left_out.residual)
     has_run_effect = any(c.group_sd and not c.initial for c in coefficients)
-    if not has_run_effect and judgement.only_between_runs(left_out.residual, within):
+    if not has_run_effect and judgement.is_between_runs_only(left_out.residual, within):
         # Prediction from the mean of the n − 1 other runs has n/(n − 1) times the distance from the mean of all.
         distance = float(np.ptp(means)) * (1 - 1 / left_out.count)
         sizes = {"apart": distance, "within": float(np.sqrt(np.mean(within**2)))}

@@ -165,7 +165,7 @@ def add_latent_effects(
         random = np.random.default_rng([extended.seed, 4])
         root = np.linalg.cholesky(latent_covariance)
         values = random.standard_normal((len(x), len(root))) @ root.T + linear.z[is_latent]
-        inclusion = calibration.having
+        inclusion = calibration.inclusion_masks
         for name in spanning:
             values *= inclusion[name][:, None]
         for name in latent & inclusion.keys():

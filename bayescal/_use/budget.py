@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim, limit
-from bayescal._calibration.prior_influence import not_measured, variance_by_origin
+from bayescal._calibration.prior_influence import find_not_measured, variance_by_origin
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
@@ -231,8 +231,6 @@ def budget(
         ModelError: the instrument does not say what it measures.
     """
     used = compensator(calibration) if isinstance(calibration, Calibration) else calibration
-    if used.loaded:
-        raise InputError("a loaded compensator has no posterior: give the calibration itself")
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
     point = _operating_point(used, dict(at or {}))
@@ -241,7 +239,7 @@ def budget(
     variance = float(gradient @ covariance @ gradient)
     posterior = used.equation.moments(ALL_DRAWS)
     inputs = {name: np.array([value]) for name, value in point.items()}
-    dominant = not_measured(used.calibration, (posterior.draws @ gradient)[:, None])
+    dominant = find_not_measured(used.calibration, (posterior.draws @ gradient)[:, None])
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))
     shares = gradient * (covariance @ gradient) / (variance or np.inf)
@@ -293,7 +291,7 @@ def _split_by_source(
     used: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """Split the variance by source: noise, each prior, each deviation of a new group member."""
-    unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest
+    unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest_effects
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
         members = dict(used.equation.members)

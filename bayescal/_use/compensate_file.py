@@ -7,7 +7,6 @@ empty in rows with a missing reading. The new file is written atomically.
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensator, Method
 
-NATIVE_SUFFIXES = (*TEXT, ".parquet", ".nc")  # of files written in the format of the input
+NATIVE_SUFFIXES = (*TEXT, ".parquet")  # of files written in the format of the input
 CSV_SUFFIXES = (".xlsx", ".mat")
 ROWS_PER_BATCH = 200_000  # of Parquet
 
@@ -74,7 +73,7 @@ def compensate_file(
     *,
     local_gravity: float | None = None,
     missing: str = "drop",
-    method: Method | None = None,
+    method: Method = "draws",
     noise: bool = True,
     **how: Any,
 ) -> CompensationSummary:
@@ -82,7 +81,7 @@ def compensate_file(
 
     Args:
         compensator: compensator of the instrument.
-        path: text, .parquet or .nc; Excel or MATLAB.
+        path: text or .parquet; Excel or MATLAB.
         out: file to write, of the same format, or .csv for Excel and MATLAB; may be the same file.
         local_gravity: as in `bayescal.read`.
         missing: "drop" leaves the results of rows with a missing reading empty; "refuse" raises InputError.
@@ -98,8 +97,8 @@ def compensate_file(
     check_files([path], 1 << 62)
     if suffix not in (readable := (*NATIVE_SUFFIXES, *CSV_SUFFIXES)):
         raise InputError(
-            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join(readable)}. Of a log "
-            "read the channels, and compensate these: bc.compensator(…)(bc.read(…))"
+            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join(readable)}. Of others "
+            "read the columns, and compensate these: bc.compensator(…)(bc.read(…))"
         )
     output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
     if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
@@ -112,8 +111,7 @@ def compensate_file(
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
     ignored = ("ignore", "local_field")  # options without effect on compensation
     read_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
-    if not compensator.loaded:
-        read_options["remembered"] = compensator.calibration.readings.sources
+    read_options["remembered"] = compensator.calibration.readings.sources
     read_options["epoch"] = about.epoch
     options = ReadOptions.of(
         expected, local_gravity=local_gravity, missing=missing, only=True, **read_options
@@ -143,7 +141,7 @@ def compensate_file(
         rows = slice(None) if converted.kept_rows is None else converted.kept_rows
         values[:, rows] = compensated.value, compensated.uncertainty
         writers = dict.fromkeys(CSV_SUFFIXES, _write_csv)
-        writers |= {".parquet": _add_parquet, ".nc": _add_netcdf}
+        writers[".parquet"] = _add_parquet
         added = AddedColumns(names, compensator.unit, values, options.decimal)
         writers.get(suffix, _add_text)(added, path, partial, table, raw)
     return CompensationSummary(
@@ -239,16 +237,3 @@ def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw
         texts = [loaded[i].values.tolist() for i in range(len(table.headers))]
         rows = zip(*texts, added.cells(), strict=True)
         writer.writerows([*cells, *added_cells] for *cells, added_cells in rows)
-
-
-def _add_netcdf(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    import h5netcdf
-
-    # In memory: HDF5 aborts the process on a full disk.
-    content = io.BytesIO(path.read_bytes())
-    with h5netcdf.File(content, "a") as opened:
-        dimensions = opened.variables[raw].dimensions
-        for name, values in zip(added.names, added.values, strict=True):
-            variable = opened.create_variable(name, dimensions, data=values)
-            variable.attrs["units"] = added.unit
-    partial.write_bytes(content.getvalue())

@@ -27,14 +27,13 @@ from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
-from bayescal._core.json_shape import as_type
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, hold_flag_name
 from bayescal._tables.cells import format_date
-from bayescal._use.expression_graph import Graph
+from bayescal._use.expression_graph import Graph, Node
 from bayescal._use.operating_equation import (
     STIMULUS,
     OperatingEquation,
@@ -270,7 +269,7 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
     calibration = equation.calibration
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else format_date(since + last)
-    changing = calibration.dated or ("the noise",)
+    changing = calibration.dated_effects or ("the noise",)
     return [Claim("use.dated", *changing, clock=clock_words(calibration), end=end)]
 
 
@@ -305,7 +304,6 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
 
 
 SCHEMA, VERSION = "bayescal.compensator", 3
-REPAIR_ADVICE = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
 
 
@@ -323,7 +321,7 @@ class ProgramUnknown:
 class TracedEquation:
     """The equation as a list of operations, and the node indices of its results; as in JSON."""
 
-    operations: list[list[str | bool | int | float]]  # `Graph.data`
+    operations: list[Node]
     expected: int  # node of the expected output
     slope: int  # node of its derivative by the stimulus
     gradient: tuple[int, ...]  # nodes of its derivatives by the unknowns
@@ -351,7 +349,7 @@ class CompensationProgram(CorrectionInUse):
 
     @cached_property
     def graph(self) -> Graph:
-        return Graph.from_data(self.equation.operations)
+        return Graph(self.equation.operations)
 
     @cached_property
     def factor(self) -> np.ndarray:
@@ -408,51 +406,9 @@ class CompensationProgram(CorrectionInUse):
 
     def data(self) -> dict[str, Any]:
         """Return the program as JSON data, with schema and version."""
-        return {"schema": SCHEMA, "version": VERSION, **as_json(self)}
-
-
-def from_data(data: Any, file: str) -> CompensationProgram:
-    """Parse a program from JSON of its schema; nothing in it is evaluated as code.
-
-    Raises:
-        InputError: the program is of another version, or damaged.
-    """
-    if (version := data.get("version")) != VERSION:
-        raise InputError(
-            f"{file} is a compensator of version {version!r}, this bayescal reads {VERSION}: export it again"
-        )
-    try:
-        fields = {k: v for k, v in data.items() if k not in ("schema", "version")}
-        program = as_type(fields, CompensationProgram)
-        _refuse_inconsistent(program)
-    except (InputError, ValueError) as error:
-        raise InputError(f"{file} is damaged: {error}. {REPAIR_ADVICE}") from None
-    return program
-
-
-def _refuse_inconsistent(program: CompensationProgram) -> None:
-    """Raise ValueError if a program's parts are inconsistent."""
-    equation, nodes = program.equation, len(program.graph.nodes)
-    for node in (equation.expected, equation.slope, *equation.gradient, equation.noise):
-        if type(node) is not int or not 0 <= node < nodes:
-            raise ValueError(f"{node!r} is no operation of it")
-    sizes = program.unknowns, equation.gradient, program.covariance, *program.covariance
-    if len({len(part) for part in sizes}) > 1:
-        raise ValueError("its covariance, unknowns and gradient are of different sizes")
-    covariance = np.reshape(program.covariance, 2 * (len(program.unknowns),))
-    sd = np.sqrt(np.diag(covariance).clip(0))
-    if np.any(np.abs(covariance) > (1 + 1e-9) * np.outer(sd, sd)):  # tolerance for rounding
-        raise ValueError("its covariance has a variance below zero, or a correlation beyond 1")
-    names = {i.name for i in program.inputs}
-    if len(names) < len(program.inputs):
-        raise ValueError("two of its inputs have one name")
-    if unknown := program.graph.inputs(range(nodes)) - {*names, STIMULUS}:
-        raise ValueError(f"its equation needs {sorted(unknown)[0]!r}, which is none of its inputs")
-    for i in program.inputs:
-        if i.kind not in KINDS or (i.kind.startswith("lag") and not (i.tau or 0) > 0):
-            raise ValueError(f"its input {i.name!r} is of the kind {i.kind!r}, tau = {i.tau!r}")
-    if program.about.raw and not program.about.raw[1]:
-        raise ValueError("about.raw has a gain of zero")
+        content = {"schema": SCHEMA, "version": VERSION, **as_json(self)}
+        content["equation"]["operations"] = self.graph.data()
+        return content
 
 
 def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
@@ -480,7 +436,7 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
         unknowns=tuple(ProgramUnknown(u.name, u.unit, m, conditional.get(u.key)) for u, m in pairs),
         covariance=moments.covariance[np.ix_(nonzero, nonzero)].tolist(),
         affine=STIMULUS not in subgraph.inputs([slope]),
-        equation=TracedEquation(subgraph.data(), expected, slope, tuple(gradient), variance),
+        equation=TracedEquation(subgraph.nodes, expected, slope, tuple(gradient), variance),
     )
     settled = (replace(i, settled=i.kind == "elapsed" and program.settles(i)) for i in inputs)
     return replace(program, inputs=tuple(settled))

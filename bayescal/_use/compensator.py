@@ -32,7 +32,7 @@ from bayescal._use.compensation_program import (
     inputs_in_use,
     notes_on_use,
 )
-from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
+from bayescal._use.correction_files import as_text, format_of
 from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
@@ -69,15 +69,13 @@ class Compensator:
         compensate.export("calibration.h")                # or .json, .py
 
     Attributes:
-        calibration, equation: None if loaded from an export, which has mean and covariance only.
+        calibration, equation: the calibrated model, and its equation in use.
         draws: maximum number of posterior draws to average over.
-        loaded: the program, if loaded from an export.
     """
 
-    calibration: Calibration = None  # pyright: ignore[reportAssignmentType]
-    equation: OperatingEquation = None  # pyright: ignore[reportAssignmentType]
+    calibration: Calibration
+    equation: OperatingEquation
     draws: int = 400
-    loaded: CompensationProgram | None = None
 
     def __call__(
         self,
@@ -85,7 +83,7 @@ class Compensator:
         /,
         *,
         noise: bool = True,
-        method: Method | None = None,
+        method: Method = "draws",
         warn: bool = True,
         **columns: ArrayLike,
     ) -> Compensated:
@@ -96,17 +94,16 @@ class Compensator:
             noise: include each reading's noise in its uncertainty, from the noise model (correlated noise too) and the
                 column `output_uncertainty` if there is one; False for the calibration's uncertainty alone.
             method: "draws" solves the equation for every posterior draw; "first order" propagates mean and
-                covariance, as exports do. Default: draws if there are any.
+                covariance, as exports do.
             warn: issue an `OutsideCalibration` warning for values outside their calibrated range.
             **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
                 (`datetime64`). The past of a record can be given too
                 (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
 
         Raises:
-            InputError: a needed column is missing, the method needs draws and there are none, or only one of readings
-                and calibration has dates and the correction depends on the date.
+            InputError: a needed column is missing, or only one of readings and calibration has dates and the correction
+                depends on the date.
         """
-        method = method or ("first order" if self.loaded else "draws")
         epoch = self.about.epoch
         if readings is not None:
             readings = readings.on_clock(epoch, lambda: self.dated)
@@ -114,10 +111,6 @@ class Compensator:
         if method == "first order":
             value, noise_variance, square_slope = self.in_use.run(inputs["output"], inputs)
             variance, square_slope = noise_variance**2, square_slope**2
-        elif self.loaded:
-            raise InputError(
-                "a loaded compensator has no draws: use method='first order', or the calibration itself"
-            )
         else:
             value, variance, square_slope = solve_over_draws(
                 self.equation, self._moments.draws, inputs["output"], inputs, frame
@@ -145,15 +138,11 @@ class Compensator:
     @cached_property
     def in_use(self) -> CompensationProgram:
         """Return the program of mean, covariance and equation, without the fit's residual checks."""
-        if self.loaded:
-            return self.loaded
         return build_program(self.equation, self._moments)
 
     @cached_property
     def program(self) -> CompensationProgram:
         """Return the program as exported, with notes and failed checks."""
-        if self.loaded:
-            return self.loaded
         reason = self.why_not
         notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
         changes = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
@@ -182,22 +171,20 @@ class Compensator:
     @property
     def notes(self) -> tuple[str, ...]:
         """Return the notes on the compensation, one sentence each."""
-        if self.loaded:  # the last note repeats `why_not`
-            return self.about.notes[: -1 if self.why_not else None]
         has_range = self.in_use.stimulus_range is not None
         return notes_on_use(self.equation, has_range)
 
     @property
     def why_not(self) -> str:
         """Return why the result must not be used; empty if it may. Runs the residual checks of an unchecked fit."""
-        return self.loaded.why_not if self.loaded else why_not(self.calibration)
+        return why_not(self.calibration)
 
     @property
     def dated(self) -> str:
         """Return names of the effects that depend on the date, for messages; empty if none do."""
         if all(i.name != "time" for i in self.inputs):
             return ""
-        return "the correction" if self.loaded else ", ".join(self.calibration.dated) or "it"
+        return ", ".join(self.calibration.dated_effects) or "it"
 
     def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the noise variance of one reading, output unit squared, (n,).
@@ -234,7 +221,7 @@ class Compensator:
             needed["time"] = None
         units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in PAST}}
         units |= {i.column: i.unit for i in self.inputs if i.kind == "column"}
-        declared = () if self.loaded else self.calibration.model.instrument.columns
+        declared = self.calibration.model.instrument.columns
         by_name = {c.name: replace(c, required=True) for c in declared}
         return (
             Column("output", self.about.output_unit, "reading"),
@@ -272,12 +259,11 @@ class Compensator:
     def _ranges(self) -> dict[str, tuple[float, float]]:
         """Return the limits beyond which a reading is flagged, by input, and by stimulus where it was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
-        if not self.loaded:
-            # Columns without influence on the output have calibrated ranges too.
-            for name in self.equation.columns:
-                values = self.equation.at_fit[name]
-                if name not in ("time", "elapsed") and np.ptp(values) > 0:
-                    ranges.setdefault(name, (float(values.min()), float(values.max())))
+        # Columns without influence on the output have calibrated ranges too.
+        for name in self.equation.columns:
+            values = self.equation.at_fit[name]
+            if name not in ("time", "elapsed") and np.ptp(values) > 0:
+                ranges.setdefault(name, (float(values.min()), float(values.max())))
         if span := self.in_use.stimulus_limits:
             ranges[self.stimulus] = span
         return ranges
@@ -313,15 +299,3 @@ def compensator(
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
     return replace(unrestricted, equation=replace(unrestricted.equation, held_inputs=held_inputs))
-
-
-def load_compensator(path: str | Path) -> Compensator:
-    """Load a compensator from a JSON export; nothing in the file is evaluated as code.
-
-    Raises:
-        InputError: the file is missing, no compensator, of another version, or damaged.
-    """
-    if not isinstance(correction := load_correction(path), CompensationProgram):
-        kind = kind_of(correction)
-        raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
-    return Compensator(loaded=correction)

@@ -1,4 +1,4 @@
-"""Export and loading of corrections as files (C99, Python, JSON, …), of one output or of three axes.
+"""Export of corrections as files (C99, Python, JSON, …), of one output or of three axes.
 
 Annexes add kinds of corrections besides those of one output (`_core/annex.py`). All names in a C header have the
 sensor's name as prefix, so that one program may include several headers; two with the same prefix do not compile.
@@ -25,11 +25,9 @@ from bayescal._data.records import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._use.compensation_program import (
     KINDS,
     PAST,
-    SCHEMA,
     CompensationProgram,
     CorrectionInUse,
     Input,
-    from_data,
 )
 from bayescal._use.expression_graph import LANGUAGES, Language, statements
 from bayescal._use.operating_equation import STIMULUS
@@ -39,16 +37,14 @@ Writer = Callable[[Mapping[str, Any], bool], str]
 
 
 class CorrectionKind(NamedTuple):
-    """A kind of corrections: its class, formats, writers and readers."""
+    """A kind of corrections: its class, formats, writers and reader."""
 
     of: type[CorrectionInUse]  # their class
     axes: str  # number of axes, in words, such as "three axes"
     writers: Mapping[str, Writer]  # by format
     suffixes: Mapping[str, str]  # formats by the suffix of a file
-    is_data: Callable[[Mapping[str, Any]], bool]  # whether JSON is one of them
-    # parses one from JSON and its file's name, for messages; `InputError` if it is damaged
-    read: Callable[[Any, str], CorrectionInUse]
-    loader: str  # the public function that loads one
+    # parses one from JSON and its file's name, for messages; `InputError` if it is none; None: is not read back
+    read: Callable[[Any, str], CorrectionInUse] | None = None
     together: tuple[str, ...] = ()  # formats that hold several
     # a sentence about what a format omits; empty for nothing
     left_out: Callable[[Any, str], str] = lambda correction, format: ""
@@ -160,9 +156,6 @@ ONE_OUTPUT = CorrectionKind(
     axes="one output",
     writers={"json": as_data, **{n: partial(_render, form) for n, form in LANGUAGES.items()}},
     suffixes={".json": "json", ".h": "c", ".py": "python"},
-    is_data=lambda data: data.get("schema") == SCHEMA,
-    read=from_data,
-    loader="load_compensator",
 )
 
 
@@ -267,10 +260,10 @@ def as_text(
 
 
 def load_correction(path: str | Path) -> CorrectionInUse:
-    """Load a correction of any kind from its JSON file; nothing in it is evaluated as code.
+    """Load a correction of three axes from its JSON file; nothing in it is evaluated as code.
 
     Raises:
-        InputError: the file is missing, no correction, of another version, or damaged.
+        InputError: the file is missing, no such correction, or damaged.
     """
     path = Path(path)
     try:
@@ -279,8 +272,7 @@ def load_correction(path: str | Path) -> CorrectionInUse:
         raise InputError(f"there is no file {path}: give a correction exported as JSON") from None
     except ValueError as error:
         raise InputError(f"{path.name} is not JSON ({error}): is it a correction?") from None
-    for kind in kinds():
-        if isinstance(content, dict) and kind.is_data(content):
-            return kind.read(content, path.name)
-    why = f"{path.name} is no correction: export one by `bayescal export CALIBRATION --format json`"
-    raise InputError(why)
+    read = next((kind.read for kind in kinds() if kind.read is not None), None)
+    if read is None or (isinstance(content, dict) and "schema" in content):
+        raise InputError(f"{path.name} is for other programs: give the calibration of this output")
+    return read(content, path.name)

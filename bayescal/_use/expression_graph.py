@@ -11,7 +11,6 @@ other, if its operations are in the table.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import ModelError
 from bayescal._core.quoting import c_comment, python_words
 
 
@@ -290,29 +289,6 @@ class Graph:
             return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
         return [[*map(to_json, node)] for node in self.nodes]
-
-    @classmethod
-    def from_data(cls, data: Sequence[Sequence[Any]]) -> Graph:
-        """Parse a graph from JSON data; only operations in `OPERATIONS` are accepted.
-
-        Raises:
-            InputError: the data are no graph.
-        """
-        graph = cls()
-        for index, row in enumerate(data):
-            op, args = (row or [None])[0], tuple(row[1:])
-            value = args[0] if len(args) == 1 else None
-            is_number = isinstance(value, int | float) or value in ("nan", "inf", "-inf")
-            if op == "const" and is_number:
-                args = (value if isinstance(value, bool) else float(value),)
-            elif op in OPERATIONS:
-                arity = len(set(re.findall(r"{\d}", OPERATIONS[op].c)))
-                if len(args) != arity or not all(type(a) is int and 0 <= a < index for a in args):
-                    raise InputError(f"its operation {index}, {op!r}, cannot take {str(args)[:60]}")
-            elif op != "input" or not isinstance(value, str):
-                raise InputError(f"its operation {index} is not known here: {str(row)[:60]}")
-            graph.nodes.append((op, *args))
-        return graph
 
 
 class Symbol:

@@ -388,7 +388,7 @@ class OperatingEquation:
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
             if u.kind == "shape":  # absent, it has no value: its mean is neutral
-                values[~calibration.having[u.effect], i] = self.shapes[u.key][0]
+                values[~calibration.inclusion_masks[u.effect], i] = self.shapes[u.key][0]
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
         scaled = calibration.form_factor * (values - mean)
@@ -396,7 +396,7 @@ class OperatingEquation:
         for i in new_members:
             term = next(t for t in problem.terms if t.name == unknowns[i].key)
             sd = problem.member_sd(term, problem.hyper(v.T), total)
-            sd = sd * calibration.having[term.effect.name]
+            sd = sd * calibration.inclusion_masks[term.effect.name]
             mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(sd**2))
             deviations = _draw_uncorrelated(thin - mean, sd[::step], covariance[i, i], random)
             thin[:, i] = mean[i] + deviations

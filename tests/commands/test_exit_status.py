@@ -51,7 +51,6 @@ def test_what_a_gate_found_stays_with_the_result_wherever_it_is_taken(tmp_path: 
         ("export", file, "--out", header),
         ("export", file, "--out", tmp_path / "gyro.json"),
         ("budget", file, "--at", "temperature=60"),
-        ("compensate", tmp_path / "gyro.json", TABLE, "--out", tmp_path / "by_export.csv"),
         ("compensate", file, TABLE, "--out", tmp_path / "done.csv"),
         ("predict", file, TABLE),
         ("report", file, "--out", tmp_path / "report.html"),

@@ -63,8 +63,8 @@ def lagging(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize(
     ("suffix", "memory"),
-    [(s, False) for s in (".txt", ".csv", ".tsv", ".parquet", ".nc", ".xlsx", ".mat")]
-    + [(".csv", True), (".nc", True)],
+    [(s, False) for s in (".txt", ".csv", ".tsv", ".parquet", ".xlsx", ".mat")]
+    + [(".csv", True), (".parquet", True)],
 )
 def test_gaps_come_out_empty_and_are_counted(suffix, memory, tmp_path) -> None:
     if suffix == ".xlsx":
@@ -96,14 +96,6 @@ def write(table: pd.DataFrame, path: Path) -> None:
         table.to_parquet(path)
     elif path.suffix == ".xlsx":
         table.to_excel(path, index=False)
-    elif path.suffix == ".nc":
-        table.columns = [c.replace(" [", "|").rstrip("]") for c in table]
-        data = table.to_xarray().reset_coords(drop=True)
-        for name in list(data):
-            bare, _, unit = str(name).partition("|")
-            data = data.rename({name: bare})
-            data[bare].attrs = {"units": unit} if unit else {}
-        data.to_netcdf(path, engine="h5netcdf")
     else:
         import scipy.io
 
@@ -113,10 +105,6 @@ def write(table: pd.DataFrame, path: Path) -> None:
 def read_back(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
         return pd.read_parquet(path)
-    if path.suffix == ".nc":
-        import xarray as xr
-
-        return xr.open_dataset(path, engine="h5netcdf").load().to_dataframe()
     return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",", skip_blank_lines=True)
 
 

@@ -26,7 +26,7 @@ REFUSED = (
     "effects --instrument mems_gyro --effects {broken}",
     "effects --instrument mems_gyro --effects {empty}", f"{SIMULATE} --effect bias.moon=1",
     f"{SIMULATE} --effect bias.drift", f"{SIMULATE} --effect bias.drift=big",
-    f"{SIMULATE} --effect bias.drift=nan", f"{SIMULATE} --noise-law pink", f"{SIMULATE} --seed -1",
+    f"{SIMULATE} --effect bias.drift=nan", f"{SIMULATE} --seed -1",
     "simulate --instrument mems_gyro", "simulate --instrument mems_gyro --out {folder}/a.txt",
     "simulate --instrument mems_gyro --out {table}/a.csv",
     "simulate --instrument {level}:INSTRUMENT --out {folder}/a.csv",

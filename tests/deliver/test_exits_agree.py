@@ -181,15 +181,21 @@ def test_python_fed_row_by_row(case) -> None:
     agree(np.array(found), wanted)
 
 
-def test_json_read_back(case, tmp_path: Path) -> None:
+def test_json_has_the_operations_that_are_evaluated(case, tmp_path: Path) -> None:
     compensator, readings, wanted = case
     path = compensator.export(tmp_path / "compensator.json")
-    data, loaded = json.loads(path.read_text("utf-8")), bc.load_compensator(path)
+    data, program = json.loads(path.read_text("utf-8")), compensator.program
     assert (data["schema"], data["version"]) == ("bayescal.compensator", 3)
-    covariance, factor = np.array(data["covariance"]), loaded.program.factor
-    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12 * covariance.max())
-    np.testing.assert_array_equal(np.triu(factor, 1), 0.0)
-    whole, own = loaded(readings), loaded(readings, noise=False)
+    assert data["equation"]["operations"] == program.graph.data()
+    covariance = np.array(data["covariance"])
+    np.testing.assert_array_equal(covariance, program.covariance)
+    np.testing.assert_allclose(
+        program.factor @ program.factor.T, covariance, atol=1e-12 * covariance.max()
+    )
+    np.testing.assert_array_equal(np.triu(program.factor, 1), 0.0)
+    whole, own = (
+        compensator(readings, method="first order", noise=noise) for noise in (True, False)
+    )
     agree(np.column_stack([whole.value, own.uncertainty, whole.uncertainty]), wanted)
 
 

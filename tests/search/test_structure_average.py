@@ -202,7 +202,7 @@ def test_mean_uncertainty_and_interval_agree(size, seed) -> None:
         assert row.low <= row.mean <= row.high, row.unknown
         assert 2.0 < (row.high - row.low) / row.sd < 6.0, row.unknown  # 3.9 of a normal one
         if row.unknown.endswith(".tau"):  # a shape has a value where its effect is
-            draws = draws[found.having[row.effect]]
+            draws = draws[found.inclusion_masks[row.effect]]
         assert row.mean == pytest.approx(draws.mean())
         np.testing.assert_allclose([row.low, row.high], np.quantile(draws, [0.025, 0.975]))
 

@@ -54,6 +54,7 @@ from bayescal._search.taken_over import find_replaced_terms as find_replaced_ter
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line
 from bayescal._use.compensate_file import compensate_file as compensate_file
+from bayescal._use.compensation_program import CompensationProgram as CompensationProgram
 from bayescal.workshop import MANIFEST as MANIFEST
 from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_json
 from bayescal.workshop import files_of as files_of

@@ -123,7 +123,7 @@ def _against(fitted: bc.Calibration) -> Sequence[Any]:
     free = fitted.layout.size
     if NOISE not in dict(fitted.model.fixed) and len(fitted.readings) <= free:
         return [ws.Claim("readings.too_few", count=len(fitted.readings), free=free)]
-    return [claim] if (claim := ws.noiseless(fitted)) else fitted.conflicts
+    return [claim] if (claim := ws.explain_missing_noise(fitted)) else fitted.conflicts
 
 
 # Devices all at once ----------------------------------------------------------------------------------------------

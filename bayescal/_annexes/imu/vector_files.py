@@ -123,9 +123,7 @@ THREE_AXES = ws.CorrectionKind(
         **{autopilot: ws.in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
     },
     suffixes={".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"},
-    is_data=lambda data: "terms" in data,
     read=vector_from_data,
-    loader="load_vector_correction",
     together=("c", "python", "yaml"),
     left_out=left_out,
 )
@@ -168,9 +166,6 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
     Raises:
         InputError: there is no such file, it is none, or damaged.
     """
-    terms = ws.load_correction(path)
-    if not isinstance(terms, VectorCorrection):
-        raise bc.InputError(
-            f"{Path(path).name} is of one output: bayescal.load_compensator loads it"
-        )
-    return terms
+    correction = ws.load_correction(path)
+    assert isinstance(correction, VectorCorrection)
+    return correction

@@ -215,10 +215,10 @@ def _covered(calibration: bc.Calibration, local_gravity: float) -> Iterator[tupl
 
 
 def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
-    for name, (value, unit) in calibration.held_at.items():
+    for name, (value, unit) in calibration.reference_constants.items():
         yield f"{name}, at which constants hold", real(value, unit, local_gravity)
     coefficients, hyperparameters = ws.summary(calibration)
-    untold = ws.coefficients_not_measured(calibration)
+    untold = ws.find_coefficients_not_measured(calibration)
     for row in coefficients:
         name = row["name"] + ", by its prior more than by the readings" * (row["name"] in untold)
         yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])

@@ -87,7 +87,7 @@ def recalibration(
     after = first_below(probability, stated)
     changed = quantity.drawn(HORIZON if after is None else after).values - quantity.drawn().values
     # What is less probable than a failure at the stated probability cannot decide about the date.
-    if untold := ws.not_measured(calibration, changed, rare=1 - stated):
+    if untold := ws.find_not_measured(calibration, changed, rare=1 - stated):
 
         def alone(later: float) -> float:
             drawn = quantity.drawn(later)  # by the likelihood alone
@@ -498,7 +498,7 @@ def _decide_limit(
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
     options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
-    if untold := ws.not_measured(calibration, drawn.values, **options):
+    if untold := ws.find_not_measured(calibration, drawn.values, **options):
         values, risk = untold.by_readings_alone(calibration, drawn.values), how.false_accept
         alone = replace(drawn, values=values).probability(limits)
         same = (p >= 1 - risk) == (alone >= 1 - risk) and (p <= risk) == (alone <= risk)
