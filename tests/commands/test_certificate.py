@@ -31,19 +31,6 @@ def saved(calibration, tmp_path):
     return path
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("unpainted")
-def test_the_report_states_device_place_people_conditions_standards_and_dates(
-    saved, tmp_path
-) -> None:
-    stated = tmp_path / "stated.toml"
-    stated.write_text(STATED, "utf-8")
-    page = tmp_path / "report.html"
-    ran = run("report", saved, "--out", page, "--certificate", stated)
-    assert ran.status in (0, 1) and page.is_file(), ran.err
-    page.read_text("utf-8")
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -9,7 +9,6 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import run
 
 CERTIFICATES = "tests/data/certificates"
 THERMOMETER, TABLE = f"{CERTIFICATES}/thermometer.xml", f"{CERTIFICATES}/rate_table.xml"
@@ -63,15 +62,6 @@ def test_the_certificate_of_a_table_is_that_of_its_rate(readings, tmp_path) -> N
     found = found.to_pandas()
     u = np.rad2deg(1e-4)  # °/s, of 0.2 mrad/s with k = 2
     assert found.loc["bias.constant", "sd"] == pytest.approx(u, rel=0.1)
-
-
-def test_it_is_said_in_one_line(readings, tmp_path) -> None:
-    readings.write(tmp_path / "r.csv")
-    how = "--instrument", "mems_gyro", "--method", "least-squares", "--reference-dcc", THERMOMETER
-    told = run("fit", tmp_path / "r.csv", *how)
-    assert told.status == 0, told.err
-    (line,) = (x for x in told.err.splitlines() if "certificate T-1" in x)
-    assert "corrected by -0.18 to -0.1 °C at 0.1 to 80.18 °C; standard uncertainty 0.1 °C" in line
 
 
 REFUSED = {

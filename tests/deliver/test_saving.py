@@ -12,10 +12,10 @@ import xarray as xr
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._core.atomic_file import TRAILER_BYTES
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import TRAILER_BYTES, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -208,26 +208,3 @@ def test_a_thousand_damaged_calibrations_are_refused(saved: Path, tmp_path: Path
             bc.load(path)
     path.write_bytes(whole)
     bc.load(path)
-
-
-def test_an_end_that_is_missing_doubled_or_of_another_file_is_refused(
-    saved: Path, tmp_path: Path
-) -> None:
-    whole, path = saved.read_bytes(), tmp_path / "d.nc"
-    content, end = whole[:-TRAILER_BYTES], whole[-TRAILER_BYTES:]
-    for spoilt in (
-        b"",
-        content,
-        whole[: len(whole) // 2],
-        end,
-        whole + end,
-        whole[:-1],
-        whole + b"\n",
-        content + end[:20] + b"0" * 63 + b"\n",
-    ):
-        path.write_bytes(spoilt)
-        with pytest.raises(bc.InputError):
-            bc.load(path)
-    write_sealed(whole, path)
-    with pytest.raises(bc.InputError):
-        bc.load(path)

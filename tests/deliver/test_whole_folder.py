@@ -126,18 +126,6 @@ def test_a_damaged_manifest_is_refused_until_another_is_written(text, tmp_path) 
     refuse_mixed(tmp_path)
 
 
-def test_another_run_takes_the_place_of_the_first(tmp_path) -> None:
-    folder = tmp_path / "out"
-    folder.mkdir()
-    (folder / "mine.txt").write_text("mine")
-    for text in ("1", "2"):
-        write(folder, text)
-        assert {(folder / n).read_text() for n in ("a.json", "b.json")} == {text}
-        refuse_mixed(folder)
-    assert (folder / "mine.txt").read_text() == "mine"
-    assert os.listdir(tmp_path) == ["out"]
-
-
 def test_a_failure_leaves_the_folder_as_it_was(folder) -> None:
     before = state(folder)
 

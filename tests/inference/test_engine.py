@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -78,66 +80,47 @@ def still(readings: bc.Measurements) -> bc.Model:
     return still_sensor.INSTRUMENT.for_readings(readings).baseline() + "bias.warm_up"
 
 
+def simulated(module: Any, **how: Any) -> Callable[[], bc.Measurements]:
+    return partial(module.simulate, {}, seed=1, **how)
+
+
+PLAIN, BASE = simulated(mems_gyro), GYRO.baseline()
+THERMOMETER = mems_gyro.model.THERMOMETER
+SLOW_NOISE = build_ornstein_uhlenbeck(bc.HalfCauchy(10), 10.0, 3000.0)
 CASES: dict[str, tuple[Any, Any]] = {
-    "gyro": (LAG, lambda: mems_gyro.simulate({}, seed=1)),
-    "gyro, wandering": (LAG.with_noise(WANDER), lambda: mems_gyro.simulate({}, seed=1)),
-    "gyro, scatter": (LAG.with_noise(SCATTER), lambda: mems_gyro.simulate({}, seed=1)),
-    "gyro, tails": (
-        LAG.with_noise(bc.StudentT(bc.HalfCauchy(0.1))),
-        lambda: mems_gyro.simulate({}, seed=1),
-    ),
-    "gyro, rounded": (
-        (LAG - "bias.thermal_lag").with_noise(bc.Quantised(0.1, bc.HalfCauchy(0.1))),
-        lambda: mems_gyro.simulate({}, seed=1),
-    ),
-    "gyro, thermometer": (
-        GYRO.baseline() + mems_gyro.model.THERMOMETER + "bias.temperature_quadratic",
-        lambda: mems_gyro.simulate({}, seed=1),
-    ),
-    "gyro, thermometer, scatter": (
-        (LAG + mems_gyro.model.THERMOMETER).with_noise(SCATTER),
-        lambda: mems_gyro.simulate({}, seed=1),
-    ),
-    "gyro, unknown": (
-        GYRO.baseline() + "unknown(time)" + "unknown(time, jump)",
-        lambda: mems_gyro.simulate({}, seed=1),
-    ),
+    "gyro": (LAG, PLAIN),
+    "gyro, wandering": (LAG.with_noise(WANDER), PLAIN),
+    "gyro, scatter": (LAG.with_noise(SCATTER), PLAIN),
+    "gyro, tails": (LAG.with_noise(bc.StudentT(bc.HalfCauchy(0.1))), PLAIN),
+    "gyro, rounded": ((BASE + "bias.run").with_noise(bc.Quantised(0.1, bc.HalfCauchy(0.1))), PLAIN),
+    "gyro, thermometer": (BASE + THERMOMETER + "bias.temperature_quadratic", PLAIN),
+    "gyro, thermometer, scatter": ((LAG + THERMOMETER).with_noise(SCATTER), PLAIN),
+    "gyro, unknown": (BASE + "unknown(time)" + "unknown(time, jump)", PLAIN),
     "gyro, known uncertainties": (LAG, lambda: two_runs(output_uncertainty=KNOWN)),
     "gyro, nothing unknown": (
-        GYRO.baseline().fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
+        BASE.fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
         two_runs,
     ),
     "gyro, rich": (RICH, two_runs),
     **{
         f"gyro, {form}": (
-            GYRO.baseline()
-            + "bias.temperature_quadratic"
-            + f"bias.thermal_lag.{form}"
-            + "bias.run",
-            lambda: mems_gyro.simulate({}, seed=1),
+            BASE + ["bias.temperature_quadratic", f"bias.thermal_lag.{form}", "bias.run"],
+            PLAIN,
         )
         for form in BODIES
     },
-    "gyro, held": (LAG.fix({"bias.temperature": 0.1}), lambda: mems_gyro.simulate({}, seed=1)),
+    "gyro, held": (LAG.fix({"bias.temperature": 0.1}), PLAIN),
     "quartz": (
         quartz_beam_accelerometer.INSTRUMENT.baseline() + "bias.thermal_lag",
-        lambda: quartz_beam_accelerometer.simulate({}, seed=1),
+        simulated(quartz_beam_accelerometer),
     ),
-    "ng": (
-        ng_accelerometer.INSTRUMENT.baseline() + "second_order",
-        lambda: ng_accelerometer.simulate({}, seed=1),
-    ),
-    "pair": (
-        differential_pair.INSTRUMENT.baseline(),
-        lambda: differential_pair.simulate({}, seed=1),
-    ),
-    "inclinometer": (inclinometer.INSTRUMENT.baseline(), lambda: inclinometer.simulate({}, seed=1)),
-    "still": (still, lambda: still_sensor.simulate({}, seed=1)),
+    "ng": (ng_accelerometer.INSTRUMENT.baseline() + "second_order", simulated(ng_accelerometer)),
+    "pair": (differential_pair.INSTRUMENT.baseline(), simulated(differential_pair)),
+    "inclinometer": (inclinometer.INSTRUMENT.baseline(), simulated(inclinometer)),
+    "still": (still, simulated(still_sensor)),
     "still, wandering": (
-        lambda readings: still(readings).with_noise(
-            build_ornstein_uhlenbeck(bc.HalfCauchy(10), 10.0, 3000.0)
-        ),
-        lambda: still_sensor.simulate({}, seed=1, noise_law="ornstein_uhlenbeck"),
+        lambda readings: still(readings).with_noise(SLOW_NOISE),
+        simulated(still_sensor, noise_law="ornstein_uhlenbeck"),
     ),
 }
 
@@ -315,7 +298,7 @@ def test_table_about_a_mode_is_the_density(case: str) -> None:
     ids=["white", "scatter", "wander"],
 )
 def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model) -> None:
-    monkeypatch.setitem(CASES, "held", (model, lambda: mems_gyro.simulate({}, seed=1)))
+    monkeypatch.setitem(CASES, "held", (model, PLAIN))
     a = assembled("held")
     mode = find_mode(a)
     v = mode.v + 0.1 * np.random.default_rng(0).standard_normal((3, len(a.hypers)))
