@@ -80,11 +80,3 @@ def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_use
         "manifest.json",
     }
     assert [p.name for p in (tmp_path / "weak").iterdir()] == ["notes.txt"]
-
-
-@pytest.mark.slow
-def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit) -> None:
-    lines = str(unit).splitlines()
-    assert lines[0].split() == list(HIDDEN)
-    row = next(line for line in lines if line.startswith(QUADRATIC))
-    assert "±" in row and "–" in row

@@ -126,21 +126,17 @@ def test_under_every_noise_law(law: str) -> None:
 
 @pytest.mark.slow
 def test_ten_megahertz_read_to_two_millihertz(tmp_path: Path) -> None:
-    """Searched; sampled, saved, loaded, predicted and compensated, in the readings' own numbers."""
+    """Sampled, saved, loaded, predicted and compensated, in the readings' own numbers."""
     readings = still_sensor.simulate({"bias.temperature_quadratic": 0.3}, seed=1, interval=120)
     near = readings["output"] * 1e-4  # noise 2 mHz
-    calibrations, factors = [], []
+    calibrations = []
     for offset in (0.0, 1e7):
         made = readings.with_column("output", near + offset)
         sized = still_sensor.instrument("Hz", size=0.2, constant=1e11, span=40, pace=3)
         columns: dict[str, Any] = {n: made[n] for n in ("run", "time", "temperature", "output")}
         made = bc.Measurements.from_arrays(sized, **columns)
-        found = bc.discover(bc.fit(sized.baseline(), made, LS))
-        assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
-        factors.append({c.effect: c.log_bayes_factor for c in found.candidates})
         model = sized.baseline() + "bias.temperature_quadratic"
         calibrations.append(bc.fit(model, made, bc.Marginal(draws=400)))
-    assert factors[1] == pytest.approx(factors[0], abs=NATS)
     here, there = calibrations
     assert here.log_evidence and there.log_evidence
     assert there.log_evidence[0] == pytest.approx(here.log_evidence[0], abs=NATS)

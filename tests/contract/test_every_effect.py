@@ -6,14 +6,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
 from bayescal import effects
 from bayescal_models import still_sensor
 from tests.contract.every_effect import EFFECTS, MADE
-from tests.support.command_line import QUICK, run
 
 OWN_FILE = Path(__file__).parent / "every_effect.py"
 INSTRUMENT = still_sensor.instrument("ug", size=2000.0, span=40.0, pace=3.0)
@@ -66,29 +64,6 @@ def test_it_is_compared_reported_and_exported(maker: str, tmp_path: Path) -> Non
     assert str(budget) and np.isfinite(used(c.readings).value).all()
     for format in ("h", "py", "json"):
         assert used.export(tmp_path / f"used.{format}").stat().st_size > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("maker", MADE)
-def test_commands_take_it(maker: str, tmp_path: Path) -> None:
-    file, effect, made = tmp_path / "readings.csv", MADE[maker], readings()
-    units = {"run": "run", "time": "time [s]", "temperature": "temperature [degC]"}
-    table = pd.DataFrame({head: made[name] for name, head in units.items()})
-    table.assign(**{"output [ug]": made["output"]}).to_csv(file, index=False)
-    asked = [file, "--instrument", "still_sensor", "--effects", OWN_FILE, *QUICK]
-    if effect.name in INSTRUMENT.baseline().names:
-        pytest.skip("the baseline has one of that name")
-    ran = run("fit", *asked, "--add", effect.name, "--out", tmp_path)
-    assert ran.status == 0, ran.err
-    saved = (tmp_path / "calibration.nc", "--effects", OWN_FILE)
-    for command in ("check", "budget"):
-        ran = run(command, *saved)
-        assert ran.status in (0, 1), (
-            ran.err
-        )  # 1: what is not there has two places, or no measured size
-    for suffix in ("h", "py", "json"):
-        ran = run("export", *saved, "--out", tmp_path / f"used.{suffix}")
-        assert ran.status in (0, 1), ran.err
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from bayescal_models import accelerometer_triad, gyro_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
 from bayescal_models.gyro_triad.simulator import BASELINE
-from tests.support.command_line import needs_installation, run
 from tests.support.triad_truth import TRUE, matrix_of
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
@@ -136,33 +134,6 @@ def test_nothing_is_invented_and_all_is_determined() -> None:
     rows, _, calibration = calibrated()
     assert not bc.discover(calibration).best
     assert not bc.undetermined(gyro_triad.moved(), rows).add
-
-
-@pytest.mark.slow
-@needs_installation
-@pytest.mark.usefixtures("unpainted")
-def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
-    log = simulate_log(seed=5, campaign=FEW)
-    header = ",".join(
-        ["time [s]"]
-        + [f"{n}{a} [{unit}]" for n, unit in (("w", "deg/s"), ("f", "g")) for a in "xyz"]
-    )
-    table = np.column_stack(
-        [log["time"]] + [log[f"{n}_{a}"] for n in ("gyro", "accel") for a in "xyz"]
-    )
-    path = tmp_path / "log.csv"
-    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    done = run(
-        *("imu", path, "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
-        *("--baseline", "--out", tmp_path / "unit"),
-    )
-    assert done.status == 0, done.err
-    for name in ("imu.yaml", "imu.py", "imu.h", "report.html", "gyroscope/poses.csv"):
-        assert (tmp_path / "unit" / name).is_file()
-    correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
-    true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
-    sd = correct.uncertainty[0, [3, 7, 11]]
-    assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
 
 
 @pytest.mark.slow

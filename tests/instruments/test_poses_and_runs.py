@@ -154,16 +154,3 @@ def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> Non
     assert np.max(np.abs(off)) > 1e-3
     assert np.sqrt(np.mean(off**2)) < 2 * correct.uncertainty[0, 0]
     assert correct.uncertainty[0, 1] < 5e-4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", ["bias.drift", "bias.run"])
-def test_means_are_those_that_are_printed(effect: str) -> None:
-    """The chance of what is drawn of a new run or a moment does not move the correction."""
-    campaign = Campaign(poses=24, runs=4)
-    readings = drifting(campaign)
-    calibration = bc.fit(MODEL + effect, readings, QUICK)
-    correct = bc.vector_correction(calibration)
-    mean = np.array([calibration.samples(f"bias.constant[{a}]").mean() for a in "xyz"])
-    sd = np.array([calibration.samples(f"bias.constant[{a}]").std() for a in "xyz"])
-    assert np.all(np.abs(1e3 * correct.offset - mean) < 0.1 * sd)

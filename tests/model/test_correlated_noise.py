@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro, still_sensor
-from tests.support.inside import build_ornstein_uhlenbeck, frame_of
+from bayescal_models import still_sensor
 
 FAST = bc.LeastSquares(draws=200)
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
@@ -70,27 +69,3 @@ def test_a_random_walk_does_not_run_away(lengths, method) -> None:
     assert abs(slope.mean() - 0.8) < 4 * slope.std() + 0.02
     # From runs of five readings a short correlation time is hardly told from white noise.
     assert found.samples("noise.white").mean() == pytest.approx(WHITE, rel=0.6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("missing", [True, False], ids=["lag missing", "lag in the model"])
-def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None:
-    """A nominal zero that is wrong by 1.2 V: the constant stands 28 prior standard deviations from its mean.
-
-    A model that lacks the lag needs correlated noise; with its time unbounded it left the constant to it.
-    """
-    model = mems_gyro.INSTRUMENT.baseline()
-    model = model if missing else model + "bias.thermal_lag"
-    right = mems_gyro.simulate({"bias.thermal_lag": 1.0}, seed=61)
-    wrong = right.with_column("output", right["output"] + 1446.0)
-    frame = frame_of(right)
-    steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
-    law = build_ornstein_uhlenbeck(bc.HalfCauchy(0.1), float(np.median(steps[steps > 0])), span)
-    errors = []
-    for data in (right, wrong):
-        found = bc.fit(model.with_noise(law), data, FAST, strict=False)
-        errors.append(bc.predict(found).rmse)
-        tau, diffusion = (found.samples(n) for n in ("noise.correlated.time", "noise.diffusion"))
-        assert ((tau >= law.shortest) & (tau <= law.longest)).all()
-        assert np.median(diffusion * np.sqrt(tau / 2)) < np.ptp(right["output"])
-    assert errors[1] == pytest.approx(errors[0], rel=0.02)

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal._model.parameters import bind
 from bayescal._model.unknowns import Unknowns
 from tests.support import references
-from tests.support.made_up.humid_gyro import BASELINE, readings
 
 INSTRUMENTS = ("mems_gyro", "inclinometer", "ng_accelerometer")
 
@@ -60,28 +58,3 @@ def test_promoted_members_are_in_units_of_their_spread() -> None:
 def test_a_name_that_is_no_unknown_is_refused() -> None:
     with pytest.raises(bc.InputError, match="run"):
         references.calibration("mems_gyro").samples("run")
-
-
-def test_every_unknown_stands_in_exactly_one_place() -> None:
-    data = readings(
-        run=np.repeat(["1", "2"], 6), time=np.tile(np.arange(6.0), 2) + np.repeat([0.0, 100.0], 6)
-    )
-    model = BASELINE + effects.thermometer(0.3, source="none") + ["bias.run", "bias.thermal_lag"]
-    layout = bind(model.fix({"bias.constant": 20.0}), data)[0].promote("bias.temperature")
-    places = {b.name: b.place for b in layout.blocks}
-    assert places == {
-        "bias.constant": "fixed",
-        "bias.temperature": "phi",
-        "temperature.reading": "input",
-        "bias.run": "x",
-        "bias.thermal_lag": "x",
-        "bias.thermal_lag[start]": "x",
-    }
-    assert layout.size == 2 + 1 + 2
-    assert [h.name for h in layout.hypers] == [
-        "noise.white",
-        "bias.run.group_sd",
-        "bias.thermal_lag[start].group_sd",
-        "bias.thermal_lag.tau",
-        "bias.temperature",
-    ]

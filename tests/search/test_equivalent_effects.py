@@ -82,25 +82,6 @@ def test_a_ramp_that_goes_back_tells_a_drift() -> None:
     assert found.calibration.samples("bias.temperature").std() < 0.01 * SLOPE
 
 
-@cache
-def head(seed: int) -> bc.SearchPath:
-    hidden = {"second_order.constant": 30.0, "cross_coupling.constant": 25.0}
-    readings = accelerometer_dividing_head.simulate(hidden, seed=seed)
-    return bc.calibrate(accelerometer_dividing_head.INSTRUMENT.baseline(), readings, **ONE_EFFECT)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_harmonics_of_a_dividing_head_are_one_set_with_the_second_order(seed: int) -> None:
-    path, every = head(seed), {"zero.harmonic", "second_order.constant", "cross_coupling.constant"}
-    for name, truth in (("second_order.constant", 30.0), ("cross_coupling.constant", 25.0)):
-        assert off(path.calibration, name, truth) < 3
-    (claim,) = (c for c in path.gate.claims if c.code == "equivalent.undecided")
-    assert {*claim.subjects} == every
-    first = path.steps[0].discovery
-    assert first is not None and every <= {n for s in first.findings for n in s.effects}
-
-
 def rows(instrument: str) -> list[set[str]]:
     """Sets of effects that the page has of an instrument, without what is in the first model."""
     lines = (line.split("|")[2:4] for line in PAGE.read_text("utf-8").splitlines())

@@ -71,22 +71,6 @@ def test_a_clock_of_dates_goes_on_in_a_second_file(tmp_path: Path) -> None:
     assert bc.predict(fitted(early), late).rmse == pytest.approx(NOISE, rel=0.2)
 
 
-@pytest.mark.slow
-def test_the_gate_judges_by_the_record_that_goes_on() -> None:
-    early, late = readings(WHOLE, EARLY), readings(WHOLE, LATE)
-    path = bc.calibrate(
-        SENSOR.for_readings(early).baseline(),
-        early,
-        holdout=late,
-        method=QUICK,
-        max_effects=2,
-        widen_noise=False,
-    )
-    first, last = path.steps[0].holdout_rmse, path.final.holdout_rmse
-    assert last is not None and first is not None
-    assert last < 1.3 * NOISE < 0.1 * first
-
-
 def test_correlated_noise_goes_on_from_the_last_readings() -> None:
     random = np.random.default_rng(3)
     rows, tau = 600, 2000.0
