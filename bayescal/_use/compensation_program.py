@@ -24,7 +24,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.storage import sources_of
 from bayescal._core.as_json import as_json
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
 from bayescal._core.version import __version__
@@ -403,6 +403,17 @@ class CompensationProgram(CorrectionInUse):
             if np.any(changes > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
                 return False
         return True
+
+    def exportable(self) -> CompensationProgram:
+        """Return this program; raise ModelError if an effect or the noise model has an operation without export."""
+        for op, *args in self.equation.operations:
+            if op == "call":
+                raise ModelError(
+                    f"the model cannot be exported: {args[0].why_not}. Write bases with arithmetic, powers, exp, sin "
+                    "and jnp.where, take the effect that has it out (model - name) and fit again, or compensate in "
+                    "Python: bayescal compensate"
+                )
+        return self
 
     def data(self) -> dict[str, Any]:
         """Return the program as JSON data, with schema and version."""

@@ -142,11 +142,15 @@ class Compensator:
 
     @cached_property
     def program(self) -> CompensationProgram:
-        """Return the program as exported, with notes and failed checks."""
+        """Return the program as exported, with notes and failed checks.
+
+        Raises:
+            ModelError: an effect cannot be exported.
+        """
         reason = self.why_not
         notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
         changes = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
-        return replace(self.in_use, about=replace(self.about, **changes))
+        return replace(self.in_use, about=replace(self.about, **changes)).exportable()
 
     @property
     def about(self) -> Provenance:
@@ -246,6 +250,7 @@ class Compensator:
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
         Raises:
+            ModelError: an effect cannot be exported.
             InputError: another format, an invalid C name, or a file that cannot be written.
         """
         form = format_of(path, format)

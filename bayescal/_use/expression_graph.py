@@ -5,7 +5,7 @@ One table defines each operation's NumPy function, its text in C and Python, and
 
 An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy functions of them create
 nodes, and functions that only move elements (reshape, stack, take) move them. A user's effect is exported like any
-other, if its operations are in the table.
+other, if its operations are in the table. Functions written for JAX alone are traced by JAX (`jax_equations.py`).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
 }
 
 
-# ("const", value), ("input", name), or (operation, *nodes) with preceding nodes.
+# ("const", value), ("input", name), ("call", function, *nodes), or (operation, *nodes) with preceding nodes.
 Node = tuple[Any, ...]
 
 
@@ -212,7 +212,8 @@ class Graph:
                 elif op == "input":
                     values[node] = inputs[args[0]]
                 else:
-                    values[node] = OPERATIONS[op].compute(*(values[a] for a in args))
+                    operation = args.pop(0) if op == "call" else OPERATIONS[op]
+                    values[node] = operation.compute(*(values[a] for a in args))
                     for a in (a for a in args if last_use[a] == node):  # frees its memory
                         values.pop(a, None)
         return [values[o] for o in outputs]
@@ -232,8 +233,9 @@ class Graph:
             if op == "input":
                 gradients[args[0]] = self.node_of(adjoint)
                 continue
+            pullbacks = args.pop(0).pullbacks if op == "call" else PULLBACKS.get(op, ())
             values = [self.symbols(self._element(a)) for a in args]
-            for a, pullback in zip(args, PULLBACKS.get(op, ()), strict=False):
+            for a, pullback in zip(args, pullbacks, strict=False):
                 if a in dependent:
                     contribution = pullback(adjoint, *values)
                     adjoints[a] = adjoints[a] + contribution if a in adjoints else contribution
@@ -350,8 +352,6 @@ class Symbols(np.ndarray):
             return self.graph.elementwise("select", *args)
         if func is np.dot:
             return np.matmul(*args)
-        if func is np.interp:
-            return _interpolate(*args, **kwargs)
 
         def to_symbols(outputs: Any) -> Any:
             if isinstance(outputs, list | tuple):
@@ -382,13 +382,6 @@ def _product(x: Symbols, y: Symbols) -> Symbols:
     if y.ndim > 2:
         raise NotExportable("products with batch dimensions have no form in an export")
     return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
-
-
-def _interpolate(x: Symbols, xp: np.ndarray, fp: np.ndarray) -> Symbols:
-    """Interpolate linearly in a table of numbers, constant beyond its ends, as `np.interp`."""
-    slopes = np.diff(fp) / np.diff(xp)
-    pieces = zip(slopes, xp[:-1], xp[1:], strict=True)
-    return sum((slope * (np.clip(x, a, b) - a) for slope, a, b in pieces), x * 0.0 + fp[0])
 
 
 # NumPy functions composed of several operations.

@@ -101,22 +101,15 @@ class TermsInUse(TracedColumns):
         return self.trace(partial(super().matrix, basis), frame, shapes)
 
     def trace(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
-        """Call a function of a frame and named values on symbols.
-
-        Raises:
-            ModelError: the function has operations other than those of the graph.
-        """
+        """Call a function of a frame and named values on symbols; trace it by JAX if NumPy cannot."""
         try:
             return self.graph.symbols(function(frame, values))
-        except Exception as error:  # of the user's function
+        except Exception as error:  # JAX functions do not accept symbols
             if isinstance(error, ModelError) and not isinstance(error, NotExportable):
                 raise
-            reason = str(error).partition("\n")[0]
-            raise ModelError(
-                f"the model cannot be solved for a reading's stimulus or exported: {reason}. Write bases and responses "
-                "with bc.xp (arithmetic, powers, exp, sin, where, interp); or take the effect that has it out (model - "
-                "name) and fit again"
-            ) from error
+        from bayescal._use.jax_equations import trace_jax_function
+
+        return trace_jax_function(self.graph, function, frame, values)
 
 
 class PosteriorMoments(NamedTuple):

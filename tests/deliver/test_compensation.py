@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -122,7 +123,7 @@ def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> N
 
 
 TABLE = np.linspace(-60.0, 120.0, 40)
-WIDTH = bc.Shape("width", "degC", 10.0, 90.0)
+WIDTH, TAU = bc.Shape("width", "degC", 10.0, 90.0), bc.Shape("tau", "s", 60.0, 900.0)
 
 
 def own_effect(basis: Callable[..., Any], unit: str, shape: bc.Shape) -> bc.Compensator:
@@ -135,23 +136,39 @@ def own_effect(basis: Callable[..., Any], unit: str, shape: bc.Shape) -> bc.Comp
     return bc.compensator(bc.fit(model, readings, bc.LeastSquares(draws=60), strict=False))
 
 
-def test_a_table_in_a_basis_is_interpolated_with_its_slope(tmp_path) -> None:
+def bell(xp: Any) -> bc.Compensator:
+    return own_effect(lambda r, width: xp.exp(-((r["temperature"] / width) ** 2)), "deg/h", WIDTH)
+
+
+def behind(xp: Any) -> bc.Compensator:
+    return own_effect(lambda r, tau: xp.tanh(r["time"] / 9e3) * r.lag(tau), "deg/h/degC", TAU)
+
+
+@pytest.mark.parametrize("made", [bell, behind])
+def test_an_effect_written_for_jax_alone_compensates_and_exports(made) -> None:
+    plain, ours = made(jnp), made(bc.xp)
+    readings = plain.calibration.readings
+    for method in ("draws", "first order"):
+        found, wanted = (one(readings, method=method) for one in (plain, ours))
+        np.testing.assert_allclose(found.value, wanted.value, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(found.uncertainty, wanted.uncertainty, rtol=1e-7)
+    assert len(plain.program.equation.operations) == len(ours.program.equation.operations)
+
+
+def test_an_operation_that_firmware_lacks_is_computed_by_jax_with_its_slope(tmp_path) -> None:
     def looked_up(r, width):
-        return bc.xp.interp(30 * r["temperature"] / width, TABLE, np.sin(TABLE / 30))
+        return jnp.interp(30 * r["temperature"] / width, TABLE, np.sin(TABLE / 30))
 
     made = own_effect(looked_up, "deg/h", WIDTH)
     equation, mean = made.equation, made._moments.mean
-    places = [[u.key for u in equation.unknowns].index(f"own.part{n}") for n in (".width", "")]
-    temperature = np.array([-90.0, -20.0, 3.0, 25.0, 70.0])
-    at = np.zeros(5), {"temperature": temperature}
-    gradient = equation.linearised(mean, *at)[2]
-    columns = looked_up({"temperature": temperature}, mean[places[0]])
-    np.testing.assert_allclose(gradient[:, places[1]], columns / 3600, rtol=1e-12, atol=1e-15)
-    step = 1e-5 * mean[places[0]] * np.eye(len(mean))[places[0]]
+    place = [u.key for u in equation.unknowns].index("own.part.width")
+    at = np.zeros(5), {"temperature": np.linspace(-20.0, 70.0, 5)}
+    step = 1e-5 * mean[place] * np.eye(len(mean))[place]
     up, down = equation.points(np.array([mean + step, mean - step]), *at)
-    slope = gradient[:, places[0]]
-    np.testing.assert_allclose(slope, (up - down) / (2 * step[places[0]]), rtol=1e-5, atol=1e-12)
-    assert made.export(tmp_path / "gyro.h").is_file()
+    slope = equation.linearised(mean, *at)[2][:, place]
+    np.testing.assert_allclose(slope, (up - down) / (2 * step[place]), rtol=1e-5, atol=1e-12)
+    with pytest.raises(bc.ModelError, match="cannot be exported"):
+        made.export(tmp_path / "gyro.h")
 
 
 def test_where_the_output_stops_a_reading_has_no_value_and_the_stimulus_no_budget() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
@@ -13,10 +14,10 @@ BIAS, TEMPCO, SCALE, SECOND, LAG, TAU, NOISE = 100.0, 3.0, 500.0, 1e4, 4.0, 400.
 
 
 def _humid(r):
-    return bc.xp.stack(
+    return jnp.stack(
         [
-            bc.xp.where(r["humidity"] > 45.0, bc.xp.tanh((r["humidity"] - 45.0) / 20.0), 0.0),
-            bc.xp.sqrt(r["humidity"]) * bc.xp.sum(np.array([0.5, -0.25]) @ np.eye(2)),
+            jnp.where(r["humidity"] > 45.0, jnp.tanh((r["humidity"] - 45.0) / 20.0), 0.0),
+            jnp.sqrt(r["humidity"]) * jnp.sum(jnp.array([0.5, -0.25]) @ jnp.eye(2)),
         ],
         axis=1,
     )
