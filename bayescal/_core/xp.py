@@ -84,7 +84,8 @@ def _dispatch(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
     of_jax = attrgetter(path)
 
     def function(*args: Any, **kwargs: Any) -> Any:
-        if is_traced(args) or is_traced(kwargs):
+        is_host = HOST_TYPES.issuperset(map(type, (*args, *kwargs.values())))
+        if not is_host and (is_traced(args) or is_traced(kwargs)):
             return of_jax(sys.modules["jax"].numpy)(*args, **kwargs)
         return on_host(*args, **kwargs)
 

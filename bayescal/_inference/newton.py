@@ -134,8 +134,8 @@ class ByValues:
 
     During a maximisation the curvature is updated from the previous point, or a similar density, by its diagonal and a
     BFGS update (J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19); with a reliable similar density,
-    differences are one-sided after the first point. If `exact`, cross terms are differences, or correlations of the
-    similar density where these are small or the point is close.
+    differences are one-sided, from the second point where some coordinates are not. If `exact`, cross terms are
+    differences, or correlations of the similar density where these are small or the point is close.
     """
 
     def __init__(
@@ -181,9 +181,9 @@ class ByValues:
         if near is not None:
             curvatures = np.maximum(np.diag(near.curvature) * scale**2, MIN_CURVATURE)
             steps = DIFFERENCE * scale / np.sqrt(curvatures)
-        expansion = None
-        if last is not None and not exact and self._like and np.any(self._like.reliable):
-            expansion = self._forward_differences(v, ONE_SIDED * steps, last[1])
+        expansion, reliable = None, np.False_ if self._like is None else self._like.reliable
+        if near is not None and not exact and (np.all(reliable) or (last and np.any(reliable))):
+            expansion = self._forward_differences(v, ONE_SIDED * steps, np.diag(near.curvature))
         expansion = expansion or self._central_differences(v, steps, exact)
         if near is not None and expansion is not None and not exact:
             curvature = _update_bfgs(near.curvature, last, v, expansion, MIN_CURVATURE / scale**2)
@@ -193,13 +193,12 @@ class ByValues:
         return expansion
 
     def _forward_differences(
-        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], last: LocalModel
+        self, v: Float[np.ndarray, "d"], steps: Float[np.ndarray, "d"], curvatures: np.ndarray
     ) -> LocalModel | None:
-        """Return the local model by forward differences, with the diagonal curvature of the previous point."""
+        """Return the local model by forward differences, with the diagonal curvature of a nearby point."""
         value, *above = self.values(np.concatenate([v[None], v + np.diag(steps)]))
         if not min(value, *above) > NOWHERE:
             return None
-        curvatures = np.diag(last.curvature)
         gradient = (np.array(above) - value) / steps + 0.5 * steps * curvatures
         return LocalModel(value, gradient, np.diag(curvatures))
 
