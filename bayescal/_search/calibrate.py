@@ -264,7 +264,9 @@ class StepwiseSearch:
         if len(self.steps) == 1 and self.method != QUICK:
             self.steps = [self.fit_structure(goal, None, is_last=True)]
         pairs = zip(self.steps, discoveries, strict=True)
-        return self.average_path([replace(s, discovery=d) for s, d in pairs], goal, search)
+        path = self.average_path([replace(s, discovery=d) for s, d in pairs], goal, search)
+        self.structures.record.clear_cache()
+        return path
 
     def average_path(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None

@@ -311,6 +311,8 @@ class _Channel:
         """Compute the channel's evidence on each shared shape from its evaluated structures."""
         shared = self.shared.items()
         self.evidence = {n: evaluate_shape(self.search.structures, n, s) for n, s in shared}
+        if shared:
+            self.search.structures.record.clear_cache()
 
 
 class _Unit:
