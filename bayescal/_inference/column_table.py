@@ -59,10 +59,6 @@ class ColumnTable:
                     if other in products_by_block:
                         products_by_block[other].products.pop(number, None)
 
-    def discard_nodes(self, nodes: OneNode) -> None:
-        """Remove all inner products at some nodes."""
-        self._made.pop(nodes, None)
-
     def remove_fit(self, numbers: Sequence[int]) -> None:
         """Subtract the least-squares fit of some blocks from the residual; only the first call has an effect."""
         if self._started:

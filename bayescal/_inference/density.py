@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._inference.gaussian import Conditional, Gram, cholesky, condition, solve_tri
-from bayescal._inference.newton import NOWHERE, ByValues, Nearby, climb
+from bayescal._inference.newton import NOWHERE, ByValues, Nearby
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -61,33 +61,11 @@ class Density(ByValues):
     def tabulated(self) -> Tabulated | None:
         """Return the model on the record's cached products; None if its products depend on φ in another way."""
         problem = self.problem
-        nodes = problem.record.nodes(problem.noise) if self._has_products else None
+        nodes = None
+        if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
+            nodes = problem.record.nodes(problem.noise)
         v = np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
         return None if nodes is None else Tabulated(problem, nodes, self.x, v)
-
-    @property
-    def _has_products(self) -> bool:
-        """Return whether inner products of fixed columns determine the density at given noise parameters."""
-        in_phi = any(t.place == "phi" for t in self.problem.terms)
-        return not (self.problem.corrected or self.problem.noisy or in_phi)
-
-    def climb_held(
-        self, v: Float[np.ndarray, "d"], coarse_below: float, ftol: float
-    ) -> Float[np.ndarray, "d"]:
-        """Maximise over all but the noise parameters, of an affine output under correlated noise without a table.
-
-        At fixed noise parameters each column is whitened once, for all structures; others: return v unchanged.
-        """
-        problem, law = self.problem, self.problem.noise
-        can_hold = law.gaussian and not law.independent and problem.affine and self._has_products
-        if self.tabulated is not None or not can_hold:
-            return v
-        values = problem.hyper(v)
-        key = law, *(float(values[name]) for name in law.parameters())
-        nodes = problem.record.held_nodes(key, whitening(law, values, problem.record).whiten)
-        held = Density(problem, self.x, self.flat, v)
-        vars(held)["tabulated"] = Tabulated(problem, nodes, self.x, v)
-        return climb(held, v, coarse_below, ftol)
 
     @property
     def origin(self) -> Float[np.ndarray, "p"]:

@@ -142,8 +142,7 @@ def _climb(
     density = Density(problem, x, flat, starts[0], like=near)
     # The linearisation of an affine output is exact: one maximisation, no alternation.
     if problem.affine:
-        v = density.climb_held(best_start(density, starts), coarse_below, ftol)
-        v = climb(density, v, coarse_below, ftol)
+        v = climb(density, best_start(density, starts), coarse_below, ftol)
         value, conditional = density.condition_at(v)
         return _Summit(value, 0.0, v, x if conditional is None else conditional.mean, density)
     v, change = best_start(density, starts), math.inf

@@ -41,7 +41,6 @@ SEGMENT_NODES = 12  # Chebyshev nodes of a segment
 CHUNK_NUMBERS = 2_000_000  # array elements per batch
 SIGNS = (1, -1)  # e₊ and e₋, combinations of a run's ends
 COLUMN_NODES = 25  # Chebyshev nodes along a covariate, at least
-HELD_COLUMNS = 32  # of one pass of a Kalman filter
 NODES_PER_UNIT = 6  # and per unit of it, which may be a logarithm
 
 Columns = Float[np.ndarray, "n k"]
@@ -82,24 +81,6 @@ class OneNode:
         """Return the weights of the nodes at s settings of the law's parameters."""
         variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
         return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
-
-
-class HeldNodes(OneNode):
-    """Correlated noise with parameters held at one setting: columns are whitened, once each, and weights are one."""
-
-    def __init__(self, size: int, whiten: Callable[[Columns], tuple[Columns, float]]) -> None:
-        super().__init__(size)
-        self.whiten, self.log_det = whiten, math.nan
-
-    def transform(self, columns):
-        starts = range(0, columns.shape[1], HELD_COLUMNS)
-        parts = [self.whiten(columns[:, k : k + HELD_COLUMNS]) for k in starts]
-        self.log_det = parts[0][1]
-        return [np.hstack([whitened for whitened, _ in parts])]
-
-    def weights(self, law, values):
-        count = len(values[WHITE])
-        return Weights(np.ones((count, 1)), np.full(count, self.log_det), {}, {})
 
 
 class ColumnNodes(OneNode):

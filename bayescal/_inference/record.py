@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -20,7 +20,7 @@ from bayescal._inference import programs
 from bayescal._inference.column_table import ColumnTable
 from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
-from bayescal._inference.noise_nodes import ColumnNodes, HeldNodes, OneNode, dct_nodes
+from bayescal._inference.noise_nodes import ColumnNodes, OneNode, dct_nodes
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Basis, Effect
@@ -32,7 +32,6 @@ from bayescal._model.terms import ColumnSpec
 CACHE_BYTES = 256 * 2**20  # of cached columns at shapes, and of expansions
 DIFFERENCE = 1e-4  # difference step for derivatives by a column, in ranges of the column
 AFFINE = 1e-9  # relative change of derivatives, below which a response counts as affine
-MAX_HELD = 4  # settings of correlated noise with cached products
 DRAWS_A_CALL = 48  # draws per call of a program, at most,
 CALL_NUMBERS = 16_384  # or this many draws × readings, below which the overhead of a call dominates
 
@@ -51,7 +50,6 @@ class Record:
     _bytes: int = 0
     _expansions: dict[Any, Expansions] = field(default_factory=dict)
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
-    _held: dict[Any, HeldNodes] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # latest slot values, and the response with derivatives
     _for_laws: dict[Noise, tuple[Noise, Frame]] = field(default_factory=dict)
     of: Any = None  # the record or readings that this record was made from
@@ -179,14 +177,6 @@ class Record:
             else:
                 self._nodes[key] = dct_nodes(*self.in_time)
         return self._nodes[key]
-
-    def held_nodes(self, key: Any, whiten: Callable[..., tuple[np.ndarray, float]]) -> HeldNodes:
-        """Return the node of a correlated law at one setting, by a key; the latest few are cached."""
-        if key not in self._held:
-            while len(self._held) >= MAX_HELD:
-                self.table.discard_nodes(self._held.pop(next(iter(self._held))))
-            self._held[key] = HeldNodes(self.size, whiten)
-        return self._held[key]
 
     @cached_property
     def response_columns(self) -> frozenset[str]:

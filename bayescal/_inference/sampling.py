@@ -344,9 +344,8 @@ def weighted_draws(
         threshold = float(density.mode.log_density) + margin
         pool = Rounds(share) if earlier_rounds is None else earlier_rounds
         target = proposals or count // 2, part * settings().effective_draws
-        if density.table is None and part < LARGE_SHARE:
-            rounds = 0
-        _fill_pool(pool, density, random, count, rounds, heavy, target, threshold)
+        adapted = 0 if density.table is None and part < LARGE_SHARE else rounds
+        _fill_pool(pool, density, random, count, adapted, heavy, target, threshold)
         draws, start = None, density.top
         if density.highest <= threshold:
             draws = pool.weigh_draws(density.mode)

@@ -34,7 +34,7 @@ from bayescal._inference.expansion import (
     PolynomialColumns,
 )
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
-from bayescal._inference.noise_nodes import HeldNodes, OneNode, Products, Weights
+from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.noise_on_record import variances
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import expand_members
@@ -86,8 +86,7 @@ class Tabulated:
     ) -> None:
         self.problem, self.nodes = problem, nodes
         self.places = {h.name: i for i, h in enumerate(problem.hypers)}
-        noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
-        self.noise, self.held = ([], noise) if isinstance(nodes, HeldNodes) else (noise, [])
+        self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
         self._tables: dict[Any, _StructureRows] = {}
         self.slopes = problem.slopes(x, problem.hyper(expansion_point))
         if problem.affine:
@@ -229,7 +228,6 @@ class Tabulated:
         if conditional is None:
             return None
         log_prior, prior_slope, prior_bend = self._log_prior(v)
-        prior_slope[self.held] = prior_bend[self.held] = 0.0
         value = conditional.log_marginal + log_prior
         if not math.isfinite(value):
             return None

@@ -126,13 +126,12 @@ def check_instrument(
                 continue
             try:
                 _fit_simulated(check, model, effects, readings, seed)
-                continue
-            except BayescalError as error:
-                check.errors.append(f"{names or 'the response'}: {error}")
             except Exception as error:  # in the author's functions: reported without a traceback
-                check.errors.append(f"{names or 'the response'} fails: {format_error(error)}")
-            if first:
-                break
+                of_author = not isinstance(error, BayescalError)
+                message = f" fails: {format_error(error)}" if of_author else f": {error}"
+                check.errors.append((names or "the response") + message)
+                if first:
+                    break
     check.errors, check.notes = [*dict.fromkeys(check.errors)], [*dict.fromkeys(check.notes)]
     return check
 
@@ -155,15 +154,12 @@ def _fit_simulated(
         alone = b.coefficient.per is None
         signs[b.x_slice] = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
-    # The second of two: a seed stands for the readings that it always gave.
-    key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(check.rows)))[1]
+    key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
     check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
     if bad := int((~np.isfinite(output)).sum()):
-        raise ModelError(
-            f"the output is not finite in {bad} of {output.size} readings: is a logarithm, root or quotient out of its "
-            "range?"
-        )
+        cause = "is a logarithm, root or quotient out of its range?"
+        raise ModelError(f"the output is not finite in {bad} of {output.size} readings: {cause}")
     how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
     slopes = np.abs(forward.linearise(layout, frame, x, hyper).jacobian)
