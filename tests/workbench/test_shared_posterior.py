@@ -13,6 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.inside import Session, page_of
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
 pytestmark = pytest.mark.slow
@@ -46,7 +47,9 @@ class Page:
     """The workbench's page, without a browser: what it shows, and what is pressed on it."""
 
     def __init__(self, readings: bc.Measurements, folder: Path) -> None:
-        self.view: Any = bc.workbench(readings, INSTRUMENT, folder=folder)
+        model = INSTRUMENT.for_readings(readings).baseline()
+        self.session = Session.open(model, readings, folder=folder)
+        self.view: Any = page_of(self.session)
 
     def part(self, label: str) -> Any:
         (found,) = self.view.select(lambda one: getattr(one, "label", "") == label)
@@ -67,20 +70,6 @@ class Page:
         self.part("Candidates")._handle_msg({"row": row, "action": "add"})
         self.wait(lambda: len(self.rows("Steps")) > steps and self.rows("Candidates"))
 
-    def decide(self, limit: str) -> str:
-        self.part("Lower part").value = "Decision"
-        self.part("Limits, one a line").value = limit
-        self.part("Decide").clicks += 1
-        answers = self.view.select(lambda one: "±" in str(getattr(one, "object", "")))
-        before = {one.object for one in answers}
-
-        def answer() -> list[str]:
-            shown = self.view.select(lambda one: "table" in getattr(one, "css_classes", ()))
-            return [o.object for o in shown if "±" in str(o.object) and o.object not in before]
-
-        self.wait(answer)
-        return answer()[0]
-
 
 def estimate(decided: object) -> tuple[float, float]:
     """Return the estimate of the limited quantity and its standard uncertainty, °/s."""
@@ -90,10 +79,10 @@ def estimate(decided: object) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("seed", "quadratic"), [(1, 6e-4), (8, 8e-5)])
-def test_clicks_and_calibrate_give_one_model_and_one_decision(
+def test_clicks_and_calibrate_give_one_model_and_one_result(
     seed: int, quadratic: float, tmp_path: Path
 ) -> None:
-    """At the size of seed 8 a curve is in doubt: the decision is of the average over the structures."""
+    """At the size of seed 8 a curve is in doubt: the result is the average over the structures."""
     readings = behind_its_thermometer(seed, quadratic)
     trail = bc.calibrate(INSTRUMENT.baseline(), readings)
     families = {form.name: e.name for e in INSTRUMENT.candidates for form in e.forms}
@@ -108,7 +97,7 @@ def test_clicks_and_calibrate_give_one_model_and_one_decision(
             break
         page.add(found[0])
     assert names == set(trail.final.calibration.model.names)
-    value, sd = estimate(page.decide(LIMIT))
+    value, sd = estimate(bc.decide(page.session.trail().calibration, [LIMIT]))
     expected, expected_sd = estimate(bc.decide(trail.calibration, [LIMIT]))
     assert value == pytest.approx(expected, abs=0.1 * expected_sd)
     assert sd == pytest.approx(expected_sd, rel=0.05)

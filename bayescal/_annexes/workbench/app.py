@@ -21,17 +21,15 @@ FOLDER = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """State shared with the browser: what is stale or undone, and the message for a lost server.
+    """State shared with the browser: what is stale, and the message for a lost server.
 
     Attributes:
         stale: whether the page shows a model that is being replaced; it is dimmed meanwhile.
         folder: of the session, for the message when the server is lost.
-        undone: how often Ctrl-Z was pressed outside a field.
     """
 
     stale = param.Boolean(default=False)
     folder = param.String(default="")
-    undone = param.Integer(default=0)
 
     _esm = FOLDER / "parts" / "browser.js"
 
@@ -44,21 +42,19 @@ class Workbench:
         view: what Panel serves, or shows in a notebook.
     """
 
-    def __init__(self, session: Any, *, framed: bool = False, others: Any = None) -> None:
+    def __init__(self, session: Any, *, framed: bool = False) -> None:
         """Args:
         session: to show.
         framed: part of another page, such as a notebook; else it takes the whole screen.
-        others: further widget at the top, such as links to other sessions.
         """
         self.session = session
         self.work = PageWorker(self._report, self._set_busy)
         self.other: int | None = None  # the step that is compared with; None: the one before
-        self._progress, self._ending = "", False  # of the last search; whether it was stopped
-        self.model, self.fails = ModelPane(self), ResidualPane(self)
+        self._progress, self._stopping = "", False  # of the last search
+        self.model, self.residuals = ModelPane(self), ResidualPane(self)
         self.missing, self.error = CandidatesPane(self), ErrorPane(self)
         self.tabs = Tabs(self)
-        self._panes = (self.model, self.fails, self.missing, self.error, self.tabs)
-        self.view = self._page(framed, others)
+        self.view = self._page(framed)
         session.on_change.append(self._changed)
         self.refresh()
         pn.state.onload(self._opened)
@@ -66,17 +62,14 @@ class Workbench:
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self._close())
 
-    def _page(self, framed: bool, others: Any) -> pn.Column:
-        self.about = words(readings_in_words(self.session), "small", "about")
+    def _page(self, framed: bool) -> pn.Column:
         self.status = words("", "small", "status")
-        folder = str(self.session.folder.parent)
-        self.browser = Browser(margin=0, width=0, height=0, folder=folder)
-        self.browser.param.watch(lambda _: self.undo(), "undone")
+        self.browser = Browser(margin=0, width=0, height=0, folder=str(self.session.folder.parent))
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
-        right = [self.status, *([] if others is None else [others]), self.browser]
+        about = words(readings_in_words(self.session), "small", "about")
         return pn.Column(
-            row(title, self.about, *right, kinds=("top",)),
-            *(self.model.view, self.fails.view, self.missing.view, self.tabs.view),
+            row(title, about, self.status, self.browser, kinds=("top",)),
+            *(self.model.view, self.residuals.view, self.missing.view, self.tabs.view),
             css_classes=["framed"] * framed,
             stylesheets=[CSS],
             sizing_mode="stretch_both",
@@ -101,13 +94,8 @@ class Workbench:
         """Compare another step with this one, in the panels and in numbers."""
         self.other = number
         self.refresh()
-        self.fails.when.value = "both"
+        self.residuals.show_other()
         self.tabs.open("Side by side")
-
-    def undo(self) -> None:
-        """Go back to the previous state, if there is one and no job is running."""
-        if self.session.before is not None and not self.work.busy:
-            self.act("undo")
 
     def refresh(self) -> None:
         """Show the session's current state."""
@@ -116,7 +104,7 @@ class Workbench:
         if self.other == state.number:
             self.other = None
         other = states.get(state.parent if self.other is None else self.other)
-        self.fails.show(state, other)
+        self.residuals.show(state, other)
         self.tabs.compare.set_other(None if other is None else other.number)
         for pane in (self.model, self.missing, self.error, self.tabs):
             pane.show(state)
@@ -128,20 +116,24 @@ class Workbench:
         status = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
-        self.work.begin(status, job, self.done, failed=self._fresh)
+        self.work.run(job, self.done, status=status, changes=True, failed=self._fresh)
 
     def _fresh(self) -> None:
         self.browser.stale = False
 
-    def run(
-        self, words: str, job: Callable[[], Any], then: Callable[[Any], None], reads: bool = False
-    ) -> None:
-        """Run a job in a worker thread, then `then(result)` on the page; one that only `reads` waits for no search."""
-        self.work.begin(words, job, then, reads=reads)
+    def run(self, job: Callable[[], Any], then: Callable[[Any], None], status: str = "") -> None:
+        """Run a job in a worker thread; `then(result)` on the page if its state is still the current one."""
+        number = self.session.current.number
+
+        def show(result: Any) -> None:
+            if self.session.current.number == number:
+                then(result)
+
+        self.work.run(job, show, status=status)
 
     def ask(self, done: Callable[[Any], None], *action: Any) -> None:
-        """Compute the consequences of an action, then call `done` with the preview."""
-        self.work.preview(lambda: self.session.consequences(*action), done)
+        """Compute the preview of an action, then call `done` with it."""
+        self.work.preview(lambda: self.session.preview(*action), done)
 
     def _opened(self) -> None:
         """Start after the browser has connected: earlier updates may be lost, and another page may have searched."""
@@ -149,12 +141,10 @@ class Workbench:
             self._show_missing()
         self.look()
 
-    def _show_missing(self) -> None:
+    def _show_missing(self, _: Any = None) -> None:
         """Show the candidates missing from the current state."""
-        now = self.session.current
         for pane in (self.missing, self.model, self.error):
-            pane.show(now)
-        self.tabs.show_missing(now)
+            pane.show(self.session.current)
 
     def look(self) -> None:
         """Search for effects missing from the current state, unless that was done."""
@@ -165,12 +155,7 @@ class Workbench:
             reason = "Result not reliable: nothing is looked for until the fit has converged."
             self.missing.show(state, reason)
             return
-
-        def show(_: Any) -> None:
-            if self.session.current.number == state.number:
-                self._show_missing()
-
-        self.work.look(self.session.look, show)
+        self.run(self.session.look, self._show_missing)
 
     def done(self, _: Any = None) -> None:
         """Show the state after an action, and search for effects missing from it."""
@@ -179,40 +164,41 @@ class Workbench:
         self.look()
 
     def point(self, effect: str) -> None:
-        """Draw a candidate's curve over the residuals; none if it is no candidate."""
-        if effect not in {
-            row["id"] for row in self.missing.rows.rows
-        }:  # none, or of a state before
+        """Draw a candidate's curve over the residuals; none if it is no candidate of the state that is shown."""
+        if effect not in {row["id"] for row in self.missing.rows.rows}:
             self.work.forget_preview()
-            self.fails.preview(None)
+            self.residuals.preview(None)
             return
         number = self.session.current.number
 
         def draw(preview: Any) -> None:
             if self.missing.rows.pointed == effect and self.session.current.number == number:
-                self.fails.preview(preview.curve)
+                self.residuals.preview(preview.curve)
                 self.missing.preview(preview.in_words)
 
-        self.work.preview(lambda: self.session.preview(effect), draw)
+        self.ask(draw, "add", effect)
 
     def find_all(self) -> None:
         """Search from the current state on; each step becomes a state."""
-        self.other, self._progress, self._ending = None, "", False
+        self.other, self._progress, self._stopping = None, "", False
         self.error.searching(True, "searching …")
 
-        def follow(trail: Any) -> None:
-            self.work.on_page(lambda: self._searched(trail))
+        def follow(path: Any) -> None:
+            self.work.on_page(lambda: self._searched(path))
 
         def ended(_: Any) -> None:
             self.error.searching(False, self._progress)
             self.done()
 
-        search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
-        self.work.begin("Finding all …", search, ended, failed=failed)
+        def failed() -> None:
+            self.error.searching(False)
 
-    def _searched(self, trail: Any) -> None:
-        self._progress = trail.progress
-        if not self._ending:
+        search = lambda: self.session.find_all(follow)  # noqa: E731
+        self.work.run(search, ended, status="Finding all …", changes=True, failed=failed)
+
+    def _searched(self, path: Any) -> None:
+        self._progress = path.progress
+        if not self._stopping:
             self.error.searching(True, self._progress)
         if len(self.session.states) > len(self.error.rows.rows):
             self.error.show(self.session.current)
@@ -220,11 +206,11 @@ class Workbench:
     def stop(self) -> None:
         """Stop the search with the best model so far."""
         self.session.stop()
-        self._ending = True
+        self._stopping = True
         self.error.searching(True, "stopping …")
 
     def _set_busy(self, busy: bool) -> None:
-        for pane in self._panes:
+        for pane in (self.model, self.missing, self.error):
             pane.busy(busy)
 
     def _report(self, text: str, refused: bool) -> None:

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partialmethod, reduce
 from operator import sub
 from pathlib import Path
@@ -63,6 +62,7 @@ class Change:
     in_words: str = ""  # that, in words; empty where an effect was added
 
 
+REPORT = "report.html"
 SEARCHES = 4  # number of the latest searches in the cache
 
 
@@ -116,10 +116,8 @@ class Session:
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
-    _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _loops: list[ws.StepwiseSearch] = field(default_factory=list)  # with evaluated structures
     _trails: dict[int, bc.SearchPath] = field(default_factory=dict)
-    _decisions: dict[int, bc.Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
@@ -170,21 +168,21 @@ class Session:
 
     def _go_on(self, model: bc.Model) -> None:
         """Resume from the states in the folder, even after a crash."""
-        saved = store.load_session(self.folder)
-        for line in saved.typed:
-            effect = bc.effect(line, readings=self.readings, instrument=model.instrument)
-            self.effects[effect.name] = effect
-        effects, accepted = tuple(self.effects.values()), self.settings.accept_conflicts
-        states = store.load_states(self.folder, saved, effects, model.instrument)
-        for n, (entry, calibration) in enumerate(states):
+        saved, effects = store.load_session(self.folder), tuple(self.effects.values())
+        own = () if model.instrument.name in ws.installed_names() else (model.instrument,)
+        for n, entry in enumerate(saved.states):
+            path = store.fit_path(self.folder, n)
+            calibration = bc.load(path, effects=effects, instruments=own)
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
                     "folder (--out), or remove it"
                 )
-            step = ws.step_of(calibration, self.holdout, accepted)
-            step = replace(step, added=entry.added, description=entry.changed)
-            self._states[n] = State(n, entry.parent, step, datetime.fromisoformat(entry.at))
+            step = ws.step_of(calibration, self.holdout, self.settings.accept_conflicts)
+            step = replace(step, added=entry.added, description=entry.description)
+            self._states[n] = State(n, entry.parent, step)
+            typed = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
+            self.effects |= {e.name: e for e in typed}
         self._at = saved.current
         store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # a torn state
 
@@ -215,25 +213,7 @@ class Session:
                 raise bc.InputError(
                     f"there is no step {number}: there are 0 to {max(self._states)}"
                 )
-            self._been.append(self._at)
             return self._be(number)
-
-    @property
-    def before(self) -> int | None:
-        """Return the state that `undo` goes back to: the previously current one, else the parent, else None."""
-        return self._been[-1] if self._been else self.current.parent
-
-    def undo(self) -> State:
-        """Go back to the state that was current before; what was done since stays, as a branch.
-
-        Raises:
-            InputError: nothing was done.
-        """
-        with self._lock:
-            if (before := self.before) is None:
-                raise bc.InputError("nothing was done that could be undone")
-            del self._been[-1:]
-            return self._be(before)
 
     @property
     def laws(self) -> Mapping[str, bc.Noise]:
@@ -241,22 +221,25 @@ class Session:
         first = self.states[0].calibration
         return {first.model.noise.name: first.model.noise, **ws.laws_over(first.model, first.frame)}
 
-    def preview(self, effect: str | bc.Effect) -> Preview:
-        """Return a preview of adding an effect to the current state."""
-        if isinstance(effect, str):
-            effect = self._named().get(effect) or self.current.model.instrument.effect(effect)
-        return self._previewed(Change(self.current.model + effect, added=effect.name))
-
-    def consequences(self, kind: str, *arguments: Any) -> Preview:
-        """Return a preview of `act`."""
-        return self._previewed(self._changed(kind, *arguments))
+    def preview(self, kind: str, *arguments: Any) -> Preview:
+        """Return a preview of `act`: the changed model is fitted, and made no state."""
+        change, loop, before = self._changed(kind, *arguments), self._loop, self.current.step
+        fit = before.calibration
+        start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
+        how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
+        method = loop.step_method(change.model)
+        after = bc.fit(change.model, self.readings, method, strict=False, **how)
+        return Preview(before, after, change.added)
 
     def _changed(self, kind: str, *arguments: Any) -> Change:
         """Return the current model with a change."""
         model = self.current.model
         match (kind, *arguments):
             case ("add", str(name)):
-                effect = self._named().get(name) or model.instrument.effect(name)
+                return self._changed(
+                    "add", self._named().get(name) or model.instrument.effect(name)
+                )
+            case ("add", bc.Effect() as effect):
                 return Change(model + effect, added=effect.name)
             case ("take_out", str(name)):
                 return Change(model - name, in_words=f"− {name}")
@@ -276,16 +259,6 @@ class Session:
                 text = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
                 return Change(model.resize(name, float(value)), in_words=text)
         raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
-
-    def _previewed(self, change: Change) -> Preview:
-        """Fit a model that is not made a state."""
-        loop, before = self._loop, self.current.step
-        fit = before.calibration
-        start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
-        how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
-        method = loop.step_method(change.model)
-        after = bc.fit(change.model, self.readings, method, strict=False, **how)
-        return Preview(before, after, change.added)
 
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it as the new current state.
@@ -421,12 +394,15 @@ class Session:
         """Return Python that reproduces the current state, with equal numbers."""
         return self._script(self.path())
 
-    def trail(self) -> bc.SearchPath:
-        """Return the path to the current state as `calibrate` does, its last model by the requested method; cached.
+    def trail(self, state: State | None = None) -> bc.SearchPath:
+        """Return the path to a state as `calibrate` does, its last model by the requested method; cached.
 
         Where the search is complete, the result in use is averaged over the evaluated structures.
+
+        Args:
+            state: which; None: the current one.
         """
-        state = self.current
+        state = state or self.current
         with self._fitting:
             if state.number not in self._trails:
                 self._trails[state.number] = self._judged(state)
@@ -472,32 +448,24 @@ class Session:
         ]
         return f"{bc.compare(fits)}\n\n{ws.plain_table(['', *fits, 'unit'], rows)}"
 
-    def budget(self, at: Mapping[str, float]) -> bc.Budget:
-        """Compute `bc.budget` of the current model."""
-        return bc.budget(self.trail().calibration, at)
+    def write(self, file: str) -> Path:
+        """Write the report or an export of the current model, as `bayescal report` and `export` do.
 
-    def decide(self, limits: Sequence[str], **how: Any) -> bc.Decisions:
-        """Run `bc.decide` on the current model; its report begins with it."""
-        number, decisions = self.current.number, bc.decide(self.trail().calibration, limits, **how)
-        self._decisions[number] = decisions
-        return decisions
-
-    def report(self) -> Path:
-        """Write the report for sign-off to the folder, as `bayescal report` does, with the decisions."""
-        (folder, trail), decided = self._result(), self._decisions.get(self.current.number)
-        effects = tuple(self.effects.values())
-        return bc.report([trail], folder / "report.html", effects=effects, decisions=decided)
-
-    def export(self, file: str) -> Path:
-        """Export the current model to the folder, as `bayescal export` does.
+        It stands in a folder beside the result of `bayescal calibrate --out`.
 
         Args:
-            file: its name, whose suffix is the format's.
+            file: report.html; or a name whose suffix is an export's format.
 
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        folder, trail = self._result()
+        state = self.current
+        trail, folder = self.trail(state), self.folder / f"result_{state.number:03d}"
+        folder.mkdir(exist_ok=True)
+        with suppress(bc.NotDrawn):  # a report says itself what is not drawn, an export needs none
+            ws.save_search(trail, folder)
+        if file == REPORT:
+            return bc.report([trail], folder / file, effects=tuple(self.effects.values()))
         return bc.compensator(trail.calibration).export(folder / file)
 
     @property
@@ -518,27 +486,24 @@ class Session:
         """Save a step as a child of a state, and make it the current one."""
         with self._lock:
             number = len(self._states)
-            state = State(number, parent, step, datetime.now(UTC), discovery)
+            state = State(number, parent, step, discovery)
             if (file := store.fit_path(self.folder, number)).exists():
                 raise bc.InputError(
                     f"{file} was made meanwhile: another workbench goes on here. End one"
                 )
             state.calibration.save(file)
-            before = self._at
             try:
                 self._be(number, {**self._states, number: state})
             except bc.InputError:
                 file.unlink()
                 raise
-            self._been += [before] * bool(number)
             return state
 
     def _be(self, number: int, states: dict[int, State] | None = None) -> State:
         """Make a state the current one, of these states if they are others."""
         states = self._states if states is None else states
-        texts = [e.basis.text for e in self.effects.values() if isinstance(e.basis, ws.Formula)]
         way = [states[n] for n in path_to(states, number)]
-        store.save_session(self.folder, states, number, texts, self._script(way))
+        store.save_session(self.folder, states, number, self._script(way))
         self._states, self._at = states, number
         for call in tuple(self.on_change):
             call()
@@ -550,14 +515,3 @@ class Session:
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
-
-    def _result(self) -> tuple[Path, bc.SearchPath]:
-        """Write the current state's folder of results as `bayescal calibrate --out` does; return it and the trail."""
-        trail, number = self.trail(), self.current.number
-        folder = self.folder / f"result_{number:03d}"
-        folder.mkdir(exist_ok=True)
-        with suppress(
-            bc.NotDrawn
-        ):  # a report says itself what could not be drawn, an export needs no picture
-            ws.save_search(trail, folder)
-        return folder, trail

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import ipaddress
 import secrets
 import socket
 import tempfile
@@ -22,56 +21,32 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Address:
-    """Address of the workbench: one interface, by default the loopback's, and a secret path.
+    """Address of the workbench on the loopback interface, under a secret path.
 
     Attributes:
         port: that nothing used when it was chosen.
         path: the secret, as "/…".
-        host: IPv4 address of the interface.
     """
 
     port: int
     path: str
-    host: str = LOOPBACK
 
     @classmethod
-    def new(cls, host: str = LOOPBACK) -> Address:
-        """Choose a free port, and a path of 256 random bits.
-
-        Raises:
-            InputError: this computer has no such address, or all are meant.
-        """
-        try:
-            if ipaddress.IPv4Address(host).is_unspecified:
-                raise ValueError("that is every address")
-            with socket.socket() as probe:
-                probe.bind((host, 0))
-                return cls(probe.getsockname()[1], f"/{secrets.token_urlsafe(32)}", host)
-        except (OSError, ValueError) as error:
-            raise bc.InputError(
-                f"--address {host}: give one IPv4 address of this computer, such as {LOOPBACK} ({error})"
-            ) from None
+    def new(cls) -> Address:
+        """Choose a free port, and a path of 256 random bits."""
+        with socket.socket() as probe:
+            probe.bind((LOOPBACK, 0))
+            return cls(probe.getsockname()[1], f"/{secrets.token_urlsafe(32)}")
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Return the Host headers that it answers."""
-        loopback = ("localhost",) if self.host == LOOPBACK else ()
-        return tuple(f"{name}:{self.port}" for name in (self.host, *loopback))
-
-    @property
-    def exposed(self) -> str:
-        """Warn of access by other computers, in words; empty on the loopback."""
-        if ipaddress.IPv4Address(self.host).is_loopback:
-            return ""
-        return (
-            f"every computer that reaches {self.host} can ask here; who has the whole address sees the readings and "
-            "can have Python run with your rights, and the address goes over the network unencrypted"
-        )
+    def hosts(self) -> list[str]:
+        """Return the Host headers that are answered."""
+        return [f"{name}:{self.port}" for name in (LOOPBACK, "localhost")]
 
     @property
     def url(self) -> str:
         """Return the URL for a browser."""
-        return f"http://{self.host}:{self.port}{self.path}/"
+        return f"http://{LOOPBACK}:{self.port}{self.path}/"
 
 
 FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'

@@ -59,11 +59,11 @@ class CandidatesPane(Pane):
 
         def draw(preview: Any) -> None:
             if line == self.formula.value.strip():
-                bench.fails.preview(preview.curve)
+                bench.residuals.preview(preview.curve)
                 self.preview(preview.in_words)
                 self.add_typed.disabled = self.rows.busy
 
-        bench.work.preview(lambda: bench.session.preview(bench.session.typed(line)), draw)
+        bench.work.preview(lambda: bench.session.preview("add", bench.session.typed(line)), draw)
 
     def _add_typed(self) -> None:
         self.bench.act("add_typed", self.formula.value.strip())

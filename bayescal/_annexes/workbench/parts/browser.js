@@ -1,5 +1,4 @@
-// What is stale is dimmed; a banner while the server is gone; Ctrl-Z outside
-// a field undoes.
+// What is stale is dimmed; a banner while the server is gone.
 export function render({ model, view }) {
   document.body.style.margin = "0";
 
@@ -18,12 +17,5 @@ export function render({ model, view }) {
   const page = view.model.document;
   page.on_event("connection_lost", () => { banner.hidden = false; });
   page.on_event("client_reconnected", () => { banner.hidden = true; });
-
-  window.addEventListener("keydown", (event) => {
-    const typed = event.composedPath()[0].matches("input:not([type=radio]):not([type=checkbox]), textarea");
-    if (event.key !== "z" || event.shiftKey || !(event.ctrlKey || event.metaKey) || typed) return;
-    event.preventDefault();
-    model.undone += 1;
-  });
   return document.createElement("span");
 }

@@ -13,7 +13,7 @@ import panel as pn
 
 import bayescal as bc
 
-Then = Callable[[Any], None]
+THREADS = 4  # a job, a search beside it, and previews
 
 
 def do_nothing() -> None:
@@ -29,10 +29,7 @@ def in_words(error: Exception) -> str:
 
 
 class PageWorker:
-    """Worker pools of one page: jobs in sequence; in parallel, read-only questions, a search, and the latest preview.
-
-    Results, and errors in words, are delivered in the page's own thread.
-    """
+    """Worker pool of one page; results, and errors in words, are delivered in the page's own thread."""
 
     def __init__(self, tell: Callable[[str, bool], None], busy: Callable[[bool], None]) -> None:
         """Args:
@@ -43,15 +40,14 @@ class PageWorker:
         self._document: Any = pn.state.curdoc
         # Settings in force where the page was made hold for its work.
         self._context = copy_context()
-        kinds = ("job", "question", "look", "preview")
-        self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
-        self._previewed = object()
-        self._under_way: list[tuple[str, bool]] = []  # words, whether it only reads
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="workbench")
+        self._latest_preview = object()
+        self._under_way: list[tuple[str, bool]] = []  # jobs: status, changes
 
     @property
     def busy(self) -> bool:
         """Return whether a job that may change the session is running."""
-        return not all(reads for _, reads in self._under_way)
+        return any(changes for _, changes in self._under_way)
 
     def on_page(self, call: Callable[[], Any]) -> None:
         """Schedule a call in the page's own thread; from any thread."""
@@ -60,78 +56,63 @@ class PageWorker:
         else:
             call()
 
-    def begin(
+    def run(
         self,
-        words: str,
         job: Callable[[], Any],
-        then: Then,
-        failed: Callable[[], None] = do_nothing,
+        then: Callable[[Any], None],
         *,
-        reads: bool = False,
+        status: str = "",
+        changes: bool = False,
+        failed: Callable[[], None] = do_nothing,
+        is_current: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Queue a job; `then(result)`, or `failed()`, follows on the page.
+        """Run a job in a thread; `then(result)`, or `failed()`, follows on the page.
 
         Args:
-            words: what is said of it.
             job, then, failed: see above.
-            reads: it changes nothing, and waits for no job that does.
+            status: what is said of it; empty where nothing is.
+            changes: whether it may change the session; the page is busy meanwhile.
+            is_current: whether the result is still wanted.
         """
-        under_way = words, reads
 
-        def ended() -> None:
-            self._under_way.remove(under_way)
+        def work() -> None:
+            follow: Callable[[], None] = do_nothing
+            try:
+                follow = partial(then, job()) if is_current() else do_nothing
+            except Exception as error:
+                follow = partial(self._refuse, in_words(error), failed)
+            self.on_page(partial(self._finish, entry, follow if is_current() else do_nothing))
+
+        entry = status, changes
+        if status:
+            self._under_way.append(entry)
             self._follow()
+        self._pool.submit(self._context.copy().run, work)
 
-        self._under_way.append(under_way)
-        self._follow()
-        self._submit("question" if reads else "job", job, then, failed, ended)
-
-    def look(self, job: Callable[[], Any], then: Then) -> None:
-        """Run a search in parallel to all other jobs."""
-        self._submit("look", job, then)
-
-    def preview(self, job: Callable[[], Any], then: Then) -> None:
+    def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
         """Compute a preview, which a later one replaces."""
-        token = self._previewed = object()
-        self._submit("preview", job, then, current=lambda: token is self._previewed)
+        token = self._latest_preview = object()
+        self.run(job, then, is_current=lambda: token is self._latest_preview)
 
     def forget_preview(self) -> None:
         """Drop the running preview."""
-        self._previewed = object()
+        self._latest_preview = object()
 
     def close(self) -> None:
-        """Shut the pools down; jobs that have not begun are dropped."""
-        for pool in self._pools.values():
-            pool.shutdown(wait=False, cancel_futures=True)
+        """Shut the pool down; jobs that have not begun are dropped."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _submit(
-        self,
-        kind: str,
-        job: Callable[[], Any],
-        then: Then,
-        failed: Callable[[], None] = do_nothing,
-        ended: Callable[[], None] = do_nothing,
-        current: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """Run a job in a thread, then its continuation on the page, unless it is superseded."""
+    def _finish(self, entry: tuple[str, bool], follow: Callable[[], None]) -> None:
+        if entry in self._under_way:
+            self._under_way.remove(entry)
+            self._follow()
+        follow()
 
-        def run() -> None:
-            if not current():
-                return
-            try:
-                follow = partial(then, job())
-            except Exception as error:
-                follow = partial(self._refused, in_words(error), failed)
-            if current():
-                self.on_page(lambda: (ended(), follow()))
-
-        self._pools[kind].submit(self._context.copy().run, run)
-
-    def _refused(self, why: str, failed: Callable[[], None]) -> None:
+    def _refuse(self, why: str, failed: Callable[[], None]) -> None:
         self._tell(why, True)
         failed()
 
     def _follow(self) -> None:
         """Disable or enable changes of the model, and say what is under way."""
         self._busy(self.busy)
-        self._tell("; ".join(words for words, _ in self._under_way), False)
+        self._tell("; ".join(status for status, _ in self._under_way), False)

@@ -1,5 +1,5 @@
 // A list (or table) of rows that the pointer and the keyboard reach alike. Every text is set as text, never as HTML.
-//   rows: [{id, group, cells: [{text, bar, kind, title}], actions: [{id, label, title, off, reads}], kind, current, note}]
+//   rows: [{id, group, cells: [{text, bar, kind, title}], actions: [{id, label, title}], kind, current, note}]
 //   Pointing at a row, or moving the focus into it, sets `pointed` after a moment; a press sends {row, action}.
 const MOMENT = 30; // ms that the pointer rests before a row counts as pointed at; a preview takes ten
 
@@ -58,7 +58,7 @@ export function render({ model, el }) {
       const button = element("button", "action", action.label);
       button.type = "button";
       button.dataset.action = action.id;
-      button.disabled = !!action.off || (model.busy && !action.reads);
+      button.disabled = model.busy;
       button.setAttribute("aria-label", `${action.label} ${row.id}`);
       if (action.title) button.title = action.title;
       button.addEventListener("click", (event) => { event.stopPropagation(); press(row.id, action.id); });

@@ -7,6 +7,7 @@ Text is always text, never HTML, whatever a file or an effect is called. Colours
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -110,9 +111,9 @@ def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) 
     return pn.Column(*children, css_classes=list(kinds), stylesheets=[INSIDE], **settings)
 
 
-def halves(first: Any, second: Any, *, even: bool = False) -> pn.Column:
-    """Lay two parts out side by side, stacked where there is no room: the first narrower, or both even."""
-    return column(first, second, kinds=("halves", *(["even"] if even else [])))
+def halves(first: Any, second: Any) -> pn.Column:
+    """Lay two parts out side by side, the first narrower; stacked where there is no room."""
+    return column(first, second, kinds=("halves",))
 
 
 def plot(fig: Any) -> pn.pane.Bokeh:
@@ -125,44 +126,36 @@ def field(kind: type[Any], label: str, **settings: Any) -> Any:
     return kind(label=label, **{"stylesheets": [INSIDE], "margin": 0, **settings})
 
 
-def code_field(label: str, **settings: Any) -> pn.widgets.TextAreaInput:
-    """Make a field of several lines of code."""
-    settings = {"sizing_mode": "stretch_both", "css_classes": ["code"], **settings}
-    return field(pn.widgets.TextAreaInput, label, **settings)
-
-
 def download(label: str, **settings: Any) -> pn.widgets.FileDownload:
     """Make a button that fetches and downloads its file when it is pressed."""
-    settings = {"embed": False, "auto": True, "align": "center", **settings}
-    return field(pn.widgets.FileDownload, label, **settings)
+    how = {"file": BytesIO(), "filename": "none"} if "callback" not in settings else {}
+    how |= {"embed": False, "auto": True, "align": "center", "color": "primary"}
+    return field(pn.widgets.FileDownload, label, **{**how, **settings})
 
 
 def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
     """Make radio buttons, which the keyboard reaches, unlike Bokeh's tabs and button groups."""
-    return _boxes(pn.widgets.RadioBoxGroup, label, options=options, value=value)
+    how: dict[str, Any] = {"options": options, "value": value, "inline": True}
+    return field(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, RADIO], **how)
 
 
-def several(options: list[str], value: list[str], label: str) -> pn.widgets.CheckBoxGroup:
+def several(label: str, **settings: Any) -> pn.widgets.CheckBoxGroup:
     """Make check boxes, whose labels are text (those of `MultiChoice` are HTML)."""
-    kind = pn.widgets.CheckBoxGroup
-    return _boxes(kind, label, options=options, value=value, css_classes=["several"])
-
-
-def _boxes(kind: type[Any], label: str, **settings: Any) -> Any:
-    return field(kind, label, inline=True, **{**settings, "stylesheets": [INSIDE, RADIO]})
+    how = {"inline": True, "stylesheets": [INSIDE, RADIO], **settings}
+    return field(pn.widgets.CheckBoxGroup, label, **how)
 
 
 class Rows(JSComponent):
     """A list of rows, or a table with a head.
 
     Attributes:
-        rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title",
-            "off", "reads"}], "group", "kind", "current", "note"}; `bar` from 0 to 1.
+        rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title"}], "group",
+            "kind", "current", "note"}; `bar` from 0 to 1.
         head: titles of a table's columns.
         table: whether it is one.
         pointing: whether pointing at a row, with the pointer or the keyboard, counts.
         pointed: the row pointed at last; empty for none.
-        busy: whether its buttons are shut for now, but those of actions that only read.
+        busy: whether its buttons are disabled for now.
         label: its name for those who hear the page.
         kind: class of its style.
     """
@@ -187,19 +180,15 @@ class Rows(JSComponent):
 
     def _handle_msg(self, data: Any) -> None:
         """Handle a press in the browser, if the row and its action exist and are enabled."""
-        if self._on_press is None or not isinstance(data, dict):
+        if self._on_press is None or self.busy or not isinstance(data, dict):
             return
-        for row in self.rows:
-            if row["id"] == data.get("row"):
-                actions = [a for a in row.get("actions", ()) if not a.get("off")]
-                open_now = {a["id"] for a in actions if a.get("reads") or not self.busy}
-                if (action := str(data.get("action"))) in open_now:
-                    self._on_press(row["id"], action)  # pyright: ignore[reportArgumentType]
-                return
+        pressed = data.get("row"), data.get("action")
+        if pressed in {(row["id"], a["id"]) for row in self.rows for a in row.get("actions", ())}:
+            self._on_press(*map(str, pressed))
 
 
 class Pane:
-    """A part of the page; base class with default methods.
+    """A part of the page.
 
     Attributes:
         bench, session: the whole page (`app.Workbench`), through which a pane acts, and what it is over.
@@ -213,6 +202,3 @@ class Pane:
 
     def show(self, state: Any) -> None:
         """Show another state."""
-
-    def busy(self, busy: bool) -> None:
-        """Disable or enable actions that change the model."""
