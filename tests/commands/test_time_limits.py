@@ -137,7 +137,7 @@ def test_what_is_missing_is_not_stated_without_time(readings) -> None:
 def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
     devices = {f"D{i}": mems_gyro.simulate(seed=i) for i in range(3)}
     model = mems_gyro.INSTRUMENT.baseline()
-    found = bc.fit_batch(model, devices, partition_rows=1, time_limit=NO_TIME)
+    found = bc.fit_batch(model, devices, time_limit=NO_TIME)
     assert {*found.devices} == {*devices} and not found.missing
     assert all(ok or why for ok, why in zip(found.ok, found.reasons, strict=True))
 

@@ -8,16 +8,15 @@ import pytest
 import bayescal as bc
 from tests.commands.conftest import OWN_EFFECTS
 from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.inside import SMALL_TASKS
 from tests.support.made_up.gyro_lot import MODEL
-
-SMALL = 100
 
 
 @pytest.mark.nightly
-def test_workers_give_the_same_numbers(client, lot_folder) -> None:
-    given = {"partition_rows": SMALL, "population": True}
-    here = bc.fit_batch(MODEL, lot_folder, **given)
-    there = bc.fit_batch(MODEL, lot_folder, client=client, **given)
+def test_workers_give_the_same_numbers(client, lot_folder, monkeypatch) -> None:
+    here = bc.fit_batch(MODEL, lot_folder, population=True)
+    monkeypatch.setattr(*SMALL_TASKS)
+    there = bc.fit_batch(MODEL, lot_folder, client=client, population=True)
     pd.testing.assert_frame_equal(there.table(), here.table(), check_exact=True)
     assert here.population is not None and there.population is not None
     pd.testing.assert_frame_equal(there.population.table, here.population.table, check_exact=True)

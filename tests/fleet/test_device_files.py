@@ -1,4 +1,4 @@
-"""Files that are read some at a time have the numbers of one process, each device once, whatever stands in them."""
+"""Files that are fitted some devices at a time have the numbers of all at once, whatever stands in them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ import pytest
 
 import bayescal as bc
 from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.inside import SMALL_TASKS
 from tests.support.made_up.gyro_lot import MODEL, table
 
-SMALL = 100  # readings at once: some five devices
+
+@pytest.fixture(autouse=True)
+def small_tasks(monkeypatch) -> None:
+    monkeypatch.setattr(*SMALL_TASKS)
 
 
 def fitted(folder: Path, **more) -> bc.BatchResult:
-    return bc.fit_batch(MODEL, folder, partition_rows=SMALL, **more)
+    return bc.fit_batch(MODEL, folder, **more)
 
 
 def same(found: bc.BatchResult, expected: bc.BatchResult, rtol: float = 1e-10) -> None:
@@ -59,19 +63,11 @@ def test_a_population_over_parts_is_that_of_one_process(lot_folder, tmp_path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("together", [True, False])
-def test_a_large_file_is_cut_between_devices(result, tmp_path, together: bool) -> None:
-    made = table().sort_values("device", kind="stable")
-    if not together:
-        made = made.sample(frac=1, random_state=1)
+def test_devices_need_not_stand_together(result, tmp_path) -> None:
+    made = table().sample(frac=1, random_state=1)
     file = tmp_path / "lot.parquet"
     made.to_parquet(file, row_group_size=37)  # row groups end within devices
     same(fitted(file), result)
-    one = made[made.device == "D03"]
-    pd.concat([made, *[one] * 11]).to_parquet(file, row_group_size=37)  # longer than several parts
-    found = fitted(file)
-    assert (len(found), found.fitted) == (24, 24)
-    assert found.facts["readings"].sum() == len(made) + 11 * len(one)
     made["output [deg/s]"] = made["output [deg/s]"].astype(object)
     at = int(np.flatnonzero(made.device == "D20")[2])
     made.iloc[at, made.columns.get_loc("output [deg/s]")] = "broken"
@@ -112,10 +108,9 @@ def test_a_corrupt_file_is_named(lot_folder, result, tmp_path) -> None:
     shutil.copytree(lot_folder, folder)
     whole = (folder / "lot-1.parquet").read_bytes()
     (folder / "lot-1.parquet").write_bytes(whole[: len(whole) // 2])
-    for rows in (SMALL, None):
-        found = bc.fit_batch(MODEL, folder, partition_rows=rows)
-        assert list(found.missing) == ["lot-1.parquet"]
-        assert set(found.devices) == set(result.devices) - set(sorted(result.devices)[1::5])
+    found = fitted(folder)
+    assert list(found.missing) == ["lot-1.parquet"]
+    assert set(found.devices) == set(result.devices) - set(sorted(result.devices)[1::5])
 
 
 def test_a_device_in_several_files_is_refused_once(lot_folder, tmp_path) -> None:
@@ -124,13 +119,12 @@ def test_a_device_in_several_files_is_refused_once(lot_folder, tmp_path) -> None
     whole = pd.read_parquet(folder / "lot-3.parquet")
     stray = table().query("device == 'D00'")  # which stands in lot-0
     pd.concat([whole, stray]).to_parquet(folder / "lot-3.parquet")
-    for rows in (SMALL, None):
-        found = bc.fit_batch(MODEL, folder, partition_rows=rows)
-        assert (len(found), found.fitted) == (24, 23)
-        own = found.table().query("device == 'D00'")
-        assert len(own) == 1 and not own.ok.any()
-        assert all(name in own.reason.iloc[0] for name in ("lot-0.parquet", "lot-3.parquet"))
-        assert found.coefficients().devices.tolist() == [23, 23, 23]
+    found = fitted(folder)
+    assert (len(found), found.fitted) == (24, 23)
+    own = found.table().query("device == 'D00'")
+    assert len(own) == 1 and not own.ok.any()
+    assert all(name in own.reason.iloc[0] for name in ("lot-0.parquet", "lot-3.parquet"))
+    assert found.coefficients().devices.tolist() == [23, 23, 23]
 
 
 def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, tmp_path) -> None:

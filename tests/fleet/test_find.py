@@ -28,7 +28,7 @@ def fleet(tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
-    found = bc.fit_batch(MODEL, fleet, find=True, population=True, partition_rows=600)
+    found = bc.fit_batch(MODEL, fleet, find=True, population=True)
     table = found.effects.set_index("effect")
     assert table.devices["bias.thermal_lag"] == len(WITH)
     assert table.devices.sum() == len(WITH)  # nothing else in any
@@ -46,7 +46,7 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
 
 @pytest.mark.slow
 def test_a_time_limit_names_the_files_that_were_not_reached(fleet) -> None:
-    found = bc.fit_batch(MODEL, fleet, time_limit=1e-6, partition_rows=600)
+    found = bc.fit_batch(MODEL, fleet, time_limit=1e-6)
     assert 0 < found.fitted < DEVICES and len(found) + len(found.missing) == DEVICES
 
 

@@ -32,7 +32,7 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
     columns = {"columns": {"output": "gyro_x"}}
     found = bc.fit_batch(
         GENERAL.baseline(), tmp_path, reference={"T0": 0.0},
-        columns=columns, population=True, partition_rows=1,
+        columns=columns, population=True,
     )  # fmt: skip
     assert len(found) == found.fitted == 4
     rows = found.table().set_index(["device", "coefficient"])

@@ -141,6 +141,10 @@ def write_plain_json(data: Any, path: Path) -> None:
     write_json(as_json(data), path)
 
 
+# Readings that a task of a batch takes: some five devices.
+SMALL_TASKS = ("bayescal._annexes.fleet.fit_batch.READINGS_PER_TASK", 100)
+
+
 def cluster_of(workers: int) -> Any:
     """A Dask cluster as `bayescal batch --workers` opens one, for the length of a block."""
     from bayescal._annexes.fleet.engine import open_cluster

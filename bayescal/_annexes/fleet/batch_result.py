@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 import bayescal as bc
 from bayescal import workshop as ws
+from bayescal._annexes.fleet.find_devices import EFFECTS, DeviceStructure
 from bayescal._annexes.fleet.population import Named, Population, follow, learn
 
 FORMAT = "bayescal.batch/1"
@@ -41,7 +42,6 @@ SCHEMA = pa.schema(
     ]
 )
 COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
-EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
 def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str = "") -> list[str]:
@@ -93,7 +93,7 @@ class DeviceResult:
         covariance: (q, q); NaN for what is held at its estimate (standard deviations, by least squares).
         readings: how many were fitted; NaN if that is not known.
         t0: reference temperature, °C; NaN where there is none.
-        file: that it stands in.
+        structure: what is missing from its model, if that was looked for; not saved.
     """
 
     device: str = ""
@@ -104,7 +104,7 @@ class DeviceResult:
     covariance: np.ndarray = field(default_factory=partial(np.zeros, (0, 0)))
     readings: float = np.nan
     t0: float = np.nan
-    file: str = ""
+    structure: DeviceStructure | None = None
 
     @property
     def ok(self) -> bool:
@@ -132,22 +132,6 @@ class DeviceResult:
         errors = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
         rows = zip(self.names, self.mean, errors, self.units, strict=True)
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
-
-
-def once_each(results: Iterable[DeviceResult]) -> tuple[DeviceResult, ...]:
-    """Refuse devices that stand in several files: which of their readings count is not known."""
-    by_name: dict[str, list[DeviceResult]] = {}
-    for fit in results:
-        by_name.setdefault(fit.device, []).append(fit)
-    unique = []
-    for name, fits in by_name.items():
-        if len(fits) == 1:
-            unique.append(fits[0])
-            continue
-        first, other, *_ = sorted(fit.file for fit in fits)
-        why = f"device {name!r} stands in {len(fits)} files, {first!r} and {other!r}: put its readings into one"
-        unique.append(DeviceResult(name, why))
-    return tuple(unique)
 
 
 def pooled(

@@ -1,56 +1,13 @@
-"""Files of many devices: those in folders, and parts of about so many readings, of files or of devices."""
+"""Files of many devices: those in folders, and what of these is not read."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.devices import Devices
-
-T = TypeVar("T")
-BYTES_A_ROW = 30  # of a text file, a log
-
-
-def packed(sized: Iterable[tuple[T, int]], most: int) -> list[list[T]]:
-    """Split items with sizes, in their order, into parts of at most so much, or of one item."""
-    parts, count = list[list[T]]([[]]), 0
-    for item, size in sized:
-        if parts[-1] and count + size > most:
-            parts.append([])
-            count = 0
-        parts[-1].append(item)
-        count += size
-    return parts
-
-
-def parts_of(files: Iterable[Path], rows: int) -> list[list[Path]]:
-    """Split files into parts of about so many readings."""
-    return packed(((path, _readings_in(path)) for path in files), rows)
-
-
-def cut(files: Iterable[Devices], rows: int) -> list[list[Devices]]:
-    """Split devices that were read into parts of about so many readings."""
-    pieces = list[Devices]()
-    for devices in files:
-        sizes = ((n, len(devices.measurements.get(n, ()))) for n in devices.names)
-        pieces += map(devices.some, packed(sizes, rows))
-    return packed(((piece, piece.readings) for piece in pieces), rows)
-
-
-def _readings_in(path: Path) -> int:
-    """Return how many readings a file holds, about."""
-    if path.suffix.lower() == ".parquet":
-        with suppress(OSError, pa.ArrowException):  # damaged: whoever reads it says how
-            return pq.read_metadata(path).num_rows
-    return path.stat().st_size // BYTES_A_ROW
 
 
 def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:

@@ -31,13 +31,11 @@ class Devices:
         names: of all devices, in order of appearance, refused ones too.
         measurements: by name, of those that were let in.
         refused: name → why its rows cannot be used.
-        file: that they stand in; empty for several, or none.
     """
 
     names: tuple[str, ...]
     measurements: dict[str, bc.Measurements]
     refused: dict[str, str] = field(default_factory=dict)
-    file: str = ""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -58,7 +56,7 @@ class Devices:
         """Return some of the devices."""
         accepted = {n: self.measurements[n] for n in names if n in self.measurements}
         refused = {n: self.refused[n] for n in names if n in self.refused}
-        return Devices(tuple(names), accepted, refused, self.file)
+        return Devices(tuple(names), accepted, refused)
 
     def __repr__(self) -> str:
         return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
@@ -69,23 +67,49 @@ class Devices:
         return sum(map(len, self))
 
     @classmethod
-    def of(cls, measurements: Mapping[str, bc.Measurements], refused: Mapping[str, str]) -> Devices:
-        """Accept all devices but those that are refused."""
-        names = tuple(dict.fromkeys([*measurements, *refused]))
+    def of_files(cls, by_file: Mapping[Path, Devices]) -> Devices:
+        """Put the devices of files together; refuse one that stands in several: which readings count is not known."""
+        measurements, refused = dict[str, bc.Measurements](), dict[str, str]()
+        first_files = dict[str, Path]()
+        for file, devices in by_file.items():
+            measurements |= devices.measurements
+            refused = devices.refused | refused
+            for name in devices.names:
+                if (first := first_files.setdefault(name, file)) != file:
+                    refused[name] = (
+                        f"device {name!r} stands in several files, {first.name!r} and {file.name!r}: put its readings "
+                        "into one"
+                    )
         accepted = {name: m for name, m in measurements.items() if name not in refused}
-        return cls(names, accepted, dict(refused))
+        return cls(tuple(first_files), accepted, refused)
 
+    @classmethod
+    def of_measurements(
+        cls, readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]
+    ) -> Devices:
+        """Return devices by their key, their label of column `device`, or their place.
 
-def gathered(readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]) -> Devices:
-    """Return devices by their key, their label of column `device`, or their place."""
-    if isinstance(readings, Mapping):
-        by_name = {str(name): device for name, device in readings.items()}
-    else:
-        by_name = {_label(device, i): device for i, device in enumerate(readings)}
-        if len(by_name) < len(readings):
-            by_name = {str(i + 1): device for i, device in enumerate(readings)}
-    bad = {name: why for name, device in by_name.items() if (why := _not_finite(name, device))}
-    return Devices.of(by_name, bad)
+        Raises:
+            InputError: there is none, or an entry is of another type.
+        """
+        entries = readings.values() if isinstance(readings, Mapping) else readings
+        for i, entry in enumerate(entries):
+            if not isinstance(entry, bc.Measurements):
+                raise bc.InputError(
+                    f"fit_batch: entry {i + 1} of the readings is of type {type(entry).__name__}; measurements were "
+                    "expected, or paths"
+                )
+        if not len(entries):
+            raise bc.InputError("there is no device to fit: give at least one")
+        if isinstance(readings, Mapping):
+            by_name = {str(name): device for name, device in readings.items()}
+        else:
+            by_name = {_label(device, i): device for i, device in enumerate(readings)}
+            if len(by_name) < len(readings):
+                by_name = {str(i + 1): device for i, device in enumerate(readings)}
+        bad = {name: why for name, device in by_name.items() if (why := _not_finite(name, device))}
+        accepted = {name: device for name, device in by_name.items() if name not in bad}
+        return cls(tuple(by_name), accepted, bad)
 
 
 def _label(device: bc.Measurements, index: int) -> str:
@@ -125,30 +149,18 @@ def split_devices(
             `read`; columns={"device": "serial"} splits by `serial`.
 
     Returns:
-        The devices. Those with a cell that cannot be used, one temperature only or time that runs backwards are in
-        `refused`, each with its message; the others are not affected.
+        The devices. Those with a cell that cannot be used, one temperature only, time that runs backwards, or readings
+        in several files are in `refused`, each with its message; the others are not affected.
 
     Raises:
-        InputError: a file cannot be read, lacks a column, has a wrong unit, rows without a device, or a device of
-            another file: nothing shows then what of it is right.
+        InputError: a file cannot be read, lacks a column, has a wrong unit, or rows without a device.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not files:
         raise bc.InputError("no file was given to split into devices: give at least one")
     options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
-    measurements, refused = dict[str, bc.Measurements](), dict[str, str]()
-    names = dict[str, None]()
-    for path in files:
-        devices = devices_of(path, instrument, options, needs, max_bytes)
-        if twice := names.keys() & {*devices.names}:
-            raise bc.InputError(
-                f"{path.name!r} holds device {min(twice)!r}, which a file before it holds too: put the "
-                "readings of a device into one file"
-            )
-        names |= dict.fromkeys(devices.names)
-        measurements |= devices.measurements
-        refused |= devices.refused
-    return Devices(tuple(names), measurements, refused)
+    by_file = {p: devices_of(p, instrument, options, needs, max_bytes) for p in files}
+    return Devices.of_files(by_file)
 
 
 def devices_of(
@@ -195,7 +207,7 @@ def devices_of(
         else:
             source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
             by_name[name] = bc.Measurements(device, units, (source,), output=output)
-    return Devices(names, by_name, refused, path.name)
+    return Devices(names, by_name, refused)
 
 
 def _further(

@@ -12,8 +12,8 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
@@ -26,8 +26,7 @@ INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 LOOPBACK = "127.0.0.1"
 ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
 RETRIES = 2  # of a task that failed; a worker that died does not count
-POLL_SECONDS = 2.0  # between looks at the workers
-WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
+POLL_SECONDS = 2.0  # between looks at the deadline
 LARGEST_TASKS = "4GB"  # which a scheduler takes without a warning: twice what a file may hold
 NOT_REACHED = "not reached ({}): give more time"
 
@@ -39,66 +38,42 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
     Raises:
         InputError: Dask is not installed, or nobody answers at the address.
     """
-    if importlib.util.find_spec("distributed") is None:
+    if not all(map(importlib.util.find_spec, ("distributed", "cryptography"))):
         raise bc.InputError(INSTALL)
     from distributed import Client
 
-    if scheduler is None:
-        with _local_cluster(workers) as cluster, Client(cluster) as client:
+    with nullcontext(scheduler) if scheduler else _local_cluster(workers) as place:
+        try:
+            client = Client(place, timeout=ANSWER_SECONDS)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise bc.InputError(
+                f"no scheduler answers at {scheduler!r} ({error}): start one with `dask scheduler`, and workers with "
+                "`dask worker`"
+            ) from None
+        with client:
             yield client
-        return
-    try:
-        client = Client(scheduler, timeout=ANSWER_SECONDS)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise bc.InputError(
-            f"no scheduler answers at {scheduler!r} ({error}): start one with `dask scheduler`, and workers with "
-            "`dask worker`"
-        ) from None
-    with client:
-        yield client
 
 
-@contextmanager
-def _local_cluster(workers: int | None) -> Iterator[LocalCluster]:
+def _local_cluster(workers: int | None) -> LocalCluster:
     """Open a local worker pool that accepts tasks from this process only."""
     import dask.config
     from distributed import LocalCluster
     from distributed.security import Security
 
-    sealed = importlib.util.find_spec("cryptography") is not None
-    if not sealed:
-        note = (
-            "any user of this computer can have the workers run code as long as they run, because they have no keys: "
-            "pip install cryptography"
-        )
-        ws.print_notes([note])
+    # Its processes start without the current folder first in their module path.
+    os.environ["PYTHONSAFEPATH"] = "1"
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
-    with (
-        _modules_of_no_folder(),
-        dask.config.set(settings),
-        LocalCluster(
+    with dask.config.set(settings):
+        return LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            security=Security.temporary() if sealed else None,
+            security=Security.temporary(),
             dashboard_address=f"{LOOPBACK}:0",
             scheduler_kwargs={"dashboard": False},
-        ) as cluster,
-    ):
-        yield cluster  # pyright: ignore[reportReturnType]
-
-
-@contextmanager
-def _modules_of_no_folder() -> Iterator[None]:
-    """Start Python processes without the current folder first in their module path."""
-    before = os.environ.get("PYTHONSAFEPATH", "")
-    os.environ["PYTHONSAFEPATH"] = "1"
-    try:
-        yield
-    finally:
-        os.environ["PYTHONSAFEPATH"] = before  # empty is as not set
+        )
 
 
 def dask_setup(_: Any) -> None:
@@ -106,7 +81,7 @@ def dask_setup(_: Any) -> None:
     ws.obey_no_folder()
 
 
-# Which task, what it returned, why it failed: empty where it did not.
+# Place of a task, what it returned, why it failed: empty where it did not.
 Outcome = tuple[int, Any, str]
 
 
@@ -115,56 +90,40 @@ def run_tasks(
 ) -> Iterator[Outcome]:
     """Run a function on each of several arguments, and yield outcomes as they come in.
 
-    Tasks that the deadline leaves out, and those of a cluster that is gone, fail with that reason.
+    Tasks that the deadline leaves out fail with that reason.
     """
     end = ws.deadline.current()
     if client is None:
         for index, task in enumerate(tasks):
-            if index and end.over:
-                yield index, None, NOT_REACHED.format(end.why)
-                continue
-            try:
-                yield index, function(*task), ""
-            except (bc.BayescalError, OSError) as error:
-                yield index, None, str(error)
+            missed = index and end.over
+            value, why = (
+                (None, NOT_REACHED.format(end.why)) if missed else run_guarded(function, task)
+            )
+            yield index, value, why
         return
     import dask.config
-    from distributed import as_completed
 
+    executor = client.get_executor(pure=False, retries=RETRIES)
     # Devices that were read are part of a task.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
-        futures = client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
-    pending, idle, why = {future: i for i, future in enumerate(futures)}, 0.0, ""
-    while pending and not why:
-        try:
-            for future in as_completed(list(pending), timeout=POLL_SECONDS):
-                yield pending.pop(future), *_outcome(client, future)
-                future.release()
-                end.defer_interrupt()
-                if end.over:
-                    break
-        except TimeoutError:
-            idle = 0.0 if client.nthreads() else idle + POLL_SECONDS
-        if end.over:
-            why = NOT_REACHED.format(end.why)
-        elif idle > WORKER_TIMEOUT:
-            why = "the cluster has no worker left: start workers"
-    client.cancel(list(pending))
-    yield from ((index, None, why) for index in pending.values())
+        futures = {executor.submit(run_guarded, function, t): i for i, t in enumerate(tasks)}
+    while futures and not end.over:
+        done, _ = wait(futures, POLL_SECONDS, FIRST_COMPLETED)
+        for future in done:
+            index = futures.pop(future)
+            try:
+                yield index, *future.result()
+            except Exception as error:  # whatever a cluster says of tasks it gave up
+                yield index, None, f"the cluster gave it up: {str(error) or type(error).__name__}"
+            end.defer_interrupt()
+    for future, index in futures.items():
+        future.cancel()
+        yield index, None, NOT_REACHED.format(end.why)
 
 
-def _outcome(client: Client, future: Any) -> tuple[Any, str]:
-    """Return a task's result; why, if it failed for good, or the scheduler is gone."""
-    from distributed.scheduler import KilledWorker
-
+def run_guarded(function: Callable[..., Any], task: tuple) -> tuple[Any, str]:
+    """Return a task's value; or why it failed, if the readings or a file are the cause."""
     try:
-        return future.result(), ""
-    except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
-        why = str(error) or type(error).__name__
-        gone = client.status != "running" or future.status in ("cancelled", "lost")
-        if isinstance(error, KilledWorker):
-            why = "the workers that it ran on died one after the other: is there memory enough?"
-        elif gone and not isinstance(error, bc.BayescalError):
-            address = "" if client.scheduler is None else f" at {client.scheduler.address}"
-            why = f"the scheduler{address} is gone: start it again"
-        return None, why
+        return function(*task), ""
+    except (bc.BayescalError, OSError) as error:
+        return None, str(error)

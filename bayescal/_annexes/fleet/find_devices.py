@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,9 +23,9 @@ from scipy.special import expit
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.batch_result import EFFECTS
-from bayescal._annexes.fleet.fit_devices import Reference
 
+# Columns of the table of effects.
+EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
 # Nats behind a device's best structure, up to which others are kept: D devices know the odds of a share up to about D,
@@ -72,7 +72,7 @@ class DeviceStructure:
 
 
 def search_device(
-    model: bc.Model, readings: bc.Measurements, find: Find, reference: Reference
+    model: bc.Model, readings: bc.Measurements, find: Find, reference: Mapping[str, Any]
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
     """Search one device's structures; return the one to use, its model, and its φ by name at the mode.
 

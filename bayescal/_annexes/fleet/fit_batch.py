@@ -1,52 +1,35 @@
 """One verb for many devices of one type: `fit_batch`, in this process or on a cluster.
 
-Files are cut into parts that one process can hold; each is read and fitted, and what comes of all is put together.
+Files are read one by one, devices are fitted some at a time: each file, and each part of the devices, is a task.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.batch_result import (
-    BatchResult,
-    DeviceResult,
-    first_few,
-    once_each,
-    pooled,
-)
-from bayescal._annexes.fleet.device_files import cut, files_of, parts_of
-from bayescal._annexes.fleet.devices import Devices, devices_of, gathered
+from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few, pooled
+from bayescal._annexes.fleet.device_files import files_of
+from bayescal._annexes.fleet.devices import Devices, devices_of
 from bayescal._annexes.fleet.engine import run_tasks
-from bayescal._annexes.fleet.find_devices import (
-    DeviceStructure,
-    Find,
-    common_model,
-    effects_table,
-    search_device,
-)
-from bayescal._annexes.fleet.fit_devices import (
-    FitOptions,
-    Reference,
-    fit_devices,
-    tailored,
-)
+from bayescal._annexes.fleet.find_devices import Find, common_model, effects_table, search_device
+from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailored
 from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 
 if TYPE_CHECKING:
     from distributed import Client
 
-ROWS = 500_000  # readings in a part, which with JAX takes 0.6 GB of a worker
-FIND_ROWS = 5_000  # where each device is searched: so that no more than a minute or two is lost
+READINGS_PER_TASK = 500_000  # which with JAX take 0.6 GB of a worker
+READINGS_PER_SEARCH = 5_000  # so that no more than a minute or two is lost with a worker
 PROGRESS_SECONDS = 9.0  # between two lines about how far it is
 
 Readings = (
@@ -57,166 +40,127 @@ Readings = (
     | Path
     | Sequence[str | Path]
 )
-Part = Sequence[Path | Devices]
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is fitted to every device, and how its file is read."""
+    """What is fitted to every device."""
 
     model: bc.Model  # what is fitted
     fit_options: FitOptions  # of every fit
-    read_options: ws.ReadOptions  # how columns are understood
     find: Find | None  # what is looked for in each device, if anything is
     settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
-    def read(self, part: Part) -> tuple[list[Devices], dict[str, str]]:
-        """Read a part; and why files of it cannot be used."""
-        pieces, unreadable = list[Devices](), dict[str, str]()
-        model = self.model
-        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-        for entry in part:
-            if isinstance(entry, Devices):
-                pieces.append(entry)
-                continue
-            try:
-                pieces.append(devices_of(entry, model.instrument, self.read_options, needs))
-            except (bc.InputError, OSError) as error:
-                unreadable[entry.name] = str(error)
-        return pieces, unreadable
 
-
-class Fits(NamedTuple):
-    """What came of some parts."""
-
-    results: tuple[DeviceResult, ...]  # of their devices
-    structures: dict[str, DeviceStructure]  # of the devices that were searched
-    missing: dict[str, str]  # file → why its devices have no results
-
-
-def fit_part(request: Request, part: Part) -> Fits:
-    """Read and fit the devices of a part."""
+def fit_part(request: Request, devices: Devices) -> list[DeviceResult]:
+    """Search and fit some devices."""
     with bc.use_settings(request.settings):
-        (pieces, unreadable), options = request.read(part), request.fit_options
-        devices = [(piece, name) for piece in pieces for name in piece.names]
-        refused = [piece.refused.get(name) for piece, name in devices]
-        fitted = {i: DeviceResult(reason=why) for i, why in enumerate(refused) if why}
-        good = {i: p[name] for i, (p, name) in enumerate(devices) if i not in fitted}
-        structures, models = dict[str, DeviceStructure](), dict.fromkeys(good, request.model)
-        starts = dict[int, Mapping[str, float]]()
-        for i, find in ((i, request.find) for i in [*good] if request.find):
+        results = {name: DeviceResult(reason=why) for name, why in devices.refused.items()}
+        good, structures, starts = dict(devices.measurements), {}, dict[str, Mapping[str, float]]()
+        models, options = dict.fromkeys(good, request.model), request.fit_options
+        for name, find in ((name, request.find) for name in [*good] if request.find):
             try:
-                args = request.model, good[i], find, options.reference
-                structures[devices[i][1]], models[i], starts[i] = search_device(*args)
+                searched = search_device(request.model, good[name], find, options.reference)
+                structures[name], models[name], starts[name] = searched
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
-                fitted[i] = DeviceResult(reason=str(error))
-                del good[i]
+                results[name] = DeviceResult(reason=str(error))
+                del good[name]
         with ws.deadline.finishing() if request.find else nullcontext():
-            fitted |= fit_devices(models, good, options, starts)
-        results = [
-            replace(fitted[i], device=name, file=piece.file)
-            for i, (piece, name) in enumerate(devices)
+            results |= fit_devices(models, good, options, starts)
+        return [
+            replace(results[name], device=name, structure=structures.get(name))
+            for name in devices.names
         ]
-        return Fits(tuple(results), structures, unreadable)
 
 
-def _refused(part: Part, why: str) -> Fits:
-    """Return a part that nothing came of: devices of what was read have that reason, of files nothing is known."""
-    results = tuple(
-        DeviceResult(name, piece.refused.get(name, why), file=piece.file)
-        for piece in part
-        if isinstance(piece, Devices)
-        for name in piece.names
-    )
-    return Fits(results, {}, {piece.name: why for piece in part if isinstance(piece, Path)})
+def read_file(
+    path: Path, model: bc.Model, options: ws.ReadOptions, settings: bc.Settings
+) -> Devices:
+    """Read the devices of a file, with the columns that a model needs."""
+    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    with bc.use_settings(settings):
+        return devices_of(path, model.instrument, options, needs)
 
 
-def sum_temperatures(request: Request, part: Part) -> dict[str, np.ndarray]:
-    """Return sum and number of a part's temperatures, by the name of each column's reference."""
+def run_each(
+    client: Client | None,
+    function: Callable[..., Any],
+    tasks: Sequence[tuple],
+    sizes: Sequence[int],
+    what: str,
+) -> Iterator[tuple[int, Any, str]]:
+    """Yield what a function gives of tasks as it comes, as `run_tasks`, and say how far it is.
+
+    Args:
+        client, function, tasks: as of `run_tasks`.
+        sizes: of the tasks, in files or devices.
+        what: "files" or "devices".
+    """
+    start = last = time.monotonic()
+    count, total = 0, sum(sizes)
+    for outcome in run_tasks(client, function, tasks):
+        yield outcome
+        count += sizes[outcome[0]]
+        if time.monotonic() > last + PROGRESS_SECONDS and count < total:
+            last = time.monotonic()
+            remaining = (last - start) * (total / count - 1)
+            ws.tell(f"{count:,} of {total:,} {what}, about {remaining:,.0f} s left", count / total)
+
+
+def read_files(
+    files: Sequence[Path], model: bc.Model, options: ws.ReadOptions, client: Client | None
+) -> tuple[Devices, dict[str, str]]:
+    """Read files of devices; return these, and of files that cannot be read why."""
+    by_file, errors = dict[int, Devices](), dict[str, str]()
+    tasks = [(path, model, options, ws.settings()) for path in files]
+    for i, devices, error in run_each(client, read_file, tasks, [1] * len(files), "files"):
+        if error:
+            errors[files[i].name] = error
+        else:
+            by_file[i] = devices
+    return Devices.of_files({files[i]: by_file[i] for i in sorted(by_file)}), errors
+
+
+def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
+    """Fit all devices, some at a time; those that are not reached have that reason."""
+    sizes = [len(devices.measurements.get(name, ())) for name in devices.names]
+    most = READINGS_PER_SEARCH if request.find else READINGS_PER_TASK
+    cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // most)) + 1
+    parts = [devices.some(part.tolist()) for part in np.split(np.array(devices.names), cuts)]
+    tasks, counts = [(request, part) for part in parts], [*map(len, parts)]
+    results = dict[str, DeviceResult]()
+    for i, fitted, error in run_each(client, fit_part, tasks, counts, "devices"):
+        refused = {name: DeviceResult(name, error) for name in parts[i].names}
+        results |= refused if error else {fit.device: fit for fit in fitted}
+    return tuple(results[name] for name in devices.names)
+
+
+def common_reference(devices: Devices) -> Reference:
+    """Return the reference temperatures of all readings together, rounded to a degree."""
     total: dict[str, np.ndarray] = {}
-    with bc.use_settings(request.settings):
-        for device in (device for piece in request.read(part)[0] for device in piece):
-            for name in (n for n in device.columns if device.unit(n) == "degC"):
-                sums = total.setdefault(ws.reference_name(name), np.zeros(2))
-                sums += np.sum(device[name]), len(device)
+    for device in devices:
+        for column in (n for n in device.columns if device.unit(n) == "degC"):
+            sums = total.setdefault(ws.reference_name(column), np.zeros(2))
+            sums += np.sum(device[column]), len(device)
     total.pop(ws.reference_name("temperature_point"), None)
-    return total
+    return {name: float(np.round(temperature / n)) for name, (temperature, n) in total.items()}
 
 
-@dataclass(frozen=True)
-class _Run:
-    """Parts of a batch, and where they are fitted."""
+def tailored_to_any(model: bc.Model, devices: Devices) -> bc.Model:
+    """Return the model tailored to the first device that it can be tailored to.
 
-    request: Request
-    parts: Sequence[Part]
-    client: Client | None
-
-    def run_each(self, function: Callable[..., Any]) -> tuple[list[Any], dict[int, str]]:
-        """Return what a function gives of the parts, in their order, and why it gives nothing of others."""
-        values, errors = dict[int, Any](), dict[int, str]()
-        start = last = time.monotonic()
-        tasks = [(self.request, part) for part in self.parts]
-        read = all(isinstance(piece, Devices) for part in self.parts for piece in part)
-        sizes = [sum(len(getattr(p, "names", "1")) for p in part) for part in self.parts]
-        count, total, what = 0, sum(sizes), "devices" if read else "files"
-        for i, value, error in run_tasks(self.client, function, tasks):
-            (errors if error else values)[i] = error or value
-            count += sizes[i]
-            if time.monotonic() > last + PROGRESS_SECONDS and count < total:
-                last = time.monotonic()
-                remaining = (last - start) * (total / count - 1)
-                ws.tell(
-                    f"{count:,} of {total:,} {what}, about {remaining:,.0f} s left", count / total
-                )
-        return [value_of_part for _, value_of_part in sorted(values.items())], errors
-
-    def with_request(self, **changed: Any) -> _Run:
-        """Return the run with a changed request."""
-        return replace(self, request=replace(self.request, **changed))
-
-    def with_reference(self) -> _Run:
-        """Return the run with one T0 over all devices; raise InputError if a part is unreadable."""
-        options = self.request.fit_options
-        if not isinstance(self.parts[-1][0], Devices):
-            if "T0" in options.reference:
-                return self
-            ws.tell("reading all temperatures, for a common T0 (a reference given spares that)")
-        with ws.deadline.finishing():
-            sums, errors = self.run_each(sum_temperatures)
-        if errors:
-            raise bc.InputError("; ".join(errors.values()))
-        names = dict.fromkeys(name for part in sums for name in part)
-        total = {name: sum(part.get(name, np.zeros(2)) for part in sums) for name in names}
-        common: Reference = {name: float(np.round(s / n)) for name, (s, n) in total.items()}
-        return self.with_request(fit_options=replace(options, reference=common | options.reference))
-
-    def tailored(self) -> _Run:
-        """Return the run with the model tailored to the first device that it can be tailored to.
-
-        Raises:
-            InputError: no device has what the instrument takes from readings: why, of the first.
-        """
-        model, refusals = self.request.model, list[str]()
-        for part in self.parts if model.instrument.tailor is not None else ():
-            for readings in (d for piece in self.request.read(part)[0] for d in piece):
-                try:
-                    return self.with_request(model=tailored(model, readings))
-                except bc.InputError as error:
-                    refusals.append(str(error))
-        if refusals:
-            raise bc.InputError(f"none of the devices can be used; {refusals[0]}")
-        return self
-
-    def fitted(self) -> Fits:
-        """Fit all parts, and put them together."""
-        fits, errors = self.run_each(fit_part)
-        fits += [_refused(self.parts[i], why) for i, why in errors.items()]
-        structures, missing = dict[str, DeviceStructure](), dict[str, str]()
-        for part in fits:
-            structures |= part.structures
-            missing |= part.missing
-        results = once_each(fit for part in fits for fit in part.results)
-        return Fits(results, structures, missing)
+    Raises:
+        InputError: no device has what the instrument takes from readings: why, of the first.
+    """
+    refusals = list[str]()
+    for readings in devices if model.instrument.tailor is not None else ():
+        try:
+            return tailored(model, readings)
+        except bc.InputError as error:
+            refusals.append(str(error))
+    if refusals:
+        raise bc.InputError(f"none of the devices can be used; {refusals[0]}")
+    return model
 
 
 def fit_batch(
@@ -230,7 +174,6 @@ def fit_batch(
     time_limit: float | None = None,
     client: Client | None = None,
     out: str | Path | None = None,
-    partition_rows: int | None = None,
     columns: Mapping[str, Any] | None = None,
     find: bool | Find = False,
 ) -> BatchResult:
@@ -246,8 +189,8 @@ def fit_batch(
     standard deviation are learned; every device moves toward it by as much as its own readings leave open. Exact for a
     linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
 
-    **Files** are read and fitted some at a time, here or by the workers of a Dask `client`, with the same numbers. One
-    that cannot be read is named in `missing`; a device that stands in several files is refused.
+    Files are read and devices are fitted here or by the workers of a Dask `client`, with the same numbers. A file that
+    cannot be read is named in `missing`; a device that stands in several files is refused.
 
     Args:
         model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
@@ -261,7 +204,6 @@ def fit_batch(
         time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
         client: of a Dask cluster whose workers see the files under the same paths.
         out: where the result is saved, as by `BatchResult.save`.
-        partition_rows: readings that a process holds at once, about.
         columns: how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
         find: whether each device's missing effects are searched (about a second a device), or how.
 
@@ -274,43 +216,43 @@ def fit_batch(
         method = replace(method, chains=False)
     options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
     chosen(model, population)  # a wrong name is refused before anything is read
-    search = Find() if find is True else find or None
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, options, read_options, search, ws.settings())
-    paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
-    rows = (FIND_ROWS if search else ROWS) if partition_rows is None else partition_rows
-    if rows < 1:
-        raise bc.InputError(f"partition_rows is {rows}: give at least 1")
-    if paths:
-        ws.refuse_missing([path for path in paths if not path.is_dir()])
-        files, unread = files_of([p.resolve() for p in paths])
-        ws.print_notes(line.strip() for line in first_few(unread, len(unread), "not read: "))
-        parts += parts_of(files, rows)
-        if len(parts) == 1:  # several of the steps below see its readings
-            by_file = {path: request.read([path])[0] for path in files}
-            lost = [path for path, devices in by_file.items() if not devices]
-            pieces = cut((piece for devices in by_file.values() for piece in devices), rows)
-            parts = [part for part in (lost, *pieces) if part]
-    else:
-        parts += cut([_gather(readings)], rows)
+    paths, missing, left_out = _paths(readings), dict[str, str](), dict[str, str]()
+    ws.refuse_missing([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):
-        run = _Run(request, parts, client)
-        run = run.with_reference() if population else run
-        result = _fit(run.tailored(), population)
-    result = replace(result, left_out=unread)
+        if paths:
+            files, left_out = files_of([path.resolve() for path in paths])
+            lines = first_few(left_out, len(left_out), "not read: ")
+            ws.print_notes(line.strip() for line in lines)
+            devices, missing = read_files(files, model, read_options, client)
+        else:
+            given = isinstance(readings, Devices)
+            devices = readings if given else Devices.of_measurements(readings)  # pyright: ignore
+        if population:
+            common = common_reference(devices) | options.reference
+            options = replace(options, reference=common)
+        search = Find() if find is True else find or None
+        request = Request(tailored_to_any(model, devices), options, search, ws.settings())
+        result = _fit(client, request, devices, missing, population)
+    result = replace(result, missing=missing, left_out=left_out)
     if out is not None:
         result.save(out)
     return result
 
 
-def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
+def _fit(
+    client: Client | None,
+    request: Request,
+    devices: Devices,
+    missing: dict[str, str],
+    population: AskedPopulation,
+) -> BatchResult:
     """Fit all devices, compare them, and put a population to them; raise InputError if none can be used."""
-    model, options, find = run.request.model, run.request.fit_options, run.request.find
-    named = chosen(model, population)
+    model, options, find = request.model, request.fit_options, request.find
     with ws.stage("fitting devices"):
-        fitted = run.fitted()
+        results = fit_all(client, request, devices)
     about = {
         "instrument": model.instrument.name,
         "effects": list(model.names),
@@ -319,35 +261,34 @@ def _fit(run: _Run, population: AskedPopulation) -> BatchResult:
         "seed": options.seed,
         "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
     }
-    result = BatchResult(
-        fitted.results, about | ({"settings": settings} if (settings := ws.unusual()) else {})
-    )
+    about |= {"settings": settings} if (settings := ws.unusual()) else {}
+    result = BatchResult(results, about)
     if not any(fit.names for fit in result):
-        reasons = result.unreliable | fitted.missing
+        reasons = result.unreliable | missing
         lines = "\n".join(first_few(reasons, len(reasons))).strip()
         raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
-    structures = [fitted.structures[name] for name in result.devices if name in fitted.structures]
+    structures = [fit.structure for fit in results if fit.structure is not None]
     effects = effects_table(structures, options.seed)
     common = common_model(model, structures, effects, find.effects if find else ())
-    if shapes := _usual_shapes(common, model, fitted.results):
+    if shapes := _usual_shapes(common, model, results):
         common = common.fix(shapes)
-    t0, compared = result.facts["T0"], result.results
+    t0, compared = result.facts["T0"], results
     t0_differs = "T0" not in options.reference and t0.dropna().nunique() > 1
     if t0_differs:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
         options = replace(options, reference=reference, method=bc.LeastSquares())
     if t0_differs or common is not model:
-        compared = run.with_request(model=common, fit_options=options, find=None).fitted().results
-    results, learned = result.results, None
-    if named:
+        request = replace(request, model=common, fit_options=options, find=None)
+        compared = fit_all(client, request, devices)
+    odd, learned = odd_devices(compared, t0, common.noise.parameters()), None
+    if named := chosen(model, population):
         results, learned = pooled(results, named, options.seed)
     return replace(
         result,
         results=results,
         population=learned,
-        odd=odd_devices(compared, t0, common.noise.parameters()),
+        odd=odd,
         checked=len(structures),
-        missing=fitted.missing,
         effects=effects,
     )
 
@@ -369,19 +310,3 @@ def _paths(readings: Any) -> list[Path]:
     if isinstance(readings, Devices | Mapping):
         return []
     return [Path(p) for p in readings] if all(isinstance(p, str | Path) for p in readings) else []
-
-
-def _gather(readings: Any) -> Devices:
-    """Return devices as they were given, or of measurements."""
-    if isinstance(readings, Devices):
-        return readings
-    entries = readings if isinstance(readings, Mapping) else list(readings)
-    if not len(entries):
-        raise bc.InputError("there is no device to fit: give at least one")
-    for i, entry in enumerate(entries.values() if isinstance(entries, Mapping) else entries):
-        if not isinstance(entry, bc.Measurements):
-            raise bc.InputError(
-                f"fit_batch: entry {i + 1} of the readings is of type {type(entry).__name__}; measurements were "
-                "expected, or paths"
-            )
-    return gathered(entries)

@@ -72,29 +72,28 @@ def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
 
 
 def fit_devices(
-    models: Mapping[int, bc.Model],
-    devices: Mapping[int, bc.Measurements],
+    models: Mapping[str, bc.Model],
+    devices: Mapping[str, bc.Measurements],
     options: FitOptions,
-    starts: Mapping[int, Mapping[str, float]],
-) -> dict[int, DeviceResult]:
+    starts: Mapping[str, Mapping[str, float]],
+) -> dict[str, DeviceResult]:
     """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out.
 
     Their modes are looked for at `starts` first, where these are known.
     """
-    results, pending = dict[int, DeviceResult](), dict(devices)
+    results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
         for some in _fit_plain(models, devices, options):
             results |= some
-            pending = {i: readings for i, readings in pending.items() if i not in some}
-            ws.deadline.current().defer_interrupt()
-            ws.deadline.current().ask()
-        for i in [*pending]:
-            results[i] = fit_alone(models[i], pending[i], options, starts.get(i, {}))
-            del pending[i]
-            ws.deadline.current().defer_interrupt()
-            ws.deadline.current().ask()
-    why = NOT_REACHED.format(ws.deadline.current().why)
-    return results | {i: DeviceResult(reason=why) for i in pending}
+            deadline.defer_interrupt()
+            deadline.ask()
+        for name in [name for name in devices if name not in results]:
+            start = starts.get(name, {})
+            results[name] = fit_alone(models[name], devices[name], options, start)
+            deadline.defer_interrupt()
+            deadline.ask()
+    not_reached = DeviceResult(reason=NOT_REACHED.format(deadline.why))
+    return dict.fromkeys(devices, not_reached) | results
 
 
 def fit_alone(
@@ -130,23 +129,23 @@ def _against(fitted: bc.Calibration) -> Sequence[Any]:
 
 
 def _fit_plain(
-    models: Mapping[int, bc.Model], devices: Mapping[int, bc.Measurements], options: FitOptions
-) -> Iterator[dict[int, DeviceResult]]:
+    models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], options: FitOptions
+) -> Iterator[dict[str, DeviceResult]]:
     """Fit devices of which nothing but the effects of one model may have acted on the outputs, and these linearly."""
     different = {id(model): model for model in models.values()}
     if not isinstance(options.method, bc.LeastSquares) or len(different) != 1:
         return
     (model,) = different.values()
     columns = {c.name for c in model.instrument.columns} | model.columns
-    groups: dict[Any, list[int]] = {}
-    for i, device in devices.items():
+    groups: dict[Any, list[str]] = {}
+    for label, device in devices.items():
         numbers = {name for name in device.columns if device.unit(name) is not None}
         if (
             numbers <= columns
             and ws.UNCERTAINTY not in numbers
             and {*model.columns} <= {*device.columns}
         ):
-            groups.setdefault((len(device), *device.columns), []).append(i)
+            groups.setdefault((len(device), *device.columns), []).append(label)
     for (count, *_), members in groups.items():
         most = max(1, NUMBERS // count)
         for begin in range(0, len(members), most):
