@@ -43,7 +43,7 @@ def test_parts_give_what_one_process_gives(lot_folder, result, tmp_path) -> None
     mean = result.table().query("coefficient == 'bias.temperature'")["mean"]
     row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
     assert row["median"] == pytest.approx(mean.median(), rel=1e-12)
-    assert row["between devices"] == pytest.approx(mean.std(ddof=0), rel=1e-9)
+    assert row["between devices"] == pytest.approx(mean.std(ddof=1), rel=1e-9)
     with pytest.raises(bc.InputError):
         found["D99"]
     back = bc.load_batch(tmp_path / "out")

@@ -228,8 +228,9 @@ def fit_batch(
             ws.print_notes(line.strip() for line in lines)
             devices, missing = read_files(files, model, read_options, client)
         else:
-            given = isinstance(readings, Devices)
-            devices = readings if given else Devices.of_measurements(readings)  # pyright: ignore
+            devices = (
+                readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
+            )
         if population:
             common = common_reference(devices) | options.reference
             options = replace(options, reference=common)

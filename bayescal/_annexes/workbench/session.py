@@ -169,10 +169,10 @@ class Session:
     def _go_on(self, model: bc.Model) -> None:
         """Resume from the states in the folder, even after a crash."""
         saved, effects = store.load_session(self.folder), tuple(self.effects.values())
-        own = () if model.instrument.name in ws.installed_names() else (model.instrument,)
+        uninstalled = () if model.instrument.name in ws.installed_names() else (model.instrument,)
         for n, entry in enumerate(saved.states):
             path = store.fit_path(self.folder, n)
-            calibration = bc.load(path, effects=effects, instruments=own)
+            calibration = bc.load(path, effects=effects, instruments=uninstalled)
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
                     f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
