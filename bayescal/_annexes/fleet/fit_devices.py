@@ -65,10 +65,8 @@ def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
     """
     general = model.instrument
     specific = general.for_readings(readings)
-    former, tailored = (
-        {e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific)
-    )
-    effects = (tailored.get(e.name, e) if e == former.get(e.name) else e for e in model.effects)
+    old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
+    effects = (tailored.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
     noise = specific.noise if model.noise == general.noise else model.noise
     return bc.Model(specific, tuple(effects), noise, model.fixed)
 
