@@ -234,21 +234,21 @@ CEILINGS = {
     "bayescal/_model": 5_475,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
-    "bayescal/_calibration": 4_608,
+    "bayescal/_calibration": 4_634,
     "bayescal/_use": 2_653,
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_681,
     "bayescal/_cli": 1_693,
-    "bayescal/_annexes/fleet": 2_139,
+    "bayescal/_annexes/fleet": 2_138,
     "bayescal/_annexes/imu": 3_200,
     "bayescal/_annexes/metrology": 1_647,
     "bayescal/_annexes/validation": 747,
-    "bayescal/_annexes/workbench": 2_570,
+    "bayescal/_annexes/workbench": 2_569,
     "models": 8_302,
     "tests": 23_774,
     "benchmarks": 10_609,
 }
-WORDS = 49_257  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_297  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
