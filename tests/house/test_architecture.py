@@ -235,7 +235,7 @@ CEILINGS = {
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
     "bayescal/_calibration": 4_634,
-    "bayescal/_use": 2_653,
+    "bayescal/_use": 2_854,
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_681,
     "bayescal/_cli": 1_693,
@@ -245,10 +245,10 @@ CEILINGS = {
     "bayescal/_annexes/validation": 747,
     "bayescal/_annexes/workbench": 2_569,
     "models": 8_302,
-    "tests": 23_738,
+    "tests": 23_756,
     "benchmarks": 10_609,
 }
-WORDS = 49_297  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_301  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
