@@ -470,12 +470,6 @@ def _sample_sums(
     return noises, walk_sum.draws["noise.walk"], probabilities
 
 
-def _differences(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
-    """Return the finite differences of successive readings within runs."""
-    changes = np.concatenate([np.diff(run) for run in runs.of(output)])
-    return changes[np.isfinite(changes)]
-
-
 def _readings_per_mean(
     output: Float[np.ndarray, "n"], runs: EvenRuns, z: float, line: Mapping[str, float]
 ) -> int | None:
@@ -588,8 +582,8 @@ def _run_columns(
     standard deviation from differences of neighbours, output unit, and claims about the processing.
     """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
-    changes = _differences(output, runs)
-    scale = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
+    changes = np.concatenate([np.diff(run) for run in runs.of(output)])
+    scale = 1.4826 / math.sqrt(2) * float(np.nanmedian(np.abs(changes - np.nanmedian(changes))))
     if not scale > 0:
         raise InputError(
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is held, or "

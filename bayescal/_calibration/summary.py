@@ -80,7 +80,8 @@ def unknown_rows(
     """Return printed rows (name, value, unit, interval, contraction) by name; one per curve and per large group."""
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
-    curve_effects = curve_names(calibration)
+    # Coefficients of an unknown dependence describe a curve together.
+    curve_effects = {e.name for e in calibration.model.effects if e.is_placeholder}
     groups = {name: key for key, members in large_groups(calibration).items() for name in members}
     for g in (*coefficients, *hyperparameters):
         name, effect, unit = g["name"], g["effect"], unit_label(g["unit"])
@@ -103,11 +104,6 @@ def unknown_rows(
             contraction = "–" if g["contraction"] is None else f"{g['contraction']:.3f}"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
     return rows
-
-
-def curve_names(calibration: Fitted) -> set[str]:
-    """Return names of the unknown dependences, whose coefficients together describe a curve."""
-    return {e.name for e in calibration.model.effects if e.is_placeholder}
 
 
 def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:

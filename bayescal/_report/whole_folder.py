@@ -11,7 +11,6 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from bayescal._core.as_json import write_json
@@ -25,14 +24,6 @@ CALIBRATION = "calibration.nc"  # calibration of the most probable structure
 AVERAGED = "averaged.nc"  # calibration averaged over structures
 SCHEMA = "bayescal.manifest/2"
 REPAIR_ADVICE = "Take a copy of the whole folder, or calibrate again"
-
-
-@dataclass(frozen=True)
-class Manifest:
-    """Content of manifest.json."""
-
-    schema: str
-    files: dict[str, str]  # name → SHA-256
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:
@@ -118,12 +109,12 @@ def files_of(folder: Path) -> dict[str, str]:
     if not manifest.is_file():
         return {}
     try:
-        hashes = read_json(manifest, Manifest).files
+        hashes = dict[str, str](read_json(manifest)["files"])
         for name in hashes:
             if not is_inside(name):
                 raise ValueError(f"it lists {name!r}, which is no file of this folder")
         return hashes
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{manifest} cannot be used: {error}. {REPAIR_ADVICE}") from None
 
 

@@ -120,11 +120,6 @@ class Budget(Printed):
         """Return the expanded uncertainty with the noise of one reading."""
         return self.k * float(np.hypot(self.uncertainty, self.noise))
 
-    @property
-    def correlation(self) -> np.ndarray:
-        sd = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.where(sd > 0, np.outer(sd, sd), 1.0)
-
     def in_output_unit(self) -> Budget:
         """Convert to the readings' unit where the dimensions agree, and the point's angles to degrees."""
         to = self.output_unit

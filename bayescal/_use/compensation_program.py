@@ -205,12 +205,6 @@ def _build_record(
     return build_frame(readings, holds)
 
 
-def limits(span: tuple[float, float]) -> tuple[float, float]:
-    """Widen the stimulus range by a margin to the limits beyond which a compensated value is flagged."""
-    low, high = span
-    return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
-
-
 @dataclass(frozen=True)
 class Provenance:
     """Provenance of an export, and notes on its use."""
@@ -226,7 +220,7 @@ class Provenance:
     raw: tuple[str, float, float] | None  # unit, gain, offset of raw output; None: the reading
     notes: tuple[str, ...]  # warnings, one sentence each
     made_by: str  # program and version
-    calibration: str = ""  # its identity; empty in exports that do not state one
+    calibration: str = ""  # its identity; empty before the export
     why_not: str = ""  # why the result must not be used, also among the notes; empty if it may
     epoch: float | None = None  # seconds since 1970 at time zero; None for times without dates
 
@@ -345,7 +339,11 @@ class CompensationProgram(CorrectionInUse):
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
-        return None if self.stimulus_range is None else limits(self.stimulus_range)
+        """Return the limits beyond which a compensated value is flagged: the range, widened by a margin."""
+        if self.stimulus_range is None:
+            return None
+        low, high = self.stimulus_range
+        return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
 
     @cached_property
     def graph(self) -> Graph:

@@ -68,7 +68,6 @@ def test_k_and_noise_are_said_and_multiply(gyro) -> None:
     np.testing.assert_allclose(gyro.expanded_reading, 2 * np.hypot(gyro.uncertainty, gyro.noise))
     text = str(gyro)
     assert "scale.constant" in text and "ppm" in text
-    np.testing.assert_allclose(np.diag(gyro.correlation), 1.0)
 
 
 def test_of_few_runs_the_coverage_is_said_to_be_short_and_their_spread_is_type_a() -> None:
