@@ -93,10 +93,6 @@ def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
-    if path.is_dir():
-        calibrations = sorted([*path.glob("*.nc"), *path.glob("*/*.nc")])
-        candidates = " or ".join(map(str, calibrations[:6])) or "of which there is none"
-        raise InputError(f"{path} is a folder: give the calibration in it, {candidates}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(atomic_file.read_sealed(path, "a saved calibration", REPAIR_ADVICE))
@@ -143,7 +139,8 @@ def _read_netcdf(
         "confounded": tuple(Confounder(**values) for values in metadata["confounded"]),
     }
     if attributes.get(IDENTITY) != identity(Fitted(**fields)):
-        raise ValueError("its identity is not that of what it holds")
+        why = "its identity is not that of what it holds (did a noise law of your own change?)"
+        raise ValueError(why)
     return fields
 
 
@@ -252,7 +249,7 @@ def _noise_fields(noise: Noise) -> dict[str, Any]:
 
 
 def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
-    """Restore a noise model from its fields; raise InputError if its class is not loaded or has changed."""
+    """Restore a noise model from its fields; raise InputError if its class is not loaded."""
     name, fields = metadata["law"], dict[str, Any]()
     if name not in Noise.registry:
         raise InputError(
@@ -264,17 +261,8 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
             is_prior = len(value) == 2 and isinstance(value[1], dict)
             value = _PRIORS[value[0]](**value[1]) if is_prior else tuple(value)
         fields[key] = value
-    saved = metadata.get(UNKNOWNS)
-    try:
-        arguments = {k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)}
-        noise = Noise.registry[name](**arguments)
-        if (current := _noise_fields(noise).get(UNKNOWNS)) != saved:
-            raise TypeError(f"its unknowns were {saved}; now {current}")
-    except TypeError as error:
-        raise InputError(
-            f"{path.name} was fitted with another noise law {name} than the one given now: {error}. {NOISE_FIX}"
-        ) from None
-    return noise
+    arguments = {k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)}
+    return Noise.registry[name](**arguments)
 
 
 def _restore_instrument(path: Path, metadata, readings: Measurements, instruments) -> Instrument:
@@ -288,32 +276,19 @@ def _restore_instrument(path: Path, metadata, readings: Measurements, instrument
     instrument = supplied[name] if name in supplied else installed_instrument(name)
     if not (settings := metadata["settings"]):
         return instrument
-    try:
-        if instrument.tailor is None:
-            raise TypeError("it takes none")
-        return instrument.tailor(readings, **settings)
-    except TypeError as error:
-        raise InputError(
-            f"{path.name}: the installed {name!r} cannot be made with {settings} ({error}). Install "
-            "the version that the calibration was made with"
-        ) from None
+    if instrument.tailor is None:
+        raise ValueError(f"the installed {name!r} takes no settings, such as {settings}")
+    return instrument.tailor(readings, **settings)
 
 
 def restore_model(path: Path, metadata, readings: Measurements, effects, instruments) -> Model:
     """Restore a file's model; raise InputError naming an instrument, effect or noise model missing or changed."""
     instrument = _restore_instrument(path, metadata, readings, instruments)
     ranges, saved = metadata["ranges"], metadata["unknowns"]
-    catalogue_effects, names = _instrument_effects(instrument), metadata["effects"]
-    # A given effect replaces the instrument's of the same name only if its unknowns are those of the file.
-    given_effects = {
-        e.name: e
-        for e in effects
-        if e.name not in catalogue_effects
-        or unknowns_of(e.ranging(ranges.get(e.name, {}))) == saved.get(e.name)
-    }
+    names = metadata["effects"]
     formulas = metadata["typed"].items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in formulas}
-    catalogue = {**catalogue_effects, **given_effects, **typed}
+    catalogue = {**_instrument_effects(instrument), **{e.name: e for e in effects}, **typed}
     for n in names:
         with suppress(ModelError):
             catalogue[n] = instrument.effect(n, catalogue)
