@@ -94,7 +94,7 @@ def load_calibration(
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
     if not path.is_file():
-        raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
+        raise InputError(f"{path} is no file: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(atomic_file.read_sealed(path, "a saved calibration", REPAIR_ADVICE))
     try:
         return _read_netcdf(path, content, effects, instruments)

@@ -359,9 +359,6 @@ class CompareCommand(ReadRequest, AsJson, Command):
     def answer(self) -> Answer:
         chosen, _, readings = request.open_request(self)
         names = self.structures or [name for name, _ in chosen.structures]
-        if len(set(names)) < 2:
-            why = "compare needs two structures or more: give --structure twice, or never"
-            raise InputError(why)
         effects = request.own_effects(self, chosen, readings)
         models = {}
         for name in names:  # "line+bias.thermal_lag"
@@ -427,7 +424,9 @@ class NoiseCommand(ReadRequest, AsJson, Command):
         "Columns that are outputs, one after another: gyro_x,acc_x.", metavar="NAME,NAME,…"
     )
     yaml: Path | None = opt("File to write for Kalibr: noise densities and random walks.")
-    quantile: float = opt("Of the posterior, that the numbers for Kalibr are.", 0.95)
+    quantile: float = opt(
+        "Of the posterior, that the numbers for Kalibr are.", 0.95, min=0.0, max=1.0
+    )
     topic: str = opt("Of the messages, for Kalibr.", "/imu0")
     average: str | None = Shared.average
     time_limit: float | None = Shared.time_limit
@@ -435,9 +434,6 @@ class NoiseCommand(ReadRequest, AsJson, Command):
     out: Path | None = Shared.folder
 
     def answer(self) -> Answer:
-        if not 0 < self.quantile < 1:
-            why = f"--quantile {self.quantile:g}: give a probability between 0 and 1, such as 0.95"
-            raise InputError(why)
         _, _, readings = request.open_channels(options.channel_names(self.channels), self)
         if self.channels is None:  # called as the file calls its output
             single = readings[""]
@@ -555,6 +551,14 @@ class ExportCommand(InUse, DecisionRule, Command):
             self.refuse_several()
         return self.written(corrections)
 
+    def refuse_several(self) -> None:
+        """Raise InputError for more than one calibration, or none."""
+        if len(self.calibrations) != 1 or self.axis or self.device_id:
+            raise InputError(
+                "a program is of one calibration, without --axis and --device-id: several, by axis, make parameters "
+                "(--format px4-params or ardupilot-params)"
+            )
+
     @property
     def gravity(self) -> float:
         """Return the local gravity, m/s²."""
@@ -570,15 +574,6 @@ class ExportCommand(InUse, DecisionRule, Command):
             why = f"{single[0]} is of one output, and others are of three axes: give it alone"
             raise InputError(why)
         return corrections
-
-    def refuse_several(self) -> None:
-        """Raise InputError for more than one calibration, or none."""
-        named = ", and --axis or --device-id" * bool(self.axis or self.device_id)
-        if len(self.calibrations) != 1 or named:
-            raise InputError(
-                f"a program is of one calibration, {len(self.calibrations)} were given{named}: several, by axis, make "
-                "parameters (--format px4-params or ardupilot-params)"
-            )
 
     def written(self, corrections: Sequence[Any]) -> Answer:
         """Write corrections to one file, or return them as text; warn of parts that the format cannot hold."""

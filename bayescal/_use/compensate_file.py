@@ -27,7 +27,7 @@ from bayescal._data.measurements import Measurements, assemble
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, parse_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
-from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Header, Objections, Table, load_whole
 from bayescal._use.compensator import Compensator, Method
 
 NATIVE_SUFFIXES = (*TEXT, ".parquet")  # of files written in the format of the input
@@ -121,12 +121,6 @@ def compensate_file(
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
         raw, names = _column_names(table, expected, options)
-        size = 8 * table.rows * len(expected.columns)
-        if size > MAX_BYTES:
-            raise InputError(
-                f"{table.file!r}: its columns take {bytes_text(size)} in memory; the limit is {bytes_text(MAX_BYTES)}. "
-                "Split it by runs, or average it"
-            )
         converted = convert_columns(table, expected, options)
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
         # History, unwrapped counters and times from the first row need the whole record checked.

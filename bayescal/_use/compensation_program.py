@@ -148,7 +148,7 @@ def gather_inputs(
     Readings are on the calibration's clock; dates among the columns count from the epoch, seconds since 1970.
 
     Raises:
-        InputError: a needed column is missing, columns differ in length, or there are dates without an epoch.
+        InputError: a needed column is missing, or there are dates without an epoch.
     """
     arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
     for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
@@ -161,16 +161,13 @@ def gather_inputs(
     if "output" not in arrays:
         raise InputError("the column 'output' is missing: give the readings to compensate")
     arrays = {n: array.astype(float) for n, array in arrays.items()}
-    try:
-        values = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
-    except ValueError:
-        shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
-        raise InputError(f"columns must be vectors of one length, these are: {shapes}") from None
+    values = dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     lags = {(i.column, i.tau): i.name for i in inputs if i.kind == "lag"}
     for i in inputs:  # a lag given without its slope is taken as exact
         if i.kind == "lag slope" and lags.get((i.column, i.tau)) in values:
             values.setdefault(i.name, np.zeros_like(values["output"]))
-    record, computed = None, [i for i in inputs if i.kind != "column" and i.name not in values]
+    of_history = (i for i in inputs if i.kind != "column" and i.name not in values)
+    record, computed = None, [i for i in of_history if values.keys() >= {"time", i.column}]
     if computed:
         record = _build_record(computed, readings, values)
         for i in computed:
@@ -181,8 +178,9 @@ def gather_inputs(
                 values[i.name] = lag_values[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in values:
+            past = f", which follows from {i.column!r} and 'time'" * (i.kind != "column")
             raise InputError(
-                f"the column {i.name!r} [{i.unit}] is missing, which this calibration needs (there are: "
+                f"the column {i.name!r} [{i.unit}]{past} is missing, which this calibration needs (there are: "
                 f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
     return values, record
@@ -192,12 +190,6 @@ def _build_record(
     needed: Sequence[Input], readings: Measurements | None, values: Mapping[str, np.ndarray]
 ) -> Frame:
     """Build the frame from which the inputs `needed` are computed."""
-    for name in ("time", *(i.column for i in needed)):
-        if name not in values:
-            raise InputError(
-                f"the column {name!r} is missing: {needed[0].name!r} follows from the past of a record. "
-                f"Record it, or give {needed[0].name!r} itself"
-            )
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(values[n]) for n in units}, units)
