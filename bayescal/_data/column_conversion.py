@@ -266,14 +266,10 @@ class ColumnReader:
         """Parse dates; add a problem where they leave open which number is the day, and the user does not say."""
         dates, orders = of_cells.parse_dates(texts, self.options.date_order)
         if orders:
-            came = "its dates are not all dates in one order of month, day and year"
-            if not any(np.isnan(v[~np.isnan(dates.values)]).any() for v in orders.values()):
-                came = "its dates leave open which number is the day, or whether they are times"
-            firsts = {n: format_date(float(np.nanmin(v))).split() for n, v in orders.items()}
-            begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
-            cure = f"Say in which order they are: {begin}"
+            came = "its dates leave open which number is the day, or whether they are times"
             expected = "a day above 12 in one of them, or the year first"
-            self._problem(came, expected, cure, option("--date-order", next(iter(orders))))
+            cure = f"Say in which order they are: {', '.join(orders)}"
+            self._problem(came, expected, cure, option("--date-order", orders[0]))
         return dates
 
     def _unit(self, cells: Cells) -> str | None:

@@ -123,8 +123,6 @@ def has_time_zone(text: str) -> bool:
 
 def format_date(seconds: float) -> str:
     """Format seconds since 1970 as a date, to the microsecond."""
-    if seconds != seconds:
-        return "nan"
     when = _EPOCH + timedelta(seconds=float(seconds))
     return when.replace(tzinfo=None).isoformat(sep=" ")
 
@@ -218,11 +216,11 @@ class Cells:
         return cls(np.concatenate([part.values for part in parts]), bad, texts)
 
 
-def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np.ndarray]]:
+def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
     """Parse a column of dates to s since 1970; any other text, numbers included, is bad.
 
-    The order of month, day and year is `order`, or the only one in which all cells are dates. If several orders are
-    possible, the values by each order are returned too, complete ones first, NaN where a cell is no date in it.
+    The order of month, day and year is `order`, or the only one in which all cells are dates. Otherwise the possible
+    orders are returned too.
     """
     rows, bad, has_zone, unambiguous = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
     for i, text in enumerate(map(format_cell, texts)):
@@ -234,18 +232,16 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, dict[str, np
         if is_wrong and len(bad) < MAX_BAD:
             bad[i] = text
     if unambiguous:
-        return Cells(rows[0], bad), {}
+        return Cells(rows[0], bad), []
     values, present = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
     valid_orders = [n for n, row in values.items() if not np.isnan(row[present]).any()]
-    if chosen := order or (valid_orders[0] if len(valid_orders) == 1 else ""):
-        invalid = np.flatnonzero(present & np.isnan(values[chosen]))[:MAX_BAD]
-        bad |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
-        return Cells(values[chosen], bad), {}
-    possible = [n for n, row in values.items() if not np.isnan(row).all()]
-    orders, merged = {n: values[n] for n in valid_orders or possible}, rows[0]
-    for row in reversed(orders.values()):
-        merged = np.where(np.isnan(row), merged, row)
-    return Cells(merged, bad), orders
+    if not order and len(valid_orders) != 1:
+        possible = [n for n, row in values.items() if not np.isnan(row).all()]
+        return Cells(np.fmax.reduce(rows), bad), valid_orders or possible
+    chosen = values[order or valid_orders[0]]
+    invalid = np.flatnonzero(present & np.isnan(chosen))[:MAX_BAD]
+    bad |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
+    return Cells(chosen, bad), []
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:

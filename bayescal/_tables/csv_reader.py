@@ -23,7 +23,6 @@ from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MAX_BAD, Cells, is_missing, parse_date, to_number, to_numbers
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, refuse_many, unusable
 
-_MAX_LINE_BYTES = 1 << 24  # 16 MiB
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
 _ASCII = bytes(range(128))
 _LEGACY = "windows-1252"  # of CSV from Excel in the west of Europe and in America
@@ -228,7 +227,7 @@ def _read_header(text: CsvText) -> None:
 def _first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
     """Return row, text and end offset of the first lines that are neither blank nor comments."""
     handle, first, row = io.BytesIO(text.data), [], 0
-    while len(first) < _HEADER_ROWS and (raw := handle.readline(_MAX_LINE_BYTES)):
+    while len(first) < _HEADER_ROWS and (raw := handle.readline()):
         row += 1
         line = raw.removeprefix(_MARK if row == 1 else b"").decode("utf-8", "replace")
         line = line.removeprefix("#").lstrip() if commented else line
@@ -290,9 +289,6 @@ def _scan_lines(text: CsvText) -> None:
         text.notes.append("its numbers have decimal commas")
     row, blanks, ragged = text.first - 1, list[int](), list[tuple[int, str, int]]()
     for row, line in enumerate(text.rows(), text.first):
-        if len(line) > _MAX_LINE_BYTES:
-            came = f"is longer than {_MAX_LINE_BYTES} bytes"
-            raise unusable(text.file, came, "is it a CSV file?", f"row {row}")
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot run over several lines"
             fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
