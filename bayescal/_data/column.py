@@ -134,7 +134,6 @@ class ConvertedColumns:
         tables: the files, with the rows that were kept.
         values, units: name → one entry per reading, and its unit; None for labels.
         flags: what was odd.
-        filled: names of columns that hold a default.
         missing: name → indices of the readings that are missing there.
         origin: seconds since 1970 at time zero; None where the time counts from no date.
         kept_rows: indices of the rows of the file that were kept; None for all.
@@ -146,7 +145,6 @@ class ConvertedColumns:
     values: dict[str, np.ndarray] = field(default_factory=dict)
     units: dict[str, str | None] = field(default_factory=dict)
     flags: list[str] = field(default_factory=list)
-    filled: set[str] = field(default_factory=set)
     missing: dict[str, np.ndarray] = field(default_factory=dict)
     origin: float | None = None
     kept_rows: np.ndarray | None = None
@@ -158,7 +156,6 @@ class ConvertedColumns:
         kind, rows = object if unit is None else np.float64, sum(t.rows for t in self.tables)
         self.values[name] = np.full(rows, value, dtype=kind)
         self.units[name] = unit
-        self.filled.add(name)
 
     def where(self, index: int) -> Place:
         """Return the file and row of a reading, given its index in the concatenated files."""

@@ -462,7 +462,6 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
     _label_runs(parts, labels)
     whole = ConvertedColumns(tuple(table for part in parts for table in part.tables))
     whole.flags = [flag for part in parts for flag in part.flags]
-    whole.filled = set.intersection(*(part.filled for part in parts))
     whole.other_channels = set().union(*(part.other_channels for part in parts))
     whole.origin = _on_one_clock(parts)
     for name, unit in {name: unit for part in parts for name, unit in part.units.items()}.items():

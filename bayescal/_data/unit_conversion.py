@@ -198,20 +198,18 @@ def parse(text: str) -> ParsedUnit:
     # As a Python expression: factors side by side are multiplied, ^ is a power.
     side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
     expression = re.sub(side_by_side, "*", plain).replace("^", "**").strip()
-    factor, powers = 1.0, dict[str, float]()
+    product = NUMBER
     try:
         names = tuple(_factors(ast.parse(expression, mode="eval").body))
         for name, power in names:
             size, base = KNOWN_UNITS[name]
-            factor *= size**power
-            for unit, exponent in _factors(ast.parse(base, mode="eval").body) if base else ():
-                powers[unit] = powers.get(unit, 0.0) + power * exponent
+            factors = _factors(ast.parse(base, mode="eval").body) if base else ()
+            product = product.times(ParsedUnit(size, dict(factors)), power)
     except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    powers = {name: power for name, power in powers.items() if power}
-    return ParsedUnit(factor, powers, _ZEROS.get(plain), names)
+    return ParsedUnit(product.factor, product.powers, _ZEROS.get(plain), names)
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:

@@ -87,16 +87,12 @@ def _parse_days(text: str) -> dict[str, int]:
             with suppress(ValueError):
                 year, month, day = (match[part] for part in parts)
                 if len(year) in (2, 4):  # of two digits: of this century
-                    number = int(month) if month.isdigit() else _parse_month(month)
+                    bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
+                    name = max(filter(bare.startswith, _MONTHS), key=len, default="")
+                    number = int(month) if month.isdigit() else _MONTHS.get(name, 0)
                     when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
                     days[order] = (when - _EPOCH.date()).days
     return days
-
-
-def _parse_month(name: str) -> int:
-    """Return the number of a month by its name or an abbreviation; 0 if it is none."""
-    bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", name.lower())))
-    return _MONTHS.get(max(filter(bare.startswith, _MONTHS), key=len, default=""), 0)
 
 
 def _parse_time(text: str, longest: int) -> float | None:
