@@ -117,7 +117,7 @@ class TriadCommand(TriadOptions, ws.Command):
 
 
 class ImuCommand(TriadOptions, ws.Command):
-    """Calibrate accelerometers and gyroscopes by one log, in one frame."""
+    """Calibrate accelerometers and gyroscopes by one log."""
 
     example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
     accelerometers: str | None = ws.opt(
