@@ -72,8 +72,8 @@ def expand_coefficient(source: ColumnSource, term: Term, x: Any, hyper: Hyper) -
     coefficients = evaluate_members(xp, term, x, hyper)
     if term.per is None:
         return coefficients
-    none = xp.zeros((*coefficients.shape[:-1], 1))  # the code of no member is −1
-    return xp.concatenate([coefficients, none], axis=-1)[..., source.codes[term.per]]
+    zero = xp.zeros((*coefficients.shape[:-1], 1))  # the code of no member is −1
+    return xp.concatenate([coefficients, zero], axis=-1)[..., source.codes[term.per]]
 
 
 def evaluate_members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
@@ -88,8 +88,8 @@ def evaluate_members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
     if term.group_sd_name is not None:
         # In units of the learned standard deviation (non-centred), so that a small one makes no funnel (O.
         # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
-        spread = xp.broadcast_to(xp.asarray(hyper[term.group_sd_name]), draws)
-        coefficients = term.mean + spread[..., None] * coefficients
+        group_sd = xp.broadcast_to(xp.asarray(hyper[term.group_sd_name]), draws)
+        coefficients = term.mean + group_sd[..., None] * coefficients
     return coefficients
 
 
@@ -128,14 +128,14 @@ def compose(
 def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, Any]]) -> None:
     """Add the terms of one effect, (term, column, coefficient), to the totals of their slots."""
     for slot, group in groupby(triples, lambda triple: triple[0].slot):
-        added = list(group)
-        if len(added) > 2 and all(v.shape[-1] == 1 and c.ndim == 1 for _, c, v in added):
+        parts = list(group)
+        if len(parts) > 2 and all(v.shape[-1] == 1 and c.ndim == 1 for _, c, v in parts):
             # Columns without a draw axis: one matrix product instead of a sum of terms.
-            columns = xp.stack([c for _, c, _ in added])
-            product = xp.concatenate([v for *_, v in added], axis=-1) @ columns
+            columns = xp.stack([c for _, c, _ in parts])
+            product = xp.concatenate([v for *_, v in parts], axis=-1) @ columns
             totals[slot] = totals[slot] + product if slot in totals else product
             continue
-        for _, column, v in added:
+        for _, column, v in parts:
             totals[slot] = totals[slot] + column * v if slot in totals else column * v
 
 
@@ -148,8 +148,8 @@ def differentiate_output(
     source: ColumnSource, terms: Sequence[Term], composed: Composed
 ) -> tuple[Any, dict[str, Any]]:
     """Return the expected output and its derivatives by slots and corrected columns (…, n) each."""
-    mean, direct = source.differentiate_output(composed.slots, composed.shifts)
-    by_name = dict(direct)
+    mean, partials = source.differentiate_output(composed.slots, composed.shifts)
+    by_name = dict(partials)
     # Chain rule: dμ/dcolumn = ∂μ/∂column + Σ ∂μ/∂slot·∂slot/∂column.
     for t, grads, v in zip(terms, composed.column_grads, composed.values, strict=True):
         for name, grad in grads.items():
@@ -179,8 +179,8 @@ def compute_input_variance(terms: Sequence[Term], linearisation: Linearisation) 
 
 def _assemble_jacobian(source: ColumnSource, mean: np.ndarray, triples: list[tuple]) -> np.ndarray:
     """Assemble the Jacobian (…, n, q) with NumPy, one term after the other, each column contiguous in memory."""
-    width = sum(1 if _member_codes(source, t) is None else t.size for t, *_ in triples)
-    jacobian, start = np.zeros((*mean.shape[:-1], width, mean.shape[-1])), 0
+    column_count = sum(1 if _member_codes(source, t) is None else t.size for t, *_ in triples)
+    jacobian, start = np.zeros((*mean.shape[:-1], column_count, mean.shape[-1])), 0
     for term, column, derivative in triples:
         entries, codes = derivative * column, _member_codes(source, term)
         if codes is None:
@@ -237,7 +237,7 @@ class TracedColumns:
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
         spec, path_shifts = term.columns, dict[str, Any]()
         start = len(spec.basis_shapes)
-        own_shapes = dict(zip(spec.basis_shapes, shapes, strict=False))
+        basis_shapes = dict(zip(spec.basis_shapes, shapes, strict=False))
         for c in spec.corrections:
             names, basis = c.spec.shapes, c.spec.basis
             values = dict(zip(names, shapes[start:], strict=False))
@@ -246,8 +246,8 @@ class TracedColumns:
             path_shifts[c.column + PATH] = path_shifts.get(c.column + PATH, 0.0) + column
 
         def evaluate(shifts: dict) -> Any:
-            total = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
-            return self.matrix(spec.basis, self.frame.moved(total), own_shapes)
+            moves = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
+            return self.matrix(spec.basis, self.frame.moved(moves), basis_shapes)
 
         if not (shifts and with_grad):
             return evaluate(shifts), {}
@@ -272,7 +272,7 @@ class TracedColumns:
 def differentiate_response(
     response: Any, slots: dict[str, Any], shifts: dict[str, Any], reverse_mode: bool
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a response (n,) and its derivatives by slots and column shifts; reverse mode pays for dozens of slots."""
+    """Return a response (n,) and its derivatives by slots and column shifts; reverse mode is faster for many slots."""
     if reverse_mode and not shifts:
         mean, vjp = jax.vjp(lambda values: response(values, {}), slots)
         return mean, vjp(jnp.ones_like(mean))[0]

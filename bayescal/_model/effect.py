@@ -34,12 +34,11 @@ Kind = Literal[
 ]  # fmt: skip
 Role = Literal["named", "unnamed", "freed"]
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
-READING = "reading"  # the group of which each reading is a member by itself
-
+READING = "reading"  # the group in which each reading is a member of its own
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
 FUNCTION_FIELDS = ("basis", "weights", "untestable")  # fields of an effect that are callables
-OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range is taken from the readings
+OPEN = (0.0, math.inf)  # low, high of a shape with a plausible range estimated from the readings
 
 
 @static
@@ -47,10 +46,10 @@ class Coefficient:
     """One unknown coefficient, in which a slot is linear.
 
     Attributes:
-        unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
+        unit: unit of its reported value and of its prior, such as "deg/s/degC" or "ppm/degC".
         prior: `Normal`, `Flat`, or `Known` for a constant; with `group_sd` only its mean is used.
-        part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
-        slot: the slot it feeds, where that is not the effect's own.
+        part: name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
+        slot: slot that it adds to, if not the effect's slot.
         per: group with one coefficient per member: "run", "cell", "device", "axis", or a declared label column such as
             "station"; None for a single one; "reading" for noise on an input, of known standard deviation.
         group_sd: prior of the standard deviation between members, if it is learned; None: the sd of `prior`.
@@ -66,14 +65,12 @@ class Coefficient:
     initial: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
-        set_fields(
-            self, prior=priors.converted(self.prior), group_sd=priors.converted(self.group_sd)
-        )
+        set_fields(self, prior=priors.convert(self.prior), group_sd=priors.convert(self.group_sd))
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
                 f"a coefficient's prior is Normal, Flat or Known, not {_type_name(self.prior)}, since coefficients are "
-                "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); what must be "
-                'positive is a shape, bayescal.Shape(…, scale="log")'
+                "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); a positive "
+                'quantity is a shape, bayescal.Shape(…, scale="log")'
             )
         if not isinstance(self.group_sd, HalfNormal | HalfCauchy | Flat | None):
             raise ModelError(
@@ -103,7 +100,7 @@ class Coefficient:
 
     @property
     def size(self) -> float:
-        """Return plausible size, in `unit`: the prior's sd, or the scale of the group standard deviation's prior."""
+        """Return the plausible size, in `unit`: the prior's sd, or the scale of the group sd's prior."""
         if self.group_sd is not None:
             return self.group_sd.scale
         return self.prior.scale if isinstance(self.prior, Flat) else self.prior.sd
@@ -121,9 +118,9 @@ class Shape:
         low, high: plausible range, in `unit`; `OPEN` for one to be taken from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one, "bounded" for a
             log-uniform one: `low` and `high` are then a definition, beyond which it would be another effect.
-        ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
-        shared: whether it is one for all channels of a unit, as the time of a body that they share.
-        own_prior: in place of a range: LogNormal, Normal, or a distribution of NumPyro's, such as TruncatedNormal.
+        ragged: whether the evidence has many local maxima, as for a period: the search starts from more points.
+        shared: whether all channels of a device share its value, as the time constant of a common body.
+        own_prior: prior in place of a range: LogNormal, Normal, or a NumPyro distribution such as TruncatedNormal.
     """
 
     name: str
@@ -137,13 +134,13 @@ class Shape:
 
     def __post_init__(self) -> None:
         if self.own_prior is not None:
-            own = priors.converted(self.own_prior, of_shape=True)
-            low, high = own.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
-            scale = "linear" if isinstance(own, Normal) else "log"
-            set_fields(self, own_prior=own, low=low, high=high, scale=scale)
+            prior = priors.convert(self.own_prior, of_shape=True)
+            low, high = prior.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
+            scale = "linear" if isinstance(prior, Normal) else "log"
+            set_fields(self, own_prior=prior, low=low, high=high, scale=scale)
         positive = self.low > 0 or self.open
         if not self.low < self.high or (self.scale != "linear" and not positive):
-            raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
+            raise ValueError(f"shape {self.name!r} needs low < high, and low > 0 unless linear")
 
     @property
     def open(self) -> bool:
@@ -152,12 +149,12 @@ class Shape:
 
     @property
     def prior(self) -> LogNormal | LogUniform | Normal | priors.NumpyroPrior:
-        """Return the prior of the value; ModelError: its range is open still."""
+        """Return the prior of the value; raise ModelError if its range is still to be estimated from readings."""
         if self.own_prior is not None:
             return self.own_prior
         if self.open:
             raise ModelError(
-                f"the plausible range of {self.name!r} is taken from readings, and there are none yet: fit the model, "
+                f"the plausible range of {self.name!r} is estimated from readings, and none are given: fit the model, "
                 "or give low and high"
             )
         if self.scale == "bounded":
@@ -188,19 +185,19 @@ class Effect:
             one for each coefficient. It gets columns in the units that the instrument declares, others in base
             units; coefficient × basis is in the slot's unit, converted between the units declared.
         coefficients: the unknowns, in the order of the basis columns.
-        shapes: unknowns that the basis is not linear in.
-        columns: what the readings must have.
-        equation, source: for people; the source is a document, data sheet, standard or script.
+        shapes: unknowns in which the basis is nonlinear.
+        columns: columns that the readings must have.
+        equation, source: text for reports; the source is a document, data sheet, standard or script.
         varies: a column that must take more than one value for the effect to be testable.
-        weights: function of some shapes (keywords, not of the basis): prior sd of each coefficient over its size.
-        measure: the shape that is its amplitude, of standard normal coefficients; None where its first coefficient is.
-        untestable: why readings that have all this still cannot test the effect, or None where they can.
-        along: covariate, if not the one column that it needs: a column, "elapsed", or a rate ("temperature rate").
-        forms: other forms of the same physics, effects that a search weighs in its place, one at a time.
-        family: the effect of which it is a form; empty where it is none.
+        weights: function of shapes that the basis does not take (keywords): prior sd of each coefficient over its size.
+        measure: shape that is the amplitude of standard normal coefficients; None if the first coefficient is it.
+        untestable: function of readings that have these columns: the reason why they cannot test the effect, or None.
+        along: covariate, if not the first of `columns`: a column, "elapsed", or a rate ("temperature rate").
+        forms: alternative forms of the effect, which a search evaluates in its place, one at a time.
+        family: name of the effect of which this is a form; empty if none.
         general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
-        kind: form of the dependence, by which a report describes the effect; empty if it is none of these.
-        frees: name of the effect of which it is a copy with a wide prior, should its stated value be wrong.
+        kind: dependence on the covariate, as reports describe it; empty if none of `Kind`.
+        frees: name of the effect of which this is a copy with a wide prior, in case its stated value is wrong.
     """
 
     name: str
@@ -269,7 +266,7 @@ class Effect:
 
     @property
     def of_reference(self) -> bool:
-        """Return whether it is the error of a reference by its certificate, which has no part in use."""
+        """Return whether this is the error of a reference standard by its certificate, which does not act in use."""
         return self.name == f"{self.slot}.certificate"
 
     @property
@@ -369,8 +366,8 @@ def effects_table(effects: Iterable[Effect]) -> ResultTable:
     for effect in effects:
         first, count = effect.coefficients[0], len(effect.coefficients)
         size = "flat prior" if first.flat else f"{number(first.size)} {unit_label(first.unit)}"
-        per = f"one a {first.per}" if first.per else "one" if count == 1 else f"{count}"
-        rows.append([effect.name, per, size.rstrip(), effect.equation])
+        count_text = f"one per {first.per}" if first.per else "one" if count == 1 else f"{count}"
+        rows.append([effect.name, count_text, size.rstrip(), effect.equation])
     return plain_table(
         ["effect", "coefficients", "plausible size", "equation"], rows, left=2, fold=30
     )

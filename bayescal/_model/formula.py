@@ -47,8 +47,8 @@ _RANGE = re.compile(rf"({_VALUE})\s*(?:…|\.\.\.?|to|-)\s*({_VALUE})\s*(\D.*)?"
 
 def _power(base: Any, exponent: Any) -> Any:
     """Raise to a power; integer exponents are passed as int, so that negative bases are differentiable."""
-    whole = isinstance(exponent, float) and exponent.is_integer()
-    return base ** (int(exponent) if whole else exponent)
+    is_integer = isinstance(exponent, float) and exponent.is_integer()
+    return base ** (int(exponent) if is_integer else exponent)
 
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -107,10 +107,10 @@ class Formula:
             name: factor * (r.elapsed if column == "elapsed" else r[column])
             for name, column, factor in self.columns
         }
-        columns = [self._value(tree, r, {**values, **shapes}) for tree in self.parts]
+        columns = [self._evaluate_tree(tree, r, {**values, **shapes}) for tree in self.parts]
         return xp.stack([xp.broadcast_to(v, (r.size,)) for v in columns], axis=-1)
 
-    def _value(self, tree: Any, r: Frame, values: Mapping[str, Any]) -> Any:
+    def _evaluate_tree(self, tree: Any, r: Frame, values: Mapping[str, Any]) -> Any:
         if not isinstance(tree, tuple):
             return values[tree] if isinstance(tree, str) else tree
         function, *arguments = tree
@@ -121,7 +121,7 @@ class Formula:
                 return r.rate(column)
             lag = factor * r.lag(values[tau[0]], column)
             return lag if function == "lag_difference" else values[name] + lag
-        operands = [self._value(argument, r, values) for argument in arguments]
+        operands = [self._evaluate_tree(argument, r, values) for argument in arguments]
         return _IMPLEMENTATIONS[function](*operands)
 
 
@@ -139,32 +139,32 @@ def effect(
         bc.effect("supply", "s * (V - 5) / V", s="0.1 mV/V", V="supply_voltage [V]")
         bc.effect("bias.supply: s * (supply_voltage - 5); s = 0.1 mV/V", readings=readings)
 
-    Names are columns of the readings, in their fixed units; a name that is none is an unknown. An unknown that the
-    formula is linear in is a coefficient, and its prior is zero ± its size; another is a shape with a plausible range.
-    Numbers that are added to a column are in its unit. There are + - * / ^, brackets, exp, log, sqrt, abs, sign, sin,
-    cos, tan, tanh, min, max, step (1 above zero); `elapsed` is the time in the run. Of a column's past there are
-    rate(T) = dT/dt, body(T, tau) = T̃, the temperature of a body that follows T with τ·dT̃/dt = T − T̃, from T at a
-    run's first reading, and lag_difference(T, tau) = T̃ − T.
+    Names are columns of the readings, in their fixed units; any other name is an unknown. An unknown in which the
+    formula is linear is a coefficient with the prior zero ± its size; any other is a shape with a plausible range.
+    Numbers added to a column are in its unit. Operators and functions: + - * / ^, brackets, exp, log, sqrt, abs, sign,
+    sin, cos, tan, tanh, min, max, step (1 above zero); `elapsed` is the time in the run. Functions of a column's
+    history: rate(T) = dT/dt; body(T, tau) = T̃, the temperature of a body that follows T with τ·dT̃/dt = T − T̃, from T
+    at a run's first reading; and lag_difference(T, tau) = T̃ − T.
 
     Args:
-        name: of the effect, `slot.cause`, or its cause alone: the slot is then the first that the units fit. The
-            whole may stand here too: "name: formula; s = 0.1 mV/V".
-        formula: such as "s * (supply_voltage - 5)".
-        readings: whose columns it uses: gives units, and sizes that are not stated. Without, units are checked when a
-            model meets readings; they may be stated: V="supply_voltage [V]".
-        instrument: whose slots it may add to.
-        source: where the formula is from.
-        stated: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" about another mean than zero); range of each
-            shape ("100 to 2000 s", or one value for a tenth to ten times that); columns under other names.
+        name: name of the effect, `slot.cause`, or its cause alone: the slot is then the first whose unit fits. It may
+            be the whole line instead: "name: formula; s = 0.1 mV/V".
+        formula: expression, such as "s * (supply_voltage - 5)".
+        readings: measurements with these columns; they give units, and sizes that are not stated. Without them, units
+            are checked when a model is fitted; they may be stated: V="supply_voltage [V]".
+        instrument: instrument to whose slots the effect may add.
+        source: source of the formula.
+        stated: definitions of names: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" with a nonzero mean);
+            range of each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
 
     Raises:
-        InputError: the formula is none, its units do not go together, or a size is missing; ▸ marks the place.
+        InputError: the formula cannot be parsed, its units disagree, or a size is missing; ▸ marks the place.
     """
     return _TypedLine(name, formula, stated, readings, instrument).effect(source)
 
 
 def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Split a line into name, formula and definitions of names; raise InputError for one of another form."""
+    """Split a line into name, formula and definitions of names; raise InputError if it has another form."""
     stated = {n: str(v).strip() for n, v in stated.items()}
     if not formula:
         name, colon, tail = name.partition(":")
@@ -196,24 +196,24 @@ class _TypedLine:
         self.name, self.text, self.stated = _split(name, formula, stated)
         self.readings, self.instrument = readings, instrument
         tree = self.parse_tree()
-        self.first = dict[str, int]()  # name → index of its first occurrence
+        self.first_index = dict[str, int]()  # name → index of its first occurrence
         for at, word in sorted(self.find_names(tree)):
-            self.first.setdefault(word, at)
+            self.first_index.setdefault(word, at)
         # Name in the formula → column and its fixed unit; the unit is empty if not known without readings.
         self.columns = self._match_columns()
-        if unused := sorted(set(self.stated) - set(self.first)):
+        if unused := sorted(set(self.stated) - set(self.first_index)):
             raise InputError(
-                f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {self.text!r}"
+                f"effect {self.name!r}: {', '.join(unused)} is defined but not used in {self.text!r}"
             )
-        unknowns = set(self.first) - set(self.columns)
-        nonlinear = {name for _, name in self.find_names(*_nonlinear(tree))} & unknowns
+        unknowns = set(self.first_index) - set(self.columns)
+        nonlinear = {name for _, name in self.find_names(*_nonlinear_nodes(tree))} & unknowns
         self.shapes = {n: self._parse_shape(n, tree) for n in sorted(nonlinear)}
         self.units = {n: parse(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: parse(s.unit) for n, s in self.shapes.items()}
         self.coefficients = self.to_linear(tree)
         if "" in self.coefficients:
             near = "" if unknowns else ": write one in front, as s * (…)"
-            why = f"this is multiplied by no coefficient, whose size would be found{near}"
+            why = f"this term has no coefficient to be estimated{near}"
             raise self.error_at(self.coefficients[""].at, why)
 
     def error_at(self, at: int, why: str) -> InputError:
@@ -222,16 +222,16 @@ class _TypedLine:
     def parse_tree(self) -> ast.expr:
         """Parse the formula to an AST whose names are keys of `names`; raise InputError, the place marked."""
         if len(self.text) > MAX_LENGTH:
-            raise InputError(f"a formula of {len(self.text)} characters: {MAX_LENGTH} at most")
+            raise InputError(f"formula of {len(self.text)} characters: the limit is {MAX_LENGTH}")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
-        self.names, self.places, source = dict[str, str](), list[int](), ""
+        self.names, self.positions, source = dict[str, str](), list[int](), ""
         for token in _ATOM.finditer(self.text):
             kind = str(token.lastgroup)
             word, at = token[kind], token.start(kind)
             if kind == "other":
-                raise self.error_at(at, f"{word!r} has no meaning in a formula")
+                raise self.error_at(at, f"{word!r} is not allowed in a formula")
             if kind == "function" and word not in _ARGUMENT_COUNTS:
-                message = f"there is no function {word!r}; there are {', '.join(_ARGUMENT_COUNTS)}"
+                message = f"{word!r} is no function; there are {', '.join(_ARGUMENT_COUNTS)}"
                 raise self.error_at(at, message)
             if kind == "number":
                 word = repr(_to_float(word, partial(self.error_at, at)))
@@ -239,30 +239,30 @@ class _TypedLine:
                 key = f"n{len(self.names)}"
                 self.names[key], word = word, key
             source += word.replace("^", "**") + " "
-            self.places += [at] * (len(source) - len(self.places))
+            self.positions += [at] * (len(source) - len(self.positions))
         try:
             tree = ast.parse(source, mode="eval").body
         except (SyntaxError, MemoryError, RecursionError) as error:
             column = (getattr(error, "offset", None) or 1) - 1
-            at = self.places[column] if column < len(self.places) else len(self.text)
-            why = "this makes no formula: is an operator, a number, a name or a bracket missing?"
+            at = self.positions[column] if column < len(self.positions) else len(self.text)
+            why = "the formula cannot be parsed here: is an operator, number, name or bracket missing?"
             raise self.error_at(at, why) from None
         for node in ast.walk(tree):
             if not isinstance(node, _ALLOWED_NODES):
-                raise self.error_at(self.at(node), "this has no meaning in a formula")
+                raise self.error_at(self.at(node), "this is not allowed in a formula")
             if isinstance(node, ast.Call) and len(node.args) != (
                 count := _ARGUMENT_COUNTS.get(_called_name(node), 0)
             ):
                 why = f"{_called_name(node)} takes {count} argument{'s' * (count > 1)}"
                 raise self.error_at(self.at(node), why)
-        self.of_past = any(isinstance(n, ast.Name) and n.id in _HISTORY for n in ast.walk(tree))
+        self.has_history = any(isinstance(n, ast.Name) and n.id in _HISTORY for n in ast.walk(tree))
         return tree
 
     def at(self, node: Any) -> int:
         """Return the index of a node's first character in the line, without enclosing brackets."""
         while isinstance(node, ast.BinOp):
             node = node.left
-        return self.places[node.col_offset]
+        return self.positions[node.col_offset]
 
     def find_names(self, *parts: ast.expr) -> list[tuple[int, str]]:
         """Return (index, name) of all names in parts of the formula, except functions."""
@@ -270,7 +270,7 @@ class _TypedLine:
         return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
 
     def apply(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
-        """Apply a function to parts; evaluate it if all are literals, or raise InputError where it has no value."""
+        """Apply a function to parts; evaluate it if all are literals; raise InputError if it is undefined."""
         at, trees = parts[0].at, [part.tree for part in parts]
         if not all(isinstance(tree, float) for tree in trees):
             return FormulaPart((function, *trees), unit, at)
@@ -278,7 +278,7 @@ class _TypedLine:
             with np.errstate(all="raise"):
                 value = float(_IMPLEMENTATIONS[function](*map(np.float64, trees)))
         except FloatingPointError as error:
-            raise self.error_at(at, f"this number has no value: {error}") from None
+            raise self.error_at(at, f"this number is undefined: {error}") from None
         return FormulaPart(value, None, at)
 
     def to_linear(self, node: ast.expr) -> Linear:
@@ -327,7 +327,7 @@ class _TypedLine:
         at = next(iter(a.values())).at
         if self.readings is not None and len(undefined) == 1 < len(coefficients):
             raise self.error_at(at, self._missing_text(undefined[0]))
-        why = f"{' and '.join(coefficients)} multiply each other: only their product could be told"
+        why = f"{' and '.join(coefficients)} multiply each other: only their product is identified"
         if self.readings is not None and undefined:
             why += f". {' and '.join(map(self._missing_text, undefined))}"
         raise self.error_at(at, why)
@@ -335,21 +335,21 @@ class _TypedLine:
     def _compare(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
         """Apply a sum or comparison to two parts, which must have the same dimension."""
         if a.unit is not None and b.unit is not None and a.unit.powers != b.unit.powers:
-            why = f"this is {b.unit}, what it is added to or compared with {a.unit}"
+            why = f"this is {b.unit}, but is added to or compared with {a.unit}"
             raise self.error_at(b.at, why)
         return self.apply(function, a.unit or b.unit, a.match_unit(b), b.match_unit(a))
 
     def _multiply(self, sign: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
         if sign != "^":
-            plain = a.unit is None and b.unit is None
-            whole = (a.unit or NUMBER).times(b.unit or NUMBER, 1.0 if sign == "*" else -1.0)
-            return self.apply(sign, None if plain else whole, a, b)
+            is_unitless = a.unit is None and b.unit is None
+            product_unit = (a.unit or NUMBER).times(b.unit or NUMBER, 1.0 if sign == "*" else -1.0)
+            return self.apply(sign, None if is_unitless else product_unit, a, b)
         if b.unit is not None and b.unit.powers:
-            raise self.error_at(b.at, f"an exponent is a plain number, this is {b.unit}")
+            raise self.error_at(b.at, f"an exponent must be a plain number; this is {b.unit}")
         unit = a.unit
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
-                raise self.error_at(b.at, f"of {unit} only a power such as 2 or 0.5 has a unit")
+                raise self.error_at(b.at, f"the power of {unit} must be a constant, 10 at most")
             unit = NUMBER.times(unit, b.tree)
         elif b.unit is not None:
             unit = NUMBER
@@ -365,26 +365,26 @@ class _TypedLine:
         if name not in ("abs", "sqrt"):
             powers = {} if unit is None or name in ("step", "sign") else unit.powers
             if powers and not (name in ("sin", "cos", "tan") and powers == {"rad": 1.0}):
-                why = f"{name} takes a plain number, this is {unit}: divide it by one"
+                why = f"{name} takes a plain number; this is {unit}: divide it by {unit}"
                 raise self.error_at(a.at, why)
             unit = NUMBER
         elif name == "sqrt":
             unit = unit and NUMBER.times(unit, 0.5)
         return self.apply(name, unit, a)
 
-    def _parse_history(self, function: str, of: ast.expr, *tau: ast.expr) -> FormulaPart:
-        column, *times = (self.names.get(getattr(n, "id", "")) for n in (of, *tau))
+    def _parse_history(self, function: str, column_node: ast.expr, *tau: ast.expr) -> FormulaPart:
+        column, *times = (self.names.get(getattr(n, "id", "")) for n in (column_node, *tau))
         if column not in self.columns:
-            raise self.error_at(self.at(of), f"{function} takes the name of a column")
+            raise self.error_at(self.at(column_node), f"{function} takes the name of a column")
         unit = self.units[column] or parse("degC")
         if function == "rate":
             if unit.powers != {"K": 1.0}:
-                raise self.error_at(self.at(of), "rate is of a temperature")
+                raise self.error_at(self.at(column_node), "rate takes a temperature column")
             unit = unit.times(parse("s"), -1.0)
         elif times[0] not in self.shapes or self.units[times[0]].powers != {"s": 1.0}:
             why = f"the second argument of {function} is a time constant, such as tau"
             raise self.error_at(self.at(tau[0]), why)
-        return FormulaPart((function, column, *times), unit, self.at(of))
+        return FormulaPart((function, column, *times), unit, self.at(column_node))
 
     # definitions of its names -----------------------------------------------------------------------------------
 
@@ -395,7 +395,7 @@ class _TypedLine:
         return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {available})"
 
     def _match_columns(self) -> dict[str, tuple[str, str]]:
-        """Match names to columns: name → (column, unit); raise InputError for no column of numbers of known unit."""
+        """Match names to columns: name → (column, unit); raise InputError for an absent column or another unit."""
         readings, texts = self.readings, self.stated
         columns = self.instrument.columns if self.instrument else ()
         declared = {c.name: c.unit for c in columns if c.name != "output"}
@@ -407,7 +407,7 @@ class _TypedLine:
         self.available = table
         aliases = {n: v for n, v in texts.items() if not re.match(r"[-+.\d]", v)}
         pairs: dict[str, tuple[str, str]] = {}
-        for name, at in self.first.items():
+        for name, at in self.first_index.items():
             column, bracket, unit = aliases.get(name, name).partition("[")
             column = column.strip()
             column = column if column in table or name in aliases else _ALIASES.get(column, column)
@@ -433,22 +433,22 @@ class _TypedLine:
     def _parse_shape(self, name: str, tree: ast.expr) -> Shape:
         text = self.stated.get(name)
         if text is None:
-            why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
+            why = f"{name!r} has no plausible range: give one, as {name} = 100 to 2000 s"
             why = why if self.readings is None else f"{self._missing_text(name)}, and {why}"
-            raise self.error_at(self.first[name], why)
+            raise self.error_at(self.first_index[name], why)
         if match := _RANGE.fullmatch(text):
             low, high, unit = _to_float(match[1]), _to_float(match[2]), match[3]
         elif (match := _SIZE.fullmatch(text)) and match[2] is None and float(match[1]) > 0:
             value, unit = _to_float(match[1]), match[3]
             low, high = value / RANGE_FACTOR, value * RANGE_FACTOR
         else:
-            raise InputError(f"{name} = {text!r} is no plausible range: write it as 100 to 2000 s")
+            raise InputError(f"{name} = {text!r} is not a range: write it as 100 to 2000 s")
         unit = (unit or "1").strip()
         # A shape added to or compared with a column is a location on its scale: 50 degF is 10 °C, negative is allowed.
         operands = (getattr(p, "id", "") for node in ast.walk(tree) for p in _operands(node))
         is_location = any(self.names.get(key) == name for key in operands)
         if not (low < high and (low > 0 or is_location)):
-            why = f"{name} = {text!r}: a range goes from a positive number to a larger one"
+            why = f"{name} = {text!r}: a range needs positive, increasing limits"
             raise InputError(why)
         base = "1"
         if unit != "1":
@@ -461,25 +461,25 @@ class _TypedLine:
     def effect(self, source: str) -> Effect:
         """Build the effect, with prior standard deviations as stated, or else estimated from the readings."""
         slot, slot_unit, cause = self._resolve_slot()
-        name, basis = f"{slot}.{cause}", self._basis("")
+        name, basis = f"{slot}.{cause}", self._build_formula("")
         sizes = [None] * len(basis.parts)
         if self.readings is not None:
             sizes = _sizes(basis, self.readings, self.shapes)
         pairs = zip(self.coefficients.items(), sizes, strict=True)
         coefficients = tuple(self._coefficient(n, p.unit, slot_unit, s) for (n, p), s in pairs)
-        needs = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
+        column_names = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
         return Effect(
             name,
             slot,
-            basis=self._basis(self._format_canonical(name, coefficients)),
+            basis=self._build_formula(self._format_canonical(name, coefficients)),
             coefficients=coefficients,
             shapes=tuple(self.shapes.values()),
-            columns=tuple(dict.fromkeys([*needs, *["time"] * self.of_past])),
+            columns=tuple(dict.fromkeys([*column_names, *["time"] * self.has_history])),
             equation=self.text,
             source=source,
         )
 
-    def _basis(self, text: str) -> Formula:
+    def _build_formula(self, text: str) -> Formula:
         used = tuple((n, c, parse(u or "1").factor) for n, (c, u) in self.columns.items())
         parts = tuple(part.tree for part in self.coefficients.values())
         return Formula(text, parts, used, tuple(self.shapes))
@@ -491,16 +491,16 @@ class _TypedLine:
             return slot or "bias", None, cause
         if slot:
             return slot, self.instrument.slot(slot).unit, cause
-        chosen = self.instrument.slots[0]
+        chosen_slot = self.instrument.slots[0]
         for name, part in self.coefficients.items():
             size = _SIZE.fullmatch(self.stated.get(name, ""))
             if size and size[3]:
                 product = parse(size[3].strip()).times(part.unit or NUMBER).powers
                 candidates = (s for s in self.instrument.slots if parse(s.unit).powers == product)
-                if slot_found := next(candidates, None):
-                    chosen = slot_found
+                if matching_slot := next(candidates, None):
+                    chosen_slot = matching_slot
                     break
-        return chosen.name, chosen.unit, cause
+        return chosen_slot.name, chosen_slot.unit, cause
 
     def _coefficient(
         self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
@@ -511,7 +511,7 @@ class _TypedLine:
         if stated is None:
             if size is None or slot_unit is None:
                 raise InputError(
-                    f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
+                    f"effect {self.text!r}: {name!r} has no plausible size: give one, as {name} = 0.1 mV/V"
                 )
             powers = sorted(basis_unit.powers.items())
             divisors = (("degC" if n == "K" else n, p) for n, p in powers)
@@ -521,17 +521,17 @@ class _TypedLine:
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (match := _SIZE.fullmatch(stated)):
             raise InputError(
-                f"{name} = {stated!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
+                f"{name} = {stated!r} is not a size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (match[3] or "1").strip()
         sd, mean = abs(_to_float(match[2] or match[1])), _to_float(match[1]) if match[2] else 0.0
         prior = Normal(mean, sd) if sd > 0 else Known(mean)  # 1 ± 0: a constant
         if not (sd > 0 or mean):
-            raise InputError(f"{name} = {stated!r}: a size is not zero")
+            raise InputError(f"{name} = {stated!r}: a size must not be zero")
         product = parse(text).times(basis_unit)
         if slot_unit is not None and product.powers != (target := parse(slot_unit)).powers:
             raise InputError(
-                f"effect {self.text!r}: {name} in {text} makes it {product}, and it adds to what is {target}: correct "
+                f"effect {self.text!r}: with {name} in {text} it is {product}, but its slot is {target}: correct "
                 f"the unit of {name}"
             )
         return Coefficient(text, prior, part)
@@ -544,8 +544,8 @@ class _TypedLine:
         pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
         for n, (c, u) in self.columns.items():
             if n != c or n not in _UNITS:
-                called = n if n.isidentifier() else f"`{n}`"
-                pieces.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
+                quoted_name = n if n.isidentifier() else f"`{n}`"
+                pieces.append(f"{quoted_name} = {c}" + (f" [{u}]" if u else ""))
         return "; ".join(pieces)
 
 
@@ -563,7 +563,7 @@ def _operands(node: ast.AST) -> list[ast.expr]:
     return []
 
 
-def _nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
+def _nonlinear_nodes(tree: ast.expr) -> Iterator[ast.expr]:
     """Yield the nodes in which a formula is nonlinear: arguments of functions, divisors, powers."""
     for node in ast.walk(tree):
         match node:
@@ -575,12 +575,12 @@ def _nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
                 yield node.right
 
 
-def _to_float(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
-    """Parse a number; raise InputError, by `refusal`, for one too large or small for a computer."""
+def _to_float(text: str, make_error: Callable[[str], InputError] = InputError) -> float:
+    """Parse a number; raise the error made by `make_error` if it overflows or underflows."""
     value, is_zero = float(text), not re.search("[1-9]", text.lower().split("e")[0])
     if math.isfinite(value) and (abs(value) >= TINY or is_zero):
         return value
-    raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
+    raise make_error(f"the number {text} is too {'large' if abs(value) > 1 else 'small'}")
 
 
 def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
@@ -596,7 +596,7 @@ def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]
 
 
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Raise ModelError if readings or slot have other units than a typed effect was parsed for."""
+    """Raise ModelError if readings or slot have other units than those for which a typed effect was parsed."""
     basis = effect_.basis
     if not isinstance(basis, Formula):
         return
@@ -607,6 +607,6 @@ def require_units(effect_: Effect, readings: Measurements, instrument: Instrumen
     assert isinstance(reparsed.basis, Formula)
     if (reparsed.basis.parts, reparsed.basis.columns) != (basis.parts, basis.columns):
         raise ModelError(
-            f"Effect {effect_.name!r} was typed for columns in other units than these readings have: type it with "
-            f"readings=, or say their units ({basis.text})"
+            f"Effect {effect_.name!r} was defined for columns in other units than these readings have: define it "
+            f"with readings=, or state the units ({basis.text})"
         )

@@ -67,12 +67,12 @@ def predict_moments(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
     """Return the expected output (n,), and the variance of each reading from noisy inputs (n,); None if none."""
-    inputs = any(b.place == "input" for b in layout.blocks)
-    source, terms, sums = compose_at(layout, frame, x, hyper, with_grad=inputs)
-    if not inputs:
-        return composition.evaluate_output(source, sums), None
-    line = composition.linearise_output(source, terms, sums)
-    return line.mean, composition.compute_input_variance(terms, line)
+    has_noisy_inputs = any(b.place == "input" for b in layout.blocks)
+    source, terms, composed = compose_at(layout, frame, x, hyper, with_grad=has_noisy_inputs)
+    if not has_noisy_inputs:
+        return composition.evaluate_output(source, composed), None
+    linearisation = composition.linearise_output(source, terms, composed)
+    return linearisation.mean, composition.compute_input_variance(terms, linearisation)
 
 
 def log_likelihood(
@@ -100,5 +100,5 @@ def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) 
         key, subkey = jax.random.split(key)
         expected = expected + jnp.sqrt(extra) * jax.random.normal(subkey, expected.shape)
     ordered, expected = sort_by_time(noise, frame, expected)
-    drawn = noise.sample(key, expected, hyper, ordered)
-    return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)
+    readings = noise.sample(key, expected, hyper, ordered)
+    return readings if noise.independent else jnp.zeros_like(readings).at[frame.order].set(readings)

@@ -73,20 +73,20 @@ class Frame:
         if constant in self.reference:
             return self.columns[name] - self.reference[constant]
         if low not in self.reference:
-            raise ModelError(f"the column {name!r} is none of numbers: {', '.join(self.columns)}")
+            raise ModelError(f"column {name!r} is not numeric; numeric: {', '.join(self.columns)}")
         return self.columns[name] - 0.5 * (self.reference[low] + self.reference[high])
 
     def has_label(self, name: str, label: str) -> Float[Array, "n"]:
-        """Return 1 where the column of text `name` reads `label`, 0 elsewhere (n,).
+        """Return the indicator (n,) of `label` in the text column `name`: 1 where it has this label, 0 elsewhere.
 
         Raises:
-            ModelError: the column is one of numbers, or a group that every instrument has ("run", "device", …).
+            ModelError: the column is numeric, or a group of every instrument ("run", "device", …).
         """
         if name in GROUPS or name in self.columns:
-            what = "is a group" if name in GROUPS else "holds numbers"
+            reason = "is a group" if name in GROUPS else "holds numbers"
             raise ModelError(
-                f"has_label({name!r}, {label!r}): {name!r} {what}, and only another column of labels can be asked for "
-                f"one. Give the coefficient per={name!r} for one value each, or write the label in a column of its own"
+                f"has_label({name!r}, {label!r}): {name!r} {reason}; only other label columns have indicators. Give "
+                f"the coefficient per={name!r} for one value per member, or record the label in a separate column"
             )
         return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
@@ -101,8 +101,8 @@ class Frame:
         """Return dT/dt, the causal least-squares slope within the run, °C/s; ModelError if not in °C."""
         if name not in self.rates:
             raise ModelError(
-                f"the column {name!r} has no rate, which columns in [degC] have where there is time: "
-                f"{', '.join(self.rates) or 'here none'}"
+                f"the column {name!r} has no rate: columns in [degC] have one if there is a time column (here: "
+                f"{', '.join(self.rates) or 'none'})"
             )
         return self.rates[name]
 
@@ -119,11 +119,11 @@ class Frame:
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """Return T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
-        T is taken as linear between readings, or, where it is set in steps, as held from each reading to the next (the
-        constant "…_held" of its reference is 1); the recursion below is exact for both. Over a silence (as of a rate,
-        such as the soak before a tumble) it is taken to have gone at once, and to have stood since: a ramp as long as
-        the silence would leave the body behind T by its rate times τ, which a soak does not. T̃ follows the record: a
-        correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
+        T is interpolated linearly between readings, or, if it is set in steps (its reference constant "…_held" is 1),
+        held from each reading to the next; the recursion below is exact for both. Across a gap longer than `silence`,
+        such as the soak before a tumble, T is taken to have jumped at its start: a ramp over the whole gap would leave
+        the body behind T by its rate times τ, which a soak does not. T̃ follows the recorded column: a correction of
+        the column (an error of the thermometer) changes T at its own reading, not the body's history.
         """
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
@@ -132,7 +132,7 @@ class Frame:
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
         is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
-        step, index = (self.step, None) if is_traced(self.step) else self._paces
+        step, index = (self.step, None) if is_traced(self.step) else self._distinct_steps
         first, no_step = step < 0, step == 0
         h = xp.where(first | no_step, 1.0, step / tau)
         decay = xp.where(first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
@@ -143,26 +143,26 @@ class Frame:
         return xp.placed(self.order, run_recursion(decay, change * gain))
 
     @cached_property
-    def _paces(self) -> tuple[Float[np.ndarray, "u"], Any]:
+    def _distinct_steps(self) -> tuple[Float[np.ndarray, "u"], Any]:
         """Return the distinct time steps and each reading's index among them, to evaluate exp once for each."""
-        steps, place = np.unique(self.step, return_inverse=True)
-        return (steps, place) if 2 * len(steps) < self.size else (self.step, None)
+        steps, index = np.unique(self.step, return_inverse=True)
+        return (steps, index) if 2 * len(steps) < self.size else (self.step, None)
 
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
     ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-        """Return direction of a column's change, −1 … 1, reversed within `width`, and the remainder of the first state.
+        """Return the direction of a column's change, −1 … 1, reversed within `width`, and the initial state's decay.
 
-        Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings: the
-        pace does not matter, and a pause is remembered. It follows the record, or a body that lags.
+        Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings and
+        independent of the rate of change. Its input is the recorded column, or a lagging body's temperature.
         Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
         """
         values, first = self.path.get(name, self.record[name])[..., self.order], self.step < 0
         change = xp.where(first, 0.0, xp.diff(values, prepend=values[..., :1]))
         decay = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
         direction = run_recursion(decay, xp.where(first, 0.0, (1.0 - decay) * xp.sign(change)))
-        remainder = run_recursion(decay, xp.where(first, 1.0, 0.0))
-        return xp.placed(self.order, direction), xp.placed(self.order, remainder)
+        initial_state_decay = run_recursion(decay, xp.where(first, 1.0, 0.0))
+        return xp.placed(self.order, direction), xp.placed(self.order, initial_state_decay)
 
     def only(self, names: Sequence[str]) -> Frame:
         """Select columns with their rates and reference constants; "time" includes "elapsed", uncertainty is kept."""
@@ -221,7 +221,7 @@ def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float
 def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
     """List possible covariates: numeric columns except the output, time in the run, "temperature rate", °C/s.
 
-    Columns declared as no possible cause are omitted, unless `with_no_causes`.
+    Columns declared as no possible cause are omitted unless `with_no_causes`.
     """
     omitted = {"output", "output_uncertainty", "temperature_point"}
     omitted |= set() if with_no_causes else readings.no_causes
@@ -252,7 +252,7 @@ def reference_of(readings: Measurements) -> Reference:
     scalars: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
-            scalars[reference_name(name)] = _round_middle(readings[name])
+            scalars[reference_name(name)] = _round_mean(readings[name])
     for name, values in list_covariates(readings, with_no_causes=True).items():
         scalars[f"{name}_low"], scalars[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
@@ -260,8 +260,8 @@ def reference_of(readings: Measurements) -> Reference:
         scalars["time_mean"] = float(np.mean(time))
         scalars["time_span"] = float(np.ptp(time)) or 1.0
         for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_STEPPED):
-            measured = readings.unit(name) == "degC"  # and goes from one reading to the next
-            is_held = not measured and readings.records.set_in_steps(readings[name])
+            is_temperature = readings.unit(name) == "degC"  # which varies between readings
+            is_held = not is_temperature and readings.records.set_in_steps(readings[name])
             scalars[hold_flag_name(name)] = float(is_held)
     return scalars
 
@@ -272,12 +272,12 @@ def constant_names(readings: Measurements) -> set[str]:
     return names | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
 
 
-def _round_middle(values: np.ndarray) -> float:
+def _round_mean(values: np.ndarray) -> float:
     """Round a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
-    low, high, far = values.min(), values.max(), 0.1 * values.std()
+    low, high, limit = values.min(), values.max(), 0.1 * values.std()
     mean = np.clip(values.mean(), low, high)
     rounded = (np.round(mean, places) for places in range(16))
-    return float(next((r for r in rounded if abs(r - mean) <= far and low <= r <= high), mean))
+    return float(next((r for r in rounded if abs(r - mean) <= limit and low <= r <= high), mean))
 
 
 def build_frame(
@@ -289,13 +289,13 @@ def build_frame(
     """Build the frame of readings with the reference constants of the fit.
 
     Group members that are not in `levels` get the code −1; `levels` None numbers the members of these readings.
-    `record` are the fitted readings, whose runs may continue.
+    `record`: the fitted readings, whose runs these readings may continue.
     """
-    unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
-    columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
+    units = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
+    columns = {name: np.asarray(readings[name]) for name in units if units[name] is not None}
     columns, scalars = _subtract_origins(columns, reference)
-    named = ((n, label) for n in label_groups(readings) for label in readings.groups(n)[0])
-    labels = {f"{n}={label}": np.asarray(readings[n] == label, float) for n, label in named}
+    label_pairs = ((n, label) for n in label_groups(readings) for label in readings.groups(n)[0])
+    labels = {f"{n}={label}": np.asarray(readings[n] == label, float) for n, label in label_pairs}
     records = readings.records
     if readings.has("time"):
         columns["elapsed"] = records.elapsed(None if record is None else record.records)
@@ -331,9 +331,9 @@ def _subtract_origins(
         scalars |= {n: scalars[n] - origin for n in ends}
     if shifted and "output" not in shifted:
         length = np.linalg.norm(np.array([*shifted.values()]), axis=0)
-        across = np.array([columns.get(n, 0 * length) for n in ACROSS])
-        along = columns["output"] - np.array([*offsets.values()]) @ across
-        shifted["output"] = np.where(np.any(across != 0, axis=0), along, length)
+        projections = np.array([columns.get(n, 0 * length) for n in ACROSS])
+        projected_output = columns["output"] - np.array([*offsets.values()]) @ projections
+        shifted["output"] = np.where(np.any(projections != 0, axis=0), projected_output, length)
     return {**columns, **shifted}, scalars
 
 
@@ -350,9 +350,9 @@ def _encode_members(
         return np.full(len(readings), -1, dtype=np.int8)
     members, codes = readings.groups(group)
     if levels is not None:
-        fitted = levels.get(group, ())
-        index = {level: i for i, level in enumerate(fitted)}
+        fitted_members = levels.get(group, ())
+        index = {level: i for i, level in enumerate(fitted_members)}
         codes = np.array([index.get(level, -1) for level in members] + [-1])[codes]
-        members = fitted
-    fitting = np.min_scalar_type(-len(members) - 1)  # the smallest integer type
-    return codes.astype(fitting)
+        members = fitted_members
+    integer_type = np.min_scalar_type(-len(members) - 1)  # the smallest integer type
+    return codes.astype(integer_type)

@@ -64,19 +64,19 @@ class White(Noise):
 class Heteroscedastic(Noise):
     """Independent Gaussian noise whose standard deviation follows a column: log-linear, with a curvature.
 
-    σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), beside each reading's known uncertainty, z the column scaled to −1 … 1 over its
-    range at the fit; beyond that range σ stays as at its end. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
+    σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), in addition to each reading's known uncertainty; z is the column scaled to −1 … 1
+    over its range at the fit, clipped outside. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
     with a = 1 the scatter grows by e² from one end to the other.
     Source: A. Harvey, Econometrica 44 (1976) 461 (multiplicative heteroscedasticity).
 
-    Or in proportion to the column beside a floor, as data sheets state it (of the reading, and of the span):
+    Proportional to the column, with a floor, as data sheets state it (% of reading and % of span):
     σᵢ² = σ² + p²·(x/x_max)², p `noise.proportional`, x_max the largest |x| at the fit.
 
     Attributes:
         column: a numeric column, "elapsed", or a rate such as "temperature rate".
         scale: prior of σ, and of p, output unit.
         slope, curvature: priors of a and b.
-        proportional: whether it is in proportion to the column.
+        proportional: whether the standard deviation is proportional to the column, with a floor.
     """
 
     column: str
@@ -186,8 +186,8 @@ class StudentT(Noise):
 
     Attributes:
         scale: prior of the scale, output unit.
-        freedom: prior of the degrees of freedom; below 2 the variance does not exist, and 2.1 is used
-            where a variance is asked for.
+        freedom: prior of the degrees of freedom; below 2 the variance does not exist: variances are computed
+            with at least 2.1.
     """
 
     scale: Positive = HalfCauchy(1.0)
@@ -244,7 +244,7 @@ def _offer_student_t(scale: Positive, frame: Frame) -> list[Noise]:
 
 
 class Quantised(Noise):
-    """White noise seen through a converter or a printed table that rounds to `step`.
+    """White noise rounded to multiples of `step` by a converter or a printed table.
 
     The likelihood of a printed value is the probability of the interval that rounds to it.
 
@@ -270,7 +270,7 @@ class Quantised(Noise):
         span = float(np.ptp(output))
         if not 0 < span < self.step:
             return ""
-        return f"outputs {span:.3g} apart were not rounded in steps of {self.step:.3g}"
+        return f"the outputs span {span:.3g}, less than the rounding step {self.step:.3g}"
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization
@@ -289,5 +289,5 @@ class Quantised(Noise):
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = jnp.sqrt(white_variance(parameters, frame))
-        exact = mean + sd * jax.random.normal(key, mean.shape)
-        return jnp.round(exact / self.step) * self.step
+        unrounded = mean + sd * jax.random.normal(key, mean.shape)
+        return jnp.round(unrounded / self.step) * self.step

@@ -26,7 +26,7 @@ from bayescal._model.effect import READING, Coefficient, Effect, effects_table, 
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
-from bayescal._model.unknown_effect import FREED, covariate_in, freed, placeholder
+from bayescal._model.unknown_effect import FREED, freed, make_placeholder, parse_covariate
 from bayescal._model.vector import Vector
 
 Slots = Mapping[str, Float[Array, "n"]]
@@ -44,7 +44,7 @@ class Slot:
 
 @static
 class Use:
-    """How a calibrated instrument is used: which quantity a reading is turned back into.
+    """Measurand of a calibrated instrument in use: the quantity that is computed from a reading.
 
         use=bc.Use("rate_input", "deg/s")                  # a column that the response is a function of
         use=bc.Use("acceleration", "ug", equation=lambda a, slots, r: slots["bias"] + (1 + slots["scale"]) * a)
@@ -52,9 +52,9 @@ class Use:
     Attributes:
         stimulus: name of the quantity; a column, if there is no equation.
         unit: its fixed unit.
-        equation: the expected output in use, a function of (stimulus, slots, frame), output unit. None takes the
+        equation: the expected output in use, a function of (stimulus, slots, frame), output unit. None: the
             instrument's response with the stimulus in place of its column.
-        slots: those that act in use; empty for all. A test rig's own (fixture tilt, base tilt) do not.
+        slots: slots that act in use; empty for all. Those of a test rig (fixture tilt, base tilt) do not.
     """
 
     stimulus: str
@@ -65,33 +65,33 @@ class Use:
 
 @static
 class Instrument:
-    """What is measured, by which equation, and which effects may play a part.
+    """A type of sensor: its columns, measurement equation, effects and noise laws.
 
     Attributes:
         name: folder and command-line name, such as "mems_gyro".
-        title: one line for people.
-        columns: what a file of readings holds; "output" among them.
-        slots: what effects add to.
-        response: expected output from slots and readings, each reading from its own slots alone.
-        effects: of the baseline model.
+        title: description of one line.
+        columns: columns of a file of readings, "output" among them.
+        slots: quantities that effects add to.
+        response: function of slots and readings: the expected output, each reading's from its own slot values only.
+        effects: effects of the baseline model.
         candidates: further effects that `discover` considers.
-        nuisances: effects of the test that every fit has where its readings show them, such as a local gravity that
-            nobody stated: coefficients are as uncertain as they leave them.
-        noise: law of the baseline.
-        noise_laws: further laws that a search weighs, beside those that are offered for any record.
+        nuisances: effects of the test that are added to every fit whose readings can test them, such as an unstated
+            local gravity; they contribute to the coefficients' uncertainty.
+        noise: noise law of the baseline model.
+        noise_laws: further laws that a search evaluates, in addition to those offered for any record.
         nominal_scale: how raw outputs (V, Hz) become input units.
-        structures: further models to compare, by name, and what makes each.
-        simulator: `simulator(effects, seed=…, **options)` gives the columns of a simulated campaign, by name; a column
-            that the instrument does not declare carries its unit, `humidity [%]`. `simulate` makes readings of them.
-        experiments: feasible changes of the campaign, in words, and the columns that each would record:
+        structures: further models to compare: name, and function that builds the model.
+        simulator: `simulator(effects, seed=…, **options)` returns the columns of a simulated campaign, by name; an
+            undeclared column is named with its unit, `humidity [%]`. `simulate` converts them to measurements.
+        experiments: feasible further campaigns: description, and function that returns the columns it would record;
             `next_experiment` ranks them.
-        vector: of an instrument of three axes: its three outputs and their equation. Its files hold these, `output` is
-            made of them, and `response` is `vector.response`.
-        use: which quantity the calibrated instrument measures; None where no single reading tells it.
-        source: document that the equations come from.
-        tailor: for an instrument of any output unit: `tailor(readings, **settings)` gives the instrument in the unit of
-            these readings, with plausible sizes estimated from them unless given as settings.
-        settings: what a tailored instrument was made with, by name; saved with its calibrations.
+        vector: three outputs and their equation, for an instrument of three axes: its files hold these outputs,
+            `output` is computed from them, and `response` is `vector.response`.
+        use: measurand in use; None if a single reading does not determine it.
+        source: document with the equations.
+        tailor: for an instrument of any output unit: `tailor(readings, **settings)` returns the instrument in the unit
+            of these readings, with plausible sizes estimated from them unless given as settings.
+        settings: settings of a tailored instrument: name, value; saved with its calibrations.
     """
 
     name: str
@@ -115,12 +115,12 @@ class Instrument:
     settings: tuple[tuple[str, str | float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise ModelError for units that do not agree, or a use of a slot or column that is missing."""
-        clock = next((c for c in self.columns if c.name == "time"), None)
-        if clock is not None and clock.unit != "s":
+        """Raise ModelError if units disagree, or `use` names a slot or column that is missing."""
+        time_column = next((c for c in self.columns if c.name == "time"), None)
+        if time_column is not None and time_column.unit != "s":
             raise ModelError(
-                f"instrument {self.name!r}: its column 'time' is in [{clock.unit}]: declare it in [s], which lags and "
-                "times are in (a file may have its time in any unit)"
+                f"instrument {self.name!r}: its column 'time' is in [{time_column.unit}]: declare it in [s], the unit "
+                "of lags and times (a file may have its time in any unit)"
             )
         names = [s.name for s in self.slots]
         for effect in (*self.effects, *self.candidates):
@@ -132,7 +132,7 @@ class Instrument:
         for slot in self.use.slots:
             if slot not in names:
                 raise ModelError(
-                    f"instrument {self.name!r}: use counts on slot {slot!r}, which it does not have "
+                    f"instrument {self.name!r}: use names the slot {slot!r}, which it does not have "
                     f"(it has {', '.join(names)})"
                 )
         if self.use.equation is None:
@@ -141,8 +141,8 @@ class Instrument:
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Reduce to the module and name of the instrument's definition, and the fields that differ from it."""
         module = self.response.__module__
-        owner = sys.modules.get(module)
-        for name, value in vars(owner).items() if owner else ():
+        module_object = sys.modules.get(module)
+        for name, value in vars(module_object).items() if module_object else ():
             if isinstance(value, Instrument) and value.name == self.name:
                 if self.settings and value.tailor is not None:
                     return _unpickle, (module, name, None, dict(self.settings))
@@ -173,12 +173,12 @@ class Instrument:
 
         Args:
             effects: canonical name → true size, in the unit of the effect's coefficient.
-            seed: of every random number.
-            options: of the instrument's own simulator, such as its campaign.
+            seed: seed of the random-number generator.
+            options: options of the instrument's simulator, such as its campaign.
 
         Raises:
             ModelError: the instrument has no simulator.
-            ValueError: what its simulator refuses, such as an unknown effect.
+            ValueError: invalid for its simulator, such as an unknown effect.
         """
         if self.simulator is None:
             raise ModelError(f"instrument {self.name!r} has no simulator")
@@ -191,13 +191,13 @@ class Instrument:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return groups that coefficients may be per: run, cell, axis, device, reading, and its columns of labels."""
+        """Return the groups of coefficients: run, cell, axis, device, reading, and the instrument's label columns."""
         labels = (column.name for column in self.columns if column.unit is None)
         return tuple(dict.fromkeys((*GROUPS, READING, *labels)))
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Return the columns that the output is made of; none where a file holds it."""
+        """Return the three columns from which the output is computed; () if files hold the output itself."""
         return () if self.vector is None else self.vector.outputs
 
     @property
@@ -238,19 +238,19 @@ class Instrument:
         """Return one of the instrument's own effects by canonical name, or "unknown(covariate)".
 
         Args:
-            more: further effects by name, before its own.
+            more: further effects by name, which take precedence.
 
         Raises:
-            ModelError: it has none of that name.
+            ModelError: no effect has that name.
         """
         if (effect := {**self.known, **more}.get(name)) is not None:
             return effect
-        if covariate := covariate_in(name):
+        if covariate := parse_covariate(name):
             return self.unknown(covariate)
         if name.endswith(FREED):
             return freed(self.effect(name.removesuffix(FREED), more))
         raise ModelError(
-            f"instrument {self.name!r} knows no effect {name!r}; it knows "
+            f"instrument {self.name!r} has no effect {name!r}; it has "
             f"{', '.join(self.known)}. "
             "Give a bayescal.Effect of your own, or load one with --effects"
         )
@@ -265,7 +265,7 @@ class Instrument:
     def unknown(self, covariate: str) -> Effect:
         """Return an unknown dependence of the output on a covariate: smooth, a step, a kink; a periodic form in time.
 
-        Its plausible amplitudes are taken from the readings that the model is fitted to.
+        Its plausible amplitudes are estimated from the readings to which the model is fitted.
 
         Args:
             covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
@@ -277,10 +277,10 @@ class Instrument:
         output_slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
         if output_slot is None:
             raise ModelError(
-                f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}]: an unknown "
-                "dependence has nothing to add to"
+                f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}], which an "
+                "unknown dependence needs to add to"
             )
-        return placeholder(covariate, output_slot.name, output_slot.unit)
+        return make_placeholder(covariate, output_slot.name, output_slot.unit)
 
 
 def _unpickle(
@@ -304,16 +304,16 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
     slot = instrument.slot(coefficient.slot or effect.slot)
     names = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
-    used = {name: declared[name] for name in effect.columns if name in declared}
-    unused = {unit for name, unit in declared.items() if name not in (*used, "output")}
-    units, undeclared = tuple(sorted({*used.values()})), not names.issuperset(effect.columns)
-    other_units = (*(s.unit for s in effect.shapes), *sorted(unused))
+    used_units = {name: declared[name] for name in effect.columns if name in declared}
+    unused_units = {unit for name, unit in declared.items() if name not in (*used_units, "output")}
+    units, undeclared = tuple(sorted({*used_units.values()})), not names.issuperset(effect.columns)
+    other_units = (*(s.unit for s in effect.shapes), *sorted(unused_units))
     try:
         return basis_factor(coefficient.unit, slot.unit, units, undeclared, other_units)
     except InputError as error:
-        columns = ", ".join(f"{name} [{unit}]" for name, unit in used.items()) or "none"
+        columns = ", ".join(f"{name} [{unit}]" for name, unit in used_units.items()) or "none"
         raise ModelError(
             f"effect {effect.name!r}: {error}. Its columns: {columns}. A basis gets each column in the unit that the "
             "instrument declares, and coefficient × basis is in the unit of the slot: correct the unit of the "
-            f"coefficient or of the column, or name in `columns` all that the basis takes (columns={effect.columns})"
+            f"coefficient or of the column, or list in `columns` all that the basis uses (columns={effect.columns})"
         ) from None

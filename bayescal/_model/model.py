@@ -25,14 +25,14 @@ from bayescal._model.static import static
 
 @static
 class Model(Printed):
-    """An instrument, the effects believed present, and a noise law. Frozen; `+` and `-` give new models.
+    """An instrument, the effects taken to be present, and a noise law. Immutable; `+` and `-` return new models.
 
         model = instrument.baseline() + "bias.thermal_lag" - "bias.temperature"
 
     Attributes:
-        instrument: what is measured, by which equation.
-        effects: present effects, in the order in which they were added.
-        noise: how readings scatter.
+        instrument: columns, slots and measurement equation.
+        effects: effects of the model, in order of addition.
+        noise: noise law.
         fixed: unknowns held at a value, (name, value in its reported unit).
     """
 
@@ -81,7 +81,7 @@ class Model(Printed):
         return tuple(effect.name for effect in self.effects)
 
     def form_note(self, name: str) -> str:
-        """Return what marks an effect's name where other forms of it are in the model: " (basic form)", else ""."""
+        """Return the suffix " (basic form)" of an effect's name if the model has other forms of the effect, else ""."""
         return " (basic form)" * any(effect.family == name for effect in self.effects)
 
     @property
@@ -90,7 +90,7 @@ class Model(Printed):
         return frozenset(n for e in self.effects for n in (*e.columns, *e.varies))
 
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
-        """Add effects, as such or by canonical name; raise ModelError if one is there, or its slot or name unknown."""
+        """Add effects or their canonical names; raise ModelError if one is present, or has an unknown slot or name."""
         if not isinstance(other, (Effect, str)):
             model = self
             for item in other:
@@ -100,7 +100,7 @@ class Model(Printed):
         if effect.name in self.names:
             raise ModelError(
                 f"effect {effect.name!r} is in the model already (it has: {', '.join(self.names)}); "
-                f"to replace it, take it away first: model - {effect.name!r}"
+                f"to replace it, remove it first: model - {effect.name!r}"
             )
         return replace(self, effects=(*self.effects, effect))
 
@@ -128,13 +128,13 @@ class Model(Printed):
     def fix(self, values: Mapping[str, float]) -> Model:
         """Fix some unknowns at a value, in the unit in which each is reported.
 
-        So a published calibration is checked: fix all its coefficients and look at the residuals. With noise.white at 0
-        the known uncertainty of each reading, its column `output_uncertainty`, is all the noise that there is.
+        To check a published calibration, fix all its coefficients and inspect the residuals. With noise.white at 0
+        the only noise is each reading's known uncertainty, in the column `output_uncertainty`.
 
         Raises:
             ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
         """
-        self._refuse_unknown(values)
+        self._require_unknowns(values)
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
         for e in self.effects:
@@ -143,14 +143,14 @@ class Model(Printed):
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
             if name == WHITE and value == 0:
-                continue  # the known uncertainties of the readings are all the noise there is
+                continue  # the known uncertainties of the readings are the only noise
             if name in scales and value <= 0:
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
         return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
 
     def free(self, *names: str) -> Model:
         """Free these unknowns (all, if none is named) for estimation; raise ModelError if no unknown has that name."""
-        self._refuse_unknown(names)
+        self._require_unknowns(names)
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
@@ -161,7 +161,7 @@ class Model(Printed):
         """
         effect, first = self.effect(name), self.effect(name).coefficients[0]
         if effect.is_placeholder or first.flat or not 0 < size < math.inf:
-            stated = "; its own is taken from the readings, or flat" * (size > 0)
+            stated = "; it is estimated from the readings, or the prior is flat" * (size > 0)
             raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
         # rounded, so that a saved size makes the same priors again
         ratios = ((c, float(f"{c.size / first.size:.12g}")) for c in effect.coefficients)
@@ -170,7 +170,7 @@ class Model(Printed):
 
     @property
     def noise_as_stated(self) -> bool:
-        """Return whether the known uncertainties of the readings are all the noise there is."""
+        """Return whether the known uncertainties of the readings are the only noise."""
         return dict(self.fixed).get(WHITE) == 0
 
     @property
@@ -178,10 +178,10 @@ class Model(Printed):
         """Return the names of all coefficients, shapes and noise parameters."""
         return (*(n for e in self.effects for n in e.unknown_names), *self.noise.parameters())
 
-    def _refuse_unknown(self, names: Iterable[str]) -> None:
+    def _require_unknowns(self, names: Iterable[str]) -> None:
         for name in names:
             if name not in self.unknowns:
-                why = f"nothing in the model is called {name!r}; it has: {', '.join(self.unknowns)}"
+                why = f"the model has no unknown {name!r}; it has: {', '.join(self.unknowns)}"
                 raise ModelError(why)
 
     def require(self, readings: Measurements) -> None:
@@ -189,8 +189,8 @@ class Model(Printed):
         model_unit, unit = self.instrument.unit, readings.unit(readings.output)
         if model_unit == ANY:
             raise ModelError(
-                f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: compose "
-                "the model of instrument.for_readings(readings)"
+                f"Instrument {self.instrument.name!r} takes its unit and plausible sizes from readings: build "
+                "the model from instrument.for_readings(readings)"
             )
         if unit != model_unit:
             raise ModelError(
@@ -203,13 +203,13 @@ class Model(Printed):
                 if not readings.has(column):
                     raise ModelError(
                         f"Effect {effect.name!r} needs the column {column!r}, which {readings.file} lacks "
-                        f"(it has: {', '.join(readings.columns)}). Record it, or take the effect out: "
+                        f"(it has: {', '.join(readings.columns)}). Record it, or remove the effect: "
                         f"model - {effect.name!r}"
                     )
                 if effect.is_placeholder and readings.unit(column) is None:
                     raise ModelError(
-                        f"Effect {effect.name!r} is along a column of numbers, and {column!r} of {readings.file} holds "
-                        "labels: a deviation of each is an effect with coefficients per group, such as bias.run"
+                        f"Effect {effect.name!r} needs a numeric column, and {column!r} of {readings.file} has labels: "
+                        "for a deviation per label use an effect with coefficients per group, such as bias.run"
                     )
         for column in self.noise.needs:
             if not readings.has(column):
@@ -226,14 +226,14 @@ class Model(Printed):
         for name in self.noise.covariates:
             if name not in covariates:
                 raise ModelError(
-                    f"{self.noise.name} noise follows {name!r}, which is none of what varies in {readings.file}: "
-                    f"{', '.join(covariates)}. Name one of these (elapsed needs several runs)"
+                    f"{self.noise.name} noise depends on {name!r}, which is not a covariate of {readings.file} (it "
+                    f"has: {', '.join(covariates)}). Name one of these (elapsed needs several runs)"
                 )
         is_stated = readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
         if self.noise_as_stated and not is_stated:
             raise ModelError(
                 f"With {WHITE} fixed to 0 each reading needs a known uncertainty, a positive number in the column "
-                f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or let {WHITE} be estimated"
+                f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or free {WHITE}"
             )
 
 
@@ -258,8 +258,8 @@ def _require_known_group(instrument: Instrument, effect: Effect, group: str | No
         return
     raise ModelError(
         f"effect {effect.name!r} has one coefficient for each {group!r}, and instrument {instrument.name!r} has no "
-        f"such group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label among the "
-        f"instrument's columns: bayescal.Column({group!r}, None, required=False)"
+        f"such group; it has {', '.join(instrument.groups)}. Name one of these, or declare it as a label column of "
+        f"the instrument: bayescal.Column({group!r}, None, required=False)"
     )
 
 
@@ -280,8 +280,8 @@ def why_untestable(effect: Effect, readings: Measurements) -> str | None:
     # One member gives no standard deviation between members; an effect with other coefficients can still be fitted.
     deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
-        own_group = coefficient.per not in (None, READING, *GROUPS)
-        if own_group and not readings.has(str(coefficient.per)):
+        is_label_group = coefficient.per not in (None, READING, *GROUPS)
+        if is_label_group and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
         if deviations and coefficient.per is not None:
             _, codes = readings.groups(coefficient.per)

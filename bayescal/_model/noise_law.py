@@ -2,7 +2,7 @@
 
 A noise law defines its parameters with priors and units and, in JAX, differentiable by all parameters: the variance of
 each reading, its log density, draws of readings and, if Gaussian given its parameters, the whitening L⁻¹ of residuals
-to independent unit variance (`whiten`). Other code uses this interface alone, so that a user's own law takes part in
+to independent unit variance (`whiten`). Other code uses this interface alone, so that a user's own law works in
 fits, searches, files and batches.
 
 A law that is not Gaussian (Student-t, rounding) defines its density alone; its first and second derivatives by the
@@ -55,7 +55,7 @@ class Noise(abc.ABC):
         refines: name of the law that it generalises: a search evaluates it only where that law is probable.
 
     Raises:
-        TypeError: a class derived from it lacks what it must have, or is named as another law is.
+        TypeError: a derived class lacks required attributes or methods, or has the name of another law.
     """
 
     gaussian: ClassVar[bool]
@@ -169,10 +169,10 @@ class Noise(abc.ABC):
 
     def shared_variance(self, values: Parameters) -> Any:
         """Return the common variance of all readings if `even`, output unit squared."""
-        raise NotImplementedError(f"readings under {self.name} noise share no variance")
+        raise NotImplementedError(f"{self.name} noise has no common variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
-        """Return the coordinate of each reading whose smooth function `variance_along` is its variance; None: no such.
+        """Return the coordinate of each reading of which its variance is a smooth function, `variance_along`; or None.
 
         For independent Gaussian noise only.
         """
@@ -180,7 +180,7 @@ class Noise(abc.ABC):
 
     def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
         """Return the variance at coordinates `place` (s, j), output unit squared; parameter values are (s, 1)."""
-        raise NotImplementedError(f"the variance of {self.name} noise follows no place")
+        raise NotImplementedError(f"{self.name} noise has no variance coordinate")
 
     def whiten(
         self,
@@ -205,7 +205,7 @@ class Noise(abc.ABC):
         return None
 
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
-        """Return starting points of an optimisation of the parameters; parameters that are absent are free to choose.
+        """Return starting points of an optimisation of the parameters; the optimiser chooses that of an absent one.
 
         Readings and residuals (output unit) are sorted by time if the law is correlated.
         """
@@ -218,7 +218,7 @@ class Noise(abc.ABC):
     ) -> Float[np.ndarray, "... k"]:
         """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
-        `variance` is a reading's about the expected output; `factors` readings, `step` s apart, are averaged.
+        `variance`: of a reading about the expected output; `factors`: averaging factors m; `step`: s between readings.
         """
         return np.asarray(variance)[..., None] / factors
 
@@ -305,17 +305,17 @@ def _check_noise_class(kind: type[Noise]) -> None:
             raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
     attrs = vars(kind)
     if missing := [n for n in ("law", "gaussian") if n not in attrs]:
-        raise TypeError(f'{name}: a noise law says {" and ".join(missing)}, as in law = "my_law"')
+        raise TypeError(f'{name}: a noise law needs {" and ".join(missing)}, as in law = "my_law"')
     needed = [] if attrs["gaussian"] else ["log_density", "sample"]
     needed += [] if attrs.get("independent", True) else ["whiten", "sample"]
     if missing := [n for n in dict.fromkeys(needed) if getattr(kind, n) is getattr(Noise, n)]:
-        why = "does not take readings as independent" if attrs["gaussian"] else "is not Gaussian"
-        raise TypeError(f"{name} {why}: it must have a method {' and '.join(missing)} of its own")
+        why = "has correlated readings" if attrs["gaussian"] else "is not Gaussian"
+        raise TypeError(f"{name} {why}: it must define the method {' and '.join(missing)}")
     for other in Noise.registry.values():
         built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
         if built_in and (other.__name__ == name or other.law == kind.law):
             raise TypeError(
-                f"{name} ({kind.law!r}): bayescal has a law {other.__name__} ({other.law!r}): rename it"
+                f"{name} ({kind.law!r}) has the name of bayescal's {other.__name__} ({other.law!r}): rename it"
             )
 
 
@@ -324,15 +324,15 @@ OFFERS: list[Offer] = []
 
 
 def offered(offer: Offer) -> Offer:
-    """Let a search weigh laws: from the prior of the white part and a record, those that this record can tell.
+    """Register a function that returns noise laws for a search to evaluate on given readings.
 
         @bc.offered
         def where_it_was_recorded(scale, frame):
             return [Vibration(scale)] if "vibration" in frame.columns else []
 
     Args:
-        offer: a function of the prior of `noise.white` and of the readings' frame. Defined again, as a cell of a
-            notebook that is run again does, it takes the place of the one of its name.
+        offer: function of the prior of `noise.white` and of the readings' frame; it returns the laws that these
+            readings can distinguish. It replaces a function of the same name, as when a notebook cell is run again.
     """
     name = (offer.__module__, offer.__qualname__)
     OFFERS[:] = [*(o for o in OFFERS if (o.__module__, o.__qualname__) != name), offer]

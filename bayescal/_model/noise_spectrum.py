@@ -47,9 +47,9 @@ def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
 def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:
     """Return the cosine transform of e₊ (sign 1) or e₋ (sign −1) of a run of n readings."""
     k = np.arange(n)
-    of_first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # of e₁; of eₙ with the sign (−1)ᵏ
-    of_first[0] = math.sqrt(1 / n)
-    return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * of_first, 0.0)
+    first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # of e₁; of eₙ with the sign (−1)ᵏ
+    first[0] = math.sqrt(1 / n)
+    return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * first, 0.0)
 
 
 def exponential(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
@@ -73,8 +73,8 @@ def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> 
 
 def _symbol(x: Any, lam: Lambda) -> Any:
     """Return the symbol ν(λ) of an exponential correlation of unit variance with a = exp(x)."""
-    gap = -np.expm1(x)
-    return gap * (2 - gap) / (gap**2 + (1 - gap) * lam)
+    one_minus_a = -np.expm1(x)
+    return one_minus_a * (2 - one_minus_a) / (one_minus_a**2 + (1 - one_minus_a) * lam)
 
 
 def _end_m(variance: Any, x: Any, n: int, sign: int) -> Any:
@@ -89,12 +89,12 @@ def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
     (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r with x = r·Δt: the exponential's formulas minus their derivatives by log r.
     """
     x = -math.sqrt(3) * step / time
-    a, gap = np.exp(x), -np.expm1(x)
+    a, one_minus_a = np.exp(x), -np.expm1(x)
     da = x * a  # ∂a/∂log r, and of 1 − a with the other sign
-    num, dnum = gap * (2 - gap), -2 * a * da
-    den, dden = gap**2 + a * lam, (lam - 2 * gap) * da
-    symbol = variance * num / den
-    derivative = variance * (dnum / den - num * dden / den**2)
+    numer, d_numer = one_minus_a * (2 - one_minus_a), -2 * a * da
+    denom, d_denom = one_minus_a**2 + a * lam, (lam - 2 * one_minus_a) * da
+    symbol = variance * numer / denom
+    derivative = variance * (d_numer / denom - numer * d_denom / denom**2)
 
     def correction(n: int, sign: int) -> Any:
         end, dend = _end_variance(x, n, sign)
@@ -109,23 +109,23 @@ def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
 
 def _end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
     """Return e±ᵀN e± for unit variance and a = exp(x), by the method of images, and its derivative by log(−x)."""
-    a, far = np.exp(x), np.exp((n - 1) * x)
-    image, den = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
-    num = (1 + a) * (1 + image) + sign * far * (1 + a) ** 2
-    dnum = x * (
-        a * (1 + image)
-        + (1 + a) * (2 * n - 1) * image
-        + sign * far * ((n - 1) * (1 + a) ** 2 + 2 * (1 + a) * a)
+    a, end_correlation = np.exp(x), np.exp((n - 1) * x)
+    mirror_term, denom = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
+    numer = (1 + a) * (1 + mirror_term) + sign * end_correlation * (1 + a) ** 2
+    d_numer = x * (
+        a * (1 + mirror_term)
+        + (1 + a) * (2 * n - 1) * mirror_term
+        + sign * end_correlation * ((n - 1) * (1 + a) ** 2 + 2 * (1 + a) * a)
     )
-    dden = -2 * n * x * (1 - den)
-    return num / den, (dnum - num * dden / den) / den
+    d_denom = -2 * n * x * (1 - denom)
+    return numer / denom, (d_numer - numer * d_denom / denom) / denom
 
 
-def shared_errors(sd: Any, passed: float, lam: Lambda) -> SpectralTerm:
-    """Return the term of independent errors that the next reading shares: differences (−1) or sums (1) of neighbours.
+def shared_errors(sd: Any, theta: float, lam: Lambda) -> SpectralTerm:
+    """Return the term of a moving average eₜ + θ·eₜ₋₁ of independent errors of standard deviation sd, θ = −1 or 1.
 
-    The covariance of differences is size²·(L + e₊e₊ᵀ + e₋e₋ᵀ), of sums sd²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
+    The covariance of differences is sd²·(L + e₊e₊ᵀ + e₋e₋ᵀ), of sums sd²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
     """
     square = np.asarray(sd) ** 2
-    symbol, ends = square * (4 - lam if passed > 0 else lam), passed * square.reshape(1, 1, -1)
-    return SpectralTerm(symbol, (np.ones_like(lam),), lambda n, sign: ends)
+    symbol, correction = square * (4 - lam if theta > 0 else lam), theta * square.reshape(1, 1, -1)
+    return SpectralTerm(symbol, (np.ones_like(lam),), lambda n, sign: correction)

@@ -21,7 +21,7 @@ from bayescal._data.records import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import SpectralTerm
-from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
+from bayescal._model.prior import LogUniform, Normal, Positive, scale_prior
 from bayescal._model.state_space import Block, exponential_block, matrix_2x2
 from bayescal._model.static import static
 
@@ -54,13 +54,13 @@ class Bounds(NamedTuple):
     column: str = ""  # covariate of the frequency of a tone; none if empty
 
     @property
-    def middle(self) -> float:
+    def geometric_mean(self) -> float:
         return math.sqrt(self.shortest * self.longest)
 
     @property
     def diffusion(self) -> Positive:
         """Return the prior of q that implies `correlated` for q·√(τ/2) at the geometric mean τ of the times."""
-        return multiplied(self.correlated, math.sqrt(2 / self.middle))
+        return scale_prior(self.correlated, math.sqrt(2 / self.geometric_mean))
 
 
 @static
@@ -102,7 +102,7 @@ class NoiseTerm(abc.ABC):
         residuals: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Return starting points of an optimisation of the parameters; absent parameters are free to choose."""
+        """Return starting points of an optimisation of the parameters; the optimiser chooses that of an absent one."""
         return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
@@ -182,7 +182,7 @@ class CorrelatedTerm(ExponentialTerm):
 
 
 class WalkTerm(ExponentialTerm):
-    """A random walk (IEEE 952: rate random walk, K) that has gone on for long before the record."""
+    """A random walk (IEEE 952: rate random walk, K) that began long before the record."""
 
     words: ClassVar[str] = "random walk"
     units: ClassVar[Mapping[str, str]] = {"noise.walk": "{}/s^0.5"}
@@ -254,8 +254,8 @@ class SmoothTerm(NoiseTerm):
         # The process noise is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x,
         # which is e⁻ᶻ·(z³/6 + z⁴/24 + …) where z is small;
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
-        far = -jnp.expm1(-z) - decay**2 * (z + z**2 / 2)
-        fresh = jnp.where(z < SERIES_LIMIT, decay**2 * series, far)
+        closed_form = -jnp.expm1(-z) - decay**2 * (z + z**2 / 2)
+        fresh = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
         # off the diagonal 2x²·e⁻²ˣ,
         cross = decay**2 * z**2 / 2
         # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
@@ -271,9 +271,9 @@ class SmoothTerm(NoiseTerm):
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
         # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
         # that a difference of two c would lose.
-        tiny = 1e-30
-        c = allan_of_exponential(m + 0j, a * (1 + 1j * tiny))
-        exact, x = c.real - c.imag / tiny, m * a
+        step_size = 1e-30
+        c = allan_of_exponential(m + 0j, a * (1 + 1j * step_size))
+        exact, x = c.real - c.imag / step_size, m * a
         unit_variance = np.where(x < ALLAN_SERIES_LIMIT, x**2 / 2 - 7 * x**3 / 15, exact)
         return values["noise.smooth"] ** 2 * unit_variance
 
@@ -340,13 +340,13 @@ class ToneTerm(NoiseTerm):
         if len(rows) < MIN_WINDOWS:
             return []
         window = np.hanning(WINDOW + 2)[1:-1]
-        excess = _relative_power(residuals[rows], window, is_moving=z is not None)
+        power = _relative_power(residuals[rows], window, is_moving=z is not None)
         positions = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * SLOPE_COUNT + 1) if z is not None else np.zeros(1)
         count, best = ZERO_PADDING * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
         bins = np.arange(1, count // 2)
         # Two periods of the discrete spectrum, whose upper half mirrors the lower, so that aliased shifts stay inside.
-        spectra = np.minimum(np.hstack([excess, excess[:, -2:0:-1]] * 2), MAX_RELATIVE_POWER)
+        spectra = np.minimum(np.hstack([power, power[:, -2:0:-1]] * 2), MAX_RELATIVE_POWER)
         offsets = bins[:, None] + spectra.shape[1] * np.arange(len(rows))
         # The frequency is nearly constant within a window: its bin is that at the window's mean z.
         for a, b in itertools.product(slopes, slopes[::2] / 2):
@@ -355,13 +355,13 @@ class ToneTerm(NoiseTerm):
             best = max(best, (float(means.max()), float(bins[np.argmax(means)] / count), a, b))
         peak, frequency, a, b = best
         # Differences of neighbours have √2 times the standard deviation; the median |difference| is 0.6745 of that.
-        noise = float(np.median(np.abs(np.diff(residuals)[is_even[1:]]))) / (0.6745 * math.sqrt(2))
+        sd = float(np.median(np.abs(np.diff(residuals)[is_even[1:]]))) / (0.6745 * math.sqrt(2))
         # A line of variance s² in white noise of variance w² has the relative power (Σh)²·s²/(2·w²·Σh²), h the window.
         ratio = max(peak - 1, 0.1) * 2 * float(np.sum(window**2) / np.sum(window) ** 2)
-        share = ratio / (1 + ratio)
+        line_fraction = ratio / (1 + ratio)
         start = {
-            WHITE: noise * math.sqrt(1 - share),
-            "noise.tone": noise * math.sqrt(share),
+            WHITE: sd * math.sqrt(1 - line_fraction),
+            "noise.tone": sd * math.sqrt(line_fraction),
             "noise.tone.frequency": frequency / usual,
             "noise.tone.time": WINDOW * usual,
         }
@@ -388,12 +388,12 @@ def _relative_power(
 
 
 class ErrorsTerm(NoiseTerm):
-    """First-order moving average: a reading is eₜ + passed·eₜ₋₁, e independent errors of one standard deviation.
+    """First-order moving average: a reading is eₜ + θ·eₜ₋₁, e independent errors of one standard deviation.
 
-    States: eₜ, and passed·eₜ₋₁. Readings are taken as evenly spaced.
+    States: eₜ, and θ·eₜ₋₁. Readings are taken as evenly spaced.
     """
 
-    passed: ClassVar[float]
+    theta: ClassVar[float]
 
     @abc.abstractmethod
     def size(self, values: Values, bounds: Bounds) -> Any:
@@ -404,12 +404,12 @@ class ErrorsTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         square, zero = self.size(values, bounds) ** 2, 0.0 * h
-        carry = matrix_2x2(zero, zero, self.passed + zero, zero)
+        carry = matrix_2x2(zero, zero, self.theta + zero, zero)
         fresh = matrix_2x2(square + zero, zero, zero, zero)
         return Block(carry, fresh, square * jnp.eye(2), observed=True)
 
     def spectrum(self, values, bounds, step, lam):
-        return [noise_spectrum.shared_errors(self.size(values, bounds), self.passed, lam)]
+        return [noise_spectrum.shared_errors(self.size(values, bounds), self.theta, lam)]
 
 
 class RoundedAngleTerm(ErrorsTerm):
@@ -418,10 +418,10 @@ class RoundedAngleTerm(ErrorsTerm):
     words: ClassVar[str] = "quantisation"
     units: ClassVar[Mapping[str, str]] = {"noise.quantisation": "{}*s"}
     bounded: ClassVar[bool] = True
-    passed: ClassVar[float] = -1.0
+    theta: ClassVar[float] = -1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {"noise.quantisation": multiplied(bounds.correlated, bounds.shortest)}
+        return {"noise.quantisation": scale_prior(bounds.correlated, bounds.shortest)}
 
     def size(self, values, bounds):
         return values["noise.quantisation"] / bounds.shortest
@@ -441,7 +441,7 @@ class AveragingTerm(ErrorsTerm):
     """
 
     words: ClassVar[str] = "averaging"
-    passed: ClassVar[float] = 1.0
+    theta: ClassVar[float] = 1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.averaging": bounds.correlated}

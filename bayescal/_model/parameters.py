@@ -23,7 +23,7 @@ from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.frame import GROUPS, origins_of
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
-from bayescal._model.prior import Flat, FlatLine, Normal, Positive, deviation
+from bayescal._model.prior import Flat, FlatLine, Normal, Positive, standard_deviation
 from bayescal._model.static import static
 
 Place = Literal["x", "input", "phi", "fixed"]  # the vector that holds a coefficient, or none
@@ -121,7 +121,7 @@ class Unknown:
     def prior_sd(self) -> float | None:
         """Return the prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
         if self.block is None:
-            return deviation(self.prior)
+            return standard_deviation(self.prior)
         c = self.block.coefficient
         is_learned = c.group_sd is not None or self.block.effect.weights is not None
         return None if c.flat or is_learned else c.size
@@ -131,7 +131,7 @@ class Unknown:
 class Layout:
     """A model bound to group sizes. It has no arrays: equal layouts share one compiled program."""
 
-    model: Model  # the model
+    model: Model
     counts: tuple[tuple[str, int], ...]  # (group, number of members)
     promoted: tuple[str, ...] = ()  # names of coefficients that stand in φ
     # (coefficient, origin subtracted from outputs in the frame, output unit): the coefficient includes it
@@ -161,7 +161,7 @@ class Layout:
                 start += size if place == "x" else 0
         if origins:
             raise ModelError(
-                f"outputs are counted from what {', '.join(origins)} takes back, which is not in the model: "
+                f"outputs are relative to an origin included in {', '.join(origins)}, which is not in the model: "
                 f"{', '.join(self.model.names)}"
             )
         return tuple(blocks)
@@ -274,13 +274,13 @@ def bind(
     if len(readings) <= flat_count:
         raise ModelError(
             f"{readings.file} has {len(readings)} readings for {flat_count} coefficients with a flat prior: "
-            "measure more, take effects out, or give them a Normal prior"
+            "measure more, remove effects, or give them a Normal prior"
         )
     input_effects = [b.effect.name for b in layout.blocks if b.place == "input"]
     if not model.noise.independent and input_effects:
         raise ModelError(
-            f"Effect {input_effects[0]!r} is noise on an input of each reading, which is not combined with "
-            f"{model.noise.law} noise: take the effect out, or use White() noise"
+            f"Effect {input_effects[0]!r} is noise on an input of each reading, which cannot be combined with "
+            f"{model.noise.law} noise: remove the effect, or use White() noise"
         )
     if not model.noise.independent and not readings.has("time"):
         raise ModelError(
@@ -291,6 +291,6 @@ def bind(
         if b.size == 0:
             raise ModelError(
                 f"Effect {b.effect.name!r} has one coefficient for each {b.coefficient.per}, and "
-                f"{readings.file} has none: name them in a column, or take the effect out"
+                f"{readings.file} has none: name them in a column, or remove the effect"
             )
     return layout, levels

@@ -1,9 +1,9 @@
 """Prior distributions of unknowns.
 
-Coefficients take `Normal`, `Flat` or `Known`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
-what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
-A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here knows its
-value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything. Values and
+Coefficients take `Normal`, `Flat` or `Known`; group and noise standard deviations `HalfNormal`, `HalfCauchy` or `Flat`;
+positive quantities known to an order of magnitude `LogNormal`, bounded ones `LogUniform`.
+A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here gives its
+value at v and its log density *in v* (the Jacobian included): no other code transforms values. Values and
 coordinates are JAX's arrays within programs, NumPy's arrays or numbers on the host.
 """
 
@@ -21,14 +21,14 @@ from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-SLOPE_STEP = 1e-3  # of a coordinate
-_EDGE = 1e-15  # of the probability, within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
+SLOPE_STEP = 1e-3  # step of numerical derivatives by a coordinate v
+_EDGE = 1e-15  # probability within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
 
 
-class _StandardNormal:
+class _StandardNormalPrior:
     """A prior whose coordinate is standard normal."""
 
-    coordinate_variance: ClassVar[float] = 1.0  # infinite where there is none
+    coordinate_variance: ClassVar[float] = 1.0  # infinite if improper
 
     def log_density(self, v: Any) -> Any:
         """Return the log density in the coordinate."""
@@ -36,7 +36,7 @@ class _StandardNormal:
 
 
 @static
-class _Scaled:
+class _ScaledPrior:
     """A prior of a positive quantity with a scale, in its own unit; its coordinate is log(value/scale)."""
 
     scale: float = 1.0
@@ -50,7 +50,7 @@ class _Scaled:
 
 
 @static
-class Normal(_StandardNormal):
+class Normal(_StandardNormalPrior):
     """A Gaussian prior; `mean` and `sd` in the coefficient's own unit."""
 
     mean: float = 0.0
@@ -69,16 +69,16 @@ class Normal(_StandardNormal):
 
 @static
 class Known:
-    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature."""
+    """A constant coefficient, which is not estimated: 1 by definition, such as that of a body's temperature."""
 
-    mean: float = 1.0  # the number
+    mean: float = 1.0  # value of the constant
     # whether it is zero in some draws, those of structures without the effect
     averaged: bool = False
     sd: float = field(default=0.0, init=False, repr=False)
 
 
 @static
-class LogNormal(_StandardNormal):
+class LogNormal(_StandardNormalPrior):
     """A positive quantity whose logarithm is Gaussian; `median` in its own unit, `sd` of the logarithm."""
 
     median: float
@@ -92,10 +92,10 @@ class LogNormal(_StandardNormal):
 
 
 @static
-class LogUniform(_StandardNormal):
-    """A positive quantity between two bounds, its logarithm uniform between theirs; `low` and `high` in its own unit.
+class LogUniform(_StandardNormalPrior):
+    """A positive quantity between two bounds with a uniform logarithm; `low` and `high` in its own unit.
 
-    Its coordinate is standard normal: value = low·(high/low)^Φ(v), so that no v leaves the bounds.
+    Its coordinate is standard normal: value = low·(high/low)^Φ(v), within the bounds for every v.
     """
 
     low: float
@@ -106,18 +106,18 @@ class LogUniform(_StandardNormal):
             raise ValueError(f"LogUniform needs finite bounds with 0 < low < high, not {self}")
 
     def value(self, v: Any) -> Any:
-        share = special_functions(v).ndtr(v)
-        return self.low * xp.exp(math.log(self.high / self.low) * share)
+        fraction = special_functions(v).ndtr(v)
+        return self.low * xp.exp(math.log(self.high / self.low) * fraction)
 
     def coordinate(self, value: Any) -> Any:
         """Return the coordinate of a value; finite at the bounds, where rounding may have put it."""
-        share = xp.log(value / self.low) / math.log(self.high / self.low)
-        return special_functions(value).ndtri(xp.clip(share, _EDGE, 1 - _EDGE))
+        fraction = xp.log(value / self.low) / math.log(self.high / self.low)
+        return special_functions(value).ndtri(xp.clip(fraction, _EDGE, 1 - _EDGE))
 
 
 @static
-class NumpyroPrior(_StandardNormal):
-    """A positive quantity by another distribution of NumPyro's; its coordinate is standard normal: icdf(Φ(v))."""
+class NumpyroPrior(_StandardNormalPrior):
+    """A positive quantity with another NumPyro distribution; its coordinate is standard normal: icdf(Φ(v))."""
 
     name: str
     parameters: tuple[tuple[str, float], ...]
@@ -133,13 +133,13 @@ class NumpyroPrior(_StandardNormal):
         return value if is_traced(v) else np.asarray(value)
 
     def coordinate(self, value: Any) -> Any:
-        share = xp.clip(self.distribution.cdf(value), _EDGE, 1 - _EDGE)
-        return special_functions(share).ndtri(share)
+        probability = xp.clip(self.distribution.cdf(value), _EDGE, 1 - _EDGE)
+        return special_functions(probability).ndtri(probability)
 
 
 @static
-class HalfNormal(_Scaled):
-    """The positive half of N(0, scale²), for spreads and noise scales."""
+class HalfNormal(_ScaledPrior):
+    """The positive half of N(0, scale²), for standard deviations."""
 
     coordinate_variance: ClassVar[float] = math.pi**2 / 8  # of log|N(0, 1)|
 
@@ -148,8 +148,8 @@ class HalfNormal(_Scaled):
 
 
 @static
-class HalfCauchy(_Scaled):
-    """The positive half of a Cauchy: a scale known to an order of magnitude or two."""
+class HalfCauchy(_ScaledPrior):
+    """The positive half of a Cauchy distribution, for a scale known to within one or two orders of magnitude."""
 
     coordinate_variance: ClassVar[float] = math.pi**2 / 4
 
@@ -158,11 +158,11 @@ class HalfCauchy(_Scaled):
 
 
 @static
-class Flat(_Scaled):
-    """No preference at all. Improper: the evidence of a model that holds one is not defined.
+class Flat(_ScaledPrior):
+    """A flat, improper prior: the evidence of a model that has one is undefined.
 
-    For a coefficient: flat on the real line. For a spread or a noise scale: flat on the positive half line,
-    `scale` only setting the unit of its coordinate.
+    For a coefficient: flat on the real line. For a group or noise standard deviation: flat on the positive half line;
+    `scale` only sets the unit of its coordinate.
     """
 
     coordinate_variance: ClassVar[float] = math.inf
@@ -188,8 +188,8 @@ class FlatLine:
         return 0.0 * v + math.log(self.scale)
 
 
-def deviation(prior: Any) -> float | None:
-    """Return the standard deviation of the value under a prior, in its own unit; None where it has none."""
+def standard_deviation(prior: Any) -> float | None:
+    """Return the standard deviation of the value under a prior, in its own unit; None if it does not exist."""
     match prior:
         case Normal():
             return prior.sd
@@ -203,11 +203,11 @@ def deviation(prior: Any) -> float | None:
     return None
 
 
-def converted(prior: Any, of_shape: bool = False) -> Any:
-    """Convert a distribution of NumPyro's, which is not imported for it, to a prior of ours; return others unchanged.
+def convert(prior: Any, of_shape: bool = False) -> Any:
+    """Convert a NumPyro distribution (without importing NumPyro) to a prior of this module; return others unchanged.
 
     Raises:
-        ModelError: it is not of one normal or positive number with cdf and icdf, or not one that a shape takes.
+        ModelError: it is not a scalar normal or positive distribution with cdf and icdf, or invalid for a shape.
     """
     name, reason = type(prior).__name__, "a shape does not take it"
     if not type(prior).__module__.startswith("numpyro."):
@@ -222,22 +222,20 @@ def converted(prior: Any, of_shape: bool = False) -> Any:
             lowest, reason = float(prior.icdf(_EDGE)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
             lowest, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
-        usual = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
-        if values and (kind := next((k for k in usual if k.__name__ == name), None)):
+        allowed_types = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
+        if values and (kind := next((k for k in allowed_types if k.__name__ == name), None)):
             return kind(*values.values())
         if lowest >= 0:
             return NumpyroPrior(name, tuple(values.items()))
     takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
-    raise ModelError(f"prior {name}: {reason}. {takes} Normal or what is positive with icdf")
+    raise ModelError(f"prior {name}: {reason}. {takes} Normal or a positive distribution with icdf")
 
 
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
-
-
 Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 
-def multiplied(prior: Positive, factor: float) -> Positive:
+def scale_prior(prior: Positive, factor: float) -> Positive:
     """Return the prior of a positive quantity times a positive factor."""
     if isinstance(prior, LogNormal):
         return LogNormal(prior.median * factor, prior.sd)
@@ -247,6 +245,6 @@ def multiplied(prior: Positive, factor: float) -> Positive:
 
 
 def slope(prior: Any, v: Any) -> Any:
-    """Return the slope of a prior's value by its coordinate, by differences of the fourth order."""
+    """Return the derivative of a prior's value by its coordinate, by central differences of fourth order."""
     value, h = prior.value, SLOPE_STEP
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)

@@ -38,7 +38,7 @@ class States(NamedTuple):
 
     carry: Float[Array, "n p p"]  # transition matrices A over the step before each reading
     fresh: Float[Array, "n p p"]  # covariance Q of the process noise
-    observed: Float[np.ndarray, "p"]  # observation vector h: a reading is hᵀ·state + white noise
+    observation: Float[np.ndarray, "p"]  # observation vector h: a reading is hᵀ·state + white noise
 
 
 def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
@@ -48,14 +48,14 @@ def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
     """
     is_first, offset, size = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
     carry = fresh = jnp.zeros((step.shape[0], size, size))
-    observed = np.zeros(size)
+    observation = np.zeros(size)
     for block in blocks:
         rows = slice(offset, offset + len(block.start))
         carry = carry.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.carry))
         fresh = fresh.at[:, rows, rows].set(jnp.where(is_first, block.start, block.fresh))
-        observed[rows if block.observed else offset] = 1.0
+        observation[rows if block.observed else offset] = 1.0
         offset = rows.stop
-    return States(carry, fresh, observed)
+    return States(carry, fresh, observation)
 
 
 def draw_states(key: Array, states: States) -> Float[Array, "n"]:
@@ -66,10 +66,10 @@ def draw_states(key: Array, states: States) -> Float[Array, "n"]:
     def advance(state, row):
         carry, noise = row
         advanced = carry @ state + noise
-        return advanced, advanced @ jnp.asarray(states.observed)
+        return advanced, advanced @ jnp.asarray(states.observation)
 
     rows = states.carry, jnp.einsum("nij,nj->ni", eigenvectors, normal)
-    return jax.lax.scan(advance, jnp.zeros(len(states.observed)), rows)[1]
+    return jax.lax.scan(advance, jnp.zeros(len(states.observation)), rows)[1]
 
 
 def kalman_whiten(
@@ -80,8 +80,8 @@ def kalman_whiten(
     With P the covariance of the states given earlier readings and w the white variance of a reading: g = P·h,
     innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
-    passed = _filter(states, white, columns)
-    return passed.innovation / jnp.sqrt(passed.variance)[:, None], 0.5 * jnp.log(passed.variance)
+    result = _filter(states, white, columns)
+    return result.innovation / jnp.sqrt(result.variance)[:, None], 0.5 * jnp.log(result.variance)
 
 
 class _FilterPass(NamedTuple):
@@ -95,7 +95,7 @@ class _FilterPass(NamedTuple):
 
 
 def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _FilterPass:
-    h, count = jnp.asarray(states.observed), len(states.observed)
+    h, count = jnp.asarray(states.observation), len(states.observation)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
     def advance_covariance(previous, reading):
@@ -127,16 +127,16 @@ def smooth(
     A row without a reading has infinite white variance.
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
-    h = jnp.asarray(states.observed)
+    h = jnp.asarray(states.observation)
 
     # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) accumulate this and all later
     # readings (v innovation, F its variance, k gain, P predicted covariance): the smoothed mean is the predicted mean
     # plus P·r, the smoothed covariance P − P·N·P.
-    def step_backward(later, reading):
-        (r, info), (carry, filtered) = later, reading
-        column, passes = filtered.covariance @ h, jnp.eye(len(h)) - filtered.gain[:, None] * h
-        r = h[:, None] * (filtered.innovation / filtered.variance) + _matmul(passes.T, r)
-        info = h[:, None] * h / filtered.variance + _matmul(_matmul(passes.T, info), passes)
+    def step_backward(accumulated, reading):
+        (r, info), (carry, filtered) = accumulated, reading
+        column, update = filtered.covariance @ h, jnp.eye(len(h)) - filtered.gain[:, None] * h
+        r = h[:, None] * (filtered.innovation / filtered.variance) + _matmul(update.T, r)
+        info = h[:, None] * h / filtered.variance + _matmul(_matmul(update.T, info), update)
         mean = h @ filtered.mean + column @ r
         variance = column @ h - column @ _matmul(info, column[:, None])[:, 0]
         return (_matmul(carry.T, r), _matmul(carry.T, _matmul(info, carry))), (mean, variance)

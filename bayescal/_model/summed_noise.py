@@ -28,7 +28,7 @@ from bayescal._model.static import set_fields
 # Fewest readings of the longest run that can distinguish a second correlated noise from the first.
 MIN_SECOND_TERM_READINGS = 150
 
-OFFERED = (  # terms found in measured records (IEEE 952, and a sensor on a temperature ramp)
+OFFERED_SUMS = (  # terms found in measured records (IEEE 952, and a sensor on a temperature ramp)
     ("walk",),
     ("flicker",),
     ("correlated", "correlated"),
@@ -83,7 +83,7 @@ class SumOfTerms(Noise, interface=True):
         starts = [part.starts(np.asarray(frame.step), residuals, z) for part in self.parts]
         if self.scatter:
             starts.append([_estimate_scatter(frame, residuals, self.scatter)])
-        return [dict(ChainMap(*chosen)) for chosen in itertools.product(*starts)]
+        return [dict(ChainMap(*combination)) for combination in itertools.product(*starts)]
 
     @property
     def plain(self) -> Noise:
@@ -131,10 +131,10 @@ class SumOfTerms(Noise, interface=True):
 
     def derived(self, values: Parameters) -> dict[str, Any]:
         host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
-        numbers: dict[str, Any] = {}
+        quantities: dict[str, Any] = {}
         for part in self.parts:
-            numbers |= part.derived(host, self.bounds)
-        return numbers
+            quantities |= part.derived(host, self.bounds)
+        return quantities
 
     def slow_variance(self, values: Parameters) -> Any:
         """Return the variance of all terms except the white one, output unit squared."""
@@ -174,8 +174,8 @@ class SumOfTerms(Noise, interface=True):
     ) -> np.ndarray:
         """Return σ²/m of white noise plus the Allan variance of each term."""
         phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
-        slow = np.asarray(self.slow_variance(phi), float)
-        white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
+        slow_variance = np.asarray(self.slow_variance(phi), float)
+        white = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
         return white / factors + sum(p.allan(phi, self.bounds, factors, step) for p in self.parts)
 
     def lasting_deviation(self, values: Parameters) -> float:
@@ -234,7 +234,7 @@ class SummedNoise(SumOfTerms):
             `Heteroscedastic`; none if empty.
 
     Raises:
-        ValueError: unknown terms, one twice that is there once, quantisation beside averaging, or bounds not in order.
+        ValueError: unknown or repeated terms, quantisation together with averaging, or bounds not in order.
 
     Source: A. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), ch. 3.
     """
@@ -256,10 +256,10 @@ class SummedNoise(SumOfTerms):
         super().__post_init__()
         if unknown := [t for t in self.terms if t not in TERMS]:
             raise ValueError(
-                f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"
+                f"{unknown[0]!r} is not a noise term; the terms are {', '.join(TERMS)}"
             )
         if self.column and "tone" not in self.terms:
-            raise ValueError(f"a tone follows the column {self.column!r}, and the sum has no tone")
+            raise ValueError(f"column {self.column!r} is for a tone, but the sum has no tone")
         if {"quantisation", "averaging"} <= {*self.terms}:
             raise ValueError(
                 "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
@@ -267,7 +267,7 @@ class SummedNoise(SumOfTerms):
         set_fields(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
         for name, count in Counter(self.terms).items():
             if count > (MAX_CORRELATED_TERMS if name == "correlated" else 1):
-                raise ValueError(f"the noise term {name!r} is there {count} times")
+                raise ValueError(f"the noise term {name!r} occurs {count} times")
 
     @property
     def name(self) -> str:
@@ -277,7 +277,7 @@ class SummedNoise(SumOfTerms):
 
 
 class OrnsteinUhlenbeck(SumOfTerms):
-    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown diffusion and time: the sum of this one term.
+    """White noise plus one Ornstein–Uhlenbeck term of unknown diffusion coefficient and correlation time.
 
     The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Over times far
     below τ it is a random walk of coefficient q (IEEE 952: rate random walk), and τ unidentified: hence τ is bounded.
@@ -306,8 +306,8 @@ class OrnsteinUhlenbeck(SumOfTerms):
 
 @cache
 def _build_terms(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
-    place = itertools.count(1)  # numbers the Ornstein–Uhlenbeck terms
-    return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
+    number = itertools.count(1)  # numbers the Ornstein–Uhlenbeck terms
+    return tuple(CorrelatedTerm(next(number)) if t == "correlated" else TERMS[t]() for t in terms)
 
 
 def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
@@ -353,7 +353,7 @@ def _offer_correlated(scale: Positive, frame: Frame) -> list[Noise]:
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
     if longest < MIN_SECOND_TERM_READINGS:
         return laws
-    laws += [build_sum(scale, step, span, terms) for terms in OFFERED]
+    laws += [build_sum(scale, step, span, terms) for terms in OFFERED_SUMS]
     column = "temperature" if "temperature" in frame.columns else ""
     laws.append(build_sum(scale, step, span, ("correlated", "tone"), column))
     # Temperature is the most probable covariate of the scatter, and the only one tried in a sum.

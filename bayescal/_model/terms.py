@@ -17,7 +17,7 @@ from bayescal._model.prior import Known
 
 
 class ColumnSpec(NamedTuple):
-    """All that an effect's basis columns depend on: the basis, its shapes, and corrections of its input columns.
+    """Specification of an effect's basis columns: the basis, its shapes, and corrections of its input columns.
 
     `shapes` lists the nonlinear parameters of the basis, then those of the corrections; `priors` theirs.
     """
@@ -28,7 +28,7 @@ class ColumnSpec(NamedTuple):
     corrections: tuple[Correction, ...] = ()
 
     def with_corrections(self, corrections: Sequence[Correction]) -> ColumnSpec:
-        """Return the definition with corrected input columns."""
+        """Return a copy of the specification with corrected input columns."""
         shapes, priors = self.shapes, self.priors
         for c in corrections:
             shapes, priors = shapes + c.spec.shapes, priors + c.spec.priors
@@ -69,7 +69,7 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of the structure, all group members included, with the definition of its basis column."""
+    """One coefficient of the structure, all group members included, with the specification of its basis column."""
 
     columns: ColumnSpec  # of its effect
     shape_names: tuple[str, ...]  # names in φ of the shapes in `columns`
@@ -84,7 +84,7 @@ def terms_of(
     """Return the terms of a structure, and the columns of the readings that some of them correct.
 
     A correction with known coefficients (the temperature of a lagging body) of a column that the response does not use
-    is no term, but part of the other effects' column definitions, which stay linear in their coefficients; otherwise
+    is no term, but part of the other effects' column specifications, which stay linear in their coefficients; otherwise
     its slot is that column's `PATH`. `size_factors` multiplies prior standard deviations, by effect.
     """
     correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
@@ -116,7 +116,7 @@ def terms_of(
 
 
 class _ShapeWeights(NamedTuple):
-    """Factors of an effect's prior standard deviations as a function of shapes, as a Gaussian process's length."""
+    """Scale factors of an effect's prior standard deviations, functions of shapes such as a length scale."""
 
     weights: Callable[..., Any]
     shapes: dict[str, str]  # keyword argument of `weights` → name in φ
@@ -149,8 +149,8 @@ class PriorDeviations:
                 if term.effect.name == effect.name:
                     index[term.x_slice] = term.index
             names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
-            weighted = _ShapeWeights(effect.weights, names, len(effect.coefficients), index)
-            self.weights_by_shape |= dict.fromkeys(names.values(), weighted)
+            shape_weights = _ShapeWeights(effect.weights, names, len(effect.coefficients), index)
+            self.weights_by_shape |= dict.fromkeys(names.values(), shape_weights)
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
         """Return the log factors of the prior deviations that depend on a shape (p,); zero for all others."""
@@ -164,6 +164,6 @@ class PriorDeviations:
         deviations = self.fixed_sd
         for name, members in self.learned_sd_masks.items():
             deviations = xp.where(members > 0, hyper[name], deviations)
-        for weighted in {id(w): w for w in self.weights_by_shape.values()}.values():
-            deviations = deviations * weighted.evaluate(hyper, batch)
+        for shape_weights in {id(w): w for w in self.weights_by_shape.values()}.values():
+            deviations = deviations * shape_weights.evaluate(hyper, batch)
         return xp.broadcast_to(deviations, (*batch, len(self.fixed_sd)))

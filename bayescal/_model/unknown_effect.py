@@ -40,25 +40,25 @@ HALF_WIDTHS = (STEP_HALF_WIDTH, 0.2)
 CYCLES = (1.5, 15.0)  # plausible number of periods in the record
 MIN_DISTINCT_VALUES = 30  # of a covariate: twice the largest number of periods
 
-SOURCE = "ours: not in the catalogue; find out what it is, and name it"
+SOURCE = "ours: a generic form without a known cause; identify the cause"
 FREED = ".freed"  # suffix of an effect's copy with a wide prior
 Form = Callable[..., Effect]
 _NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
 
 
-def covariate_in(name: str) -> str | None:
+def parse_covariate(name: str) -> str | None:
     """Parse the covariate, with its form if any, from a placeholder's canonical name; None for any other effect."""
     match = _NAME.fullmatch(name)
     return ", ".join(filter(None, split_covariate(match[1]))) if match else None
 
 
 def split_covariate(covariate: str) -> tuple[str, str]:
-    """Split "humidity, line" into column and form; the form is empty if the last part is no form's name."""
+    """Split "humidity, line" into column and form; the form is empty if the last part is not the name of a form."""
     along, _, form = (part.strip() for part in covariate.rpartition(","))
     return (along, form) if along and form in (*FORMS, "cycle") else (covariate.strip(), "")
 
 
-def placeholder(covariate: str, slot: str, unit: str) -> Effect:
+def make_placeholder(covariate: str, slot: str, unit: str) -> Effect:
     """Return the placeholder for a covariate with an optional form, such as "humidity, peak" or "time, cycle"."""
     along, form = split_covariate(covariate)
     if form == "cycle" and along == "time":
@@ -68,9 +68,9 @@ def placeholder(covariate: str, slot: str, unit: str) -> Effect:
     return unknown(covariate, slot, *OPEN, unit)
 
 
-def freed(effect: Effect, times: float = 1.0) -> Effect:
-    """Return a copy with a `times` wider prior, to be added to the effect whose stated value may be wrong."""
-    coefficients = tuple(replace(c, prior=Normal(0.0, times * c.size)) for c in effect.coefficients)
+def freed(effect: Effect, ratio: float = 1.0) -> Effect:
+    """Return a copy with a `ratio` times wider prior, to be added to the effect whose stated value may be wrong."""
+    coefficients = tuple(replace(c, prior=Normal(0.0, ratio * c.size)) for c in effect.coefficients)
     return replace(
         effect,
         name=effect.name + FREED,
@@ -78,7 +78,7 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
         forms=(),
         family="",
         coefficients=coefficients,
-        equation=f"{effect.equation or 'c'}, beside its stated value",
+        equation=f"{effect.equation or 'c'}, in addition to its stated value",
         source=f"ours: the stated value of {effect.name} may be wrong",
     )
 
@@ -105,9 +105,9 @@ def unknown(
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
-        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN` takes them from
-            the readings.
-        name: canonical; `unknown(covariate)` if not given.
+        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN` estimates them
+            from the readings.
+        name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
     measured = strip_rate(covariate)
@@ -171,11 +171,11 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
     make_form.__doc__ = f"""{summary}
 
     Args:
-        slot: that it adds to.
-        low, high: plausible amplitudes a, in `unit`; `*OPEN` takes them from the readings.
-        unit: of the slot.
-        covariate: the column along which it goes.
-        name: canonical; `unknown(humidity, {kind})` if not given, with the column's name.
+        slot: slot that it adds to.
+        low, high: plausible amplitudes a, in `unit`; `*OPEN` estimates them from the readings.
+        unit: unit of the slot.
+        covariate: column that it depends on.
+        name: canonical name; `unknown(humidity, {kind})` if not given, with the column's name.
     """
     return make_form
 
@@ -187,9 +187,9 @@ def _form_shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
     if kind == "line":
         return ()
     # The time of a step is common to all channels of a device. The evidence of a kink is unimodal in its location.
-    sudden = kind == "jump" and in_time
-    place = Shape("place", "1", *LOCATIONS, scale="linear", ragged=kind != "kink", shared=sudden)
-    return (place,) if sudden else (place, Shape("width", "1", *HALF_WIDTHS))
+    is_step = kind == "jump" and in_time
+    place = Shape("place", "1", *LOCATIONS, scale="linear", ragged=kind != "kink", shared=is_step)
+    return (place,) if is_step else (place, Shape("width", "1", *HALF_WIDTHS))
 
 
 def _step_basis(covariate, r, place, width=STEP_HALF_WIDTH):
@@ -225,22 +225,22 @@ def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
 
 def _why_untestable(covariate: str, readings: Measurements) -> str | None:
     count = np.unique(readings[covariate]).size
-    what = "times" if covariate == "time" else f"values of {covariate}"
-    enough = count >= MIN_DISTINCT_VALUES
-    return None if enough else f"needs {MIN_DISTINCT_VALUES} different {what}; there are {count}"
+    noun = "times" if covariate == "time" else f"values of {covariate}"
+    is_enough = count >= MIN_DISTINCT_VALUES
+    return None if is_enough else f"needs {MIN_DISTINCT_VALUES} different {noun}; there are {count}"
 
 
 _X = "x the position in the range of {covariate}"
 _LINES = "A slot's value is proportional to a column."
-_STEPS = "A slot's value steps by a at one moment, or about one value of a column, and stays."
-_BENDS = "A slot's slope along a column changes about one value of it, by a over its range."
+_STEPS = "A slot's value steps by a at one time, or near one value of a column, and stays."
+_BENDS = "A slot's slope along a column changes near one value of the column, by a over its range."
 _PEAKS = "A slot's value has a peak of height a at one value of a column, as of a resonance."
-_TURNS = "A slot's value goes up and down evenly in time."
+_TURNS = "A slot's value is sinusoidal in time."
 line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _line_basis, _LINES)
 jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _step_basis, _STEPS)
 kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _kink_basis, _BENDS)
 peak: Form = _make_factory("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _peak_basis, _PEAKS)
 cycle: Form = _make_factory("cycle", "a·sin(2π·cycles·t + φ)", _cycle_basis, _TURNS)
 
-IN_TIME = ("time, jump", "time, cycle")
+TIME_FORMS = ("time, jump", "time, cycle")
 FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

@@ -65,15 +65,15 @@ class Unknowns:
     ) -> Float[np.ndarray, "*draws unknowns"]:
         """Convert posterior draws of x and v to values of all unknowns, in reported units."""
         phi = [np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(self.layout.hypers)]
-        fixed, at = dict(self.layout.model.fixed), self.layout.index_in_phi
+        fixed, phi_index = dict(self.layout.model.fixed), self.layout.index_in_phi
         table = np.empty((*np.shape(x)[:-1], len(self.rows)))
         for k, u in enumerate(self.rows):
             value = phi[u.v] if u.v is not None else x[..., u.x]
             if (b := u.block) is not None:
                 value = b.origin + value
                 if u.v is not None and (name := b.group_sd_name) is not None:
-                    spread = fixed[name] if name in fixed else phi[at[name]]
-                    value = b.coefficient.mean + spread * value
+                    group_sd = fixed[name] if name in fixed else phi[phi_index[name]]
+                    value = b.coefficient.mean + group_sd * value
             table[..., k] = value
         return table
 

@@ -48,13 +48,13 @@ class Vector:
     """Definition of an instrument of three axes.
 
     Attributes:
-        outputs: the three columns that files hold, in the output's unit; `output` is made of them.
-        equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected,
-            that JAX can differentiate backward too (no loop of unknown length), finite wherever it is evaluated.
+        outputs: the three output columns of files, in the output's unit; `output` is computed from them.
+        equation: function of slots and frame that returns h, from the stimulus (n, 3), output unit, to the three
+            expected outputs; JAX must differentiate it backward too (no loop of unknown length), and it must be finite.
         acting: function of a frame, the known measurand (n, 3), output unit; None if only its magnitude is known.
-        common_scale: plausible standard deviation of a factor that the three scale factors share, as a wrong magnitude
-            of what acts would make it; 0 where nothing is said of it.
-        rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
+        common_scale: prior standard deviation of a factor common to the three scale factors, as a wrong magnitude of
+            the stimulus causes; 0 if unspecified.
+        rig: slots of the test rig's errors, which are not in the equation and do not act in use.
         beside: three columns of a further stimulus with linear response, such as gravity on gyroscopes.
     """
 
@@ -121,7 +121,7 @@ class Vector:
 
 
 def radial_residual(ratio: Any) -> Any:
-    """Return g(ratio) of a length over its true magnitude: g(1) = 0, g′(1) = 1, g″(1) = −2/3."""
+    """Return the radial residual g(ratio), ratio = length/true magnitude: g(1) = 0, g′(1) = 1, g″(1) = −2/3."""
     x = ratio - 1
     return x / 2 + x / (2 + 4 * x / 3)
 

@@ -223,7 +223,7 @@ def experiment_data(ranking: NextExperiment) -> dict[str, Any]:
         "experiments": [
             {
                 "name": e.name,
-                "least_expected_log_bayes_factor": e.worst,
+                "least_expected_log_bayes_factor": e.minimum,
                 "expected_log_bayes_factors": expected_rows(e),
             }
             for e in ranking.experiments

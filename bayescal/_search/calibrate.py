@@ -35,7 +35,7 @@ from bayescal._model.model import Model, why_untestable
 from bayescal._model.unknown_effect import freed
 from bayescal._search import discover
 from bayescal._search.candidate import Candidate
-from bayescal._search.gate import find_better_left_out, judged
+from bayescal._search.gate import assess_steps, find_better_left_out
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
@@ -109,7 +109,7 @@ def calibrate(
         search = StepwiseSearch(*records, *options, frozenset(accept_conflicts))
         search.fit_first_step(model, effects, widen_noise)
         follow(search.build_path())
-        with deadline.sooner(discover.SEARCH):
+        with deadline.sooner(discover.SEARCH_TIME_SHARE):
             search.run_search(lambda: follow(search.build_path()))
         return search.fit_path(follow)
 
@@ -252,7 +252,7 @@ class StepwiseSearch:
         if self.library is None:
             reason = f"{NO_SEARCH} {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=reason)
-            return SearchPath(*judged(self.steps), self.holdout, None, search)
+            return SearchPath(*assess_steps(self.steps), self.holdout, None, search)
         # If the search ended early nothing more is evaluated: the best structure at its end is used.
         search = self.summarise_search(stopped=self.stopped) if self.stopped else None
         goal, discoveries = self.chosen_structure, list[discover.Discovery | None]()
@@ -292,7 +292,7 @@ class StepwiseSearch:
             single, used = add_latent_effects(last.calibration, used, structures, goal)
             last = replace(last, calibration=single)
         is_single = last.calibration is used
-        steps, gate = judged([*before, self.test_on_holdout(last, used, structures)])
+        steps, gate = assess_steps([*before, self.test_on_holdout(last, used, structures)])
         if self.max_effects > 0 and used.verdict.ok:
             discovery = last.discovery
             complete = discovery.nothing_missing if discovery and gate.ok else None

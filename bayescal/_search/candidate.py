@@ -22,7 +22,7 @@ from bayescal._search.structures import EvaluatedStructure, Structures
 
 # Probability from which an effect that is not found is called a lead: odds of 1 to 4, worth a further run.
 LEAD_PROBABILITY = 0.2
-# Cosine of two fitted contributions from which readings cannot tell them apart: a tenth of the squares is left.
+# Cosine of two fitted contributions above which readings cannot distinguish them: a tenth of the squares remains.
 PARALLEL_COSINE = 0.95
 # Minimum detectable size in plausible sizes (each known to an order of magnitude), beyond which no effect is tested.
 MAX_DETECTABLE_SIZES = 10.0
@@ -35,16 +35,16 @@ class Candidate:
     """Evidence of the readings on one effect that is not in the model.
 
     Attributes:
-        effect: canonical name, of a family of forms that of the family.
+        effect: canonical name; for a family of forms, the family's name.
         form: the most probable form, where there are several.
         probability: that the effect is missing from the model; None if it cannot be tested.
         log_bayes_factor: of the model with the effect against the model without it, natural logarithm.
         source: "refit" where the model was fitted with the effect, else "score".
         z: size over its standard uncertainty (for a group, the z with the tail probability of its chi-square).
-        size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect of its
-            spread, for an unknown dependence of its amplitude.
+        size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect: of the
+            standard deviation between members; for an unknown dependence: of its amplitude.
         shape: shape parameters, in their units.
-        visibility: information on the effect after over before the nuisances are integrated out.
+        visibility: ratio of the information on the effect after and before the nuisances are integrated out.
         minimum_detectable: size in `unit` that would be found with 80 % power.
         kind: "finding", "lead", "not visible", "not testable", or None for no evidence.
         indistinguishable_from: other candidates that these readings cannot tell from it.
@@ -101,14 +101,14 @@ def summarise_candidate(
     labels = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
     candidate = Candidate(effect=name, form=form if has_forms else "", **labels)
     if points:
-        top, total = points[0], float(np.trace(points[0].gram))
+        best_point, total = points[0], float(np.trace(points[0].gram))
         candidate = replace(
             candidate,
             log_bayes_factor=mean_log_bayes_factor(points),
-            z=_z_score(top, library.is_grouped(scored_form)),
-            shape={**top.point.shapes, **top.prior_scale.shapes},
-            visibility=float(np.trace(top.information)) / total if total > 0 else 0.0,
-            minimum_detectable=_minimum_detectable(library, top),
+            z=_z_score(best_point, library.is_grouped(scored_form)),
+            shape={**best_point.point.shapes, **best_point.prior_scale.shapes},
+            visibility=float(np.trace(best_point.information)) / total if total > 0 else 0.0,
+            minimum_detectable=_minimum_detectable(library, best_point),
         )
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
@@ -214,7 +214,7 @@ def _z_score(point: ScoredPoint, is_group: bool) -> float:
 
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
-    """Return the size that would be found with 80 % power under its prior odds; None where no size would be."""
+    """Return the size that would be found with 80 % power under its prior odds; None if no size would be."""
     probability, is_group = settings().found_probability, library.is_grouped(point.effect)
     structures = library.structures
     forms = structures.forms[structures.family(point.effect)]  # any of these would be a finding
@@ -283,7 +283,7 @@ def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | No
     plausible = next(scales, effect.coefficients[0].size)
     # Visible: ten plausible sizes would be found; one, where nuisances take all but a hundredth of the information.
     is_hidden = (candidate.visibility or 0.0) < UNDECIDED_SHARE
-    most, least = MAX_DETECTABLE_SIZES * plausible, candidate.minimum_detectable
-    if least is None or least > (plausible if is_hidden else most):
+    max_size, detectable = MAX_DETECTABLE_SIZES * plausible, candidate.minimum_detectable
+    if detectable is None or detectable > (plausible if is_hidden else max_size):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

@@ -1,4 +1,4 @@
-"""Self-check of an instrument: parameter recovery from readings simulated at its own plausible sizes."""
+"""Self-check of an instrument: recovery of parameters from readings simulated at its plausible sizes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from bayescal._model.parameters import bind
 from bayescal._model.unknowns import Unknowns
 from bayescal._search.own_files import format_error
 
-MAX_ERROR_SD = 4.0  # from its true value, beyond which a coefficient has not come back
-IDENTIFIABLE_CONTRACTION = 0.6  # below it is not identifiable; two that are one have a half each
+MAX_ERROR_SD = 4.0  # deviation from the true value beyond which a coefficient is not recovered
+IDENTIFIABLE_CONTRACTION = 0.6  # not identifiable below it; two collinear ones have a half each
 KINDS = ("candidate", "baseline")
 
 
@@ -37,13 +37,13 @@ class Recovery(NamedTuple):
     """One unknown as simulated and as estimated, in its unit, and its largest contribution, in the output unit."""
 
     name: str
-    kind: str  # "baseline", or "candidate": fitted beside the baseline
+    kind: str  # "baseline", or "candidate": fitted with the baseline
     unit: str
     adds: float | None = None
     truth: float | None = None
-    mean: float | None = None  # of its posterior, as `sd`; None where it could not be fitted
+    mean: float | None = None  # posterior mean; None if it could not be fitted
     sd: float | None = None
-    remark: str = ""  # empty where it came back
+    remark: str = ""  # empty if recovered
 
 
 @dataclass(repr=False)
@@ -63,7 +63,7 @@ class InstrumentCheck(Printed):
         return not self.errors
 
     def _parts(self) -> list[str | ResultTable]:
-        def came_back(row: dict[str, Any]) -> str:
+        def format_estimate(row: dict[str, Any]) -> str:
             return "–" if row["mean"] is None else with_error(row["mean"], row["sd"])
 
         unit = unit_label(self.unit)
@@ -71,16 +71,16 @@ class InstrumentCheck(Printed):
             TableColumn("unknown", "name", name="name"),
             TableColumn("adds at most", "adds", number, unit or "1", name="adds"),
             TableColumn("simulated", "truth", number, name="truth"),
-            TableColumn("came back", came_back, name=""),
+            TableColumn("estimated", format_estimate, name=""),
             *(TableColumn(name, show=None) for name in ("kind", "mean", "sd")),
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
         tables = [ResultTable(columns, self.data()["rows"], fold=24)] if self.rows else []
         messages = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
-        many = f"{len(self.errors)} error(s)" if self.errors else "no error"
-        end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
-        return [*tables, *messages, f"{end}: {many}"]
+        error_count = f"{len(self.errors)} error(s)" if self.errors else "no error"
+        summary = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
+        return [*tables, *messages, f"{summary}: {error_count}"]
 
     def _brief(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
@@ -93,24 +93,24 @@ class InstrumentCheck(Printed):
 def check_instrument(
     instrument: Instrument, readings: Measurements | None = None, *, seed: int = 0
 ) -> InstrumentCheck:
-    """Simulate an instrument at its own plausible sizes, fit it by least squares, and report the recovered values.
+    """Check parameter recovery: simulate an instrument at its plausible sizes, fit it, and compare with true values.
 
     The baseline is simulated with the noise that its law expects and fitted, then the baseline with each candidate.
 
     Args:
         instrument: the instrument.
-        readings: readings whose columns are used, except the output; of the instrument's simulator, if not given.
-        seed: of every random number.
+        readings: readings whose columns are used, except the output; simulated by the instrument if not given.
+        seed: seed of the random-number generator.
 
     Raises:
-        ModelError: the instrument has no simulator, or takes its unit from readings, and there are none.
+        ModelError: the instrument has no simulator, or takes its unit from readings, and none are given.
     """
     if readings is not None:
         instrument = instrument.for_readings(readings)
     elif instrument.unit == ANY or instrument.simulator is None:
         raise ModelError(
-            f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give some (--readings "
-            "FILE, in Python readings=)"
+            f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give readings "
+            "(--readings FILE, in Python readings=)"
         )
     check = InstrumentCheck(instrument.name, instrument.unit)
     readings = instrument.simulate({}, seed=seed) if readings is None else readings
@@ -119,18 +119,18 @@ def check_instrument(
     trials += [(baseline + e, (e,)) for e in instrument.candidates]
     with stage(f"checking {instrument.name}"):
         for model, effects in trials:
-            first, names = model is baseline, ", ".join(e.name for e in effects)
-            if not first and (reason := why_untestable(effects[0], readings)) is not None:
+            is_baseline, names = model is baseline, ", ".join(e.name for e in effects)
+            if not is_baseline and (reason := why_untestable(effects[0], readings)) is not None:
                 unit, remark = effects[0].coefficients[0].unit, f"not tested, {reason}"
                 check.rows.append(Recovery(names, KINDS[False], unit, remark=remark))
                 continue
             try:
                 _fit_simulated(check, model, effects, readings, seed)
             except Exception as error:  # in the author's functions: reported without a traceback
-                of_author = not isinstance(error, BayescalError)
-                message = f" fails: {format_error(error)}" if of_author else f": {error}"
+                is_of_author = not isinstance(error, BayescalError)
+                message = f" fails: {format_error(error)}" if is_of_author else f": {error}"
                 check.errors.append((names or "the response") + message)
-                if first:
+                if is_baseline:
                     break
     check.errors, check.notes = [*dict.fromkeys(check.errors)], [*dict.fromkeys(check.notes)]
     return check
@@ -149,30 +149,30 @@ def _fit_simulated(
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)
     v = jnp.zeros(len(layout.hypers))
     hyper = forward.hyper_values(layout, v)
-    random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
+    rng, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
-        alone = b.coefficient.per is None
-        signs[b.x_slice] = 1 - 2 * (n % 2) if alone else random.standard_normal(b.size)
+        is_single = b.coefficient.per is None
+        signs[b.x_slice] = 1 - 2 * (n % 2) if is_single else rng.standard_normal(b.size)
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
     key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
     check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
     if bad := int((~np.isfinite(output)).sum()):
-        cause = "is a logarithm, root or quotient out of its range?"
+        cause = "is a logarithm, root or quotient outside its domain?"
         raise ModelError(f"the output is not finite in {bad} of {output.size} readings: {cause}")
-    how: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
-    fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **how)
+    options: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
+    fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **options)
     slopes = np.abs(forward.linearise(layout, frame, x, hyper).jacobian)
     unknowns = Unknowns.of(layout, levels)
     values, names = unknowns.values(np.asarray(x), np.asarray(v)), {e.name for e in effects}
-    for name, at in unknowns.by_key.items():
-        (u, *others), adds, remark = unknowns.rows[at], None, ""
+    for name, rows in unknowns.by_key.items():
+        (u, *others), adds, remark = unknowns.rows[rows], None, ""
         if u.effect not in names or u.kind == "group_sd":
             continue
         truth, draws = unknowns.select(values, name), fitted.samples(name)
         if u.group is not None:
             truth, draws = np.std(truth), np.std(draws, axis=1)
-            remark = f"{1 + len(others)} of them"
+            remark = f"{1 + len(others)} members"
         truth, mean, sd = float(truth), float(draws.mean()), float(draws.std())
         if (b := u.block) is not None:
             c, adds = b.coefficient, float(slopes[:, b.x_slice].max(initial=0.0))
@@ -181,17 +181,17 @@ def _fit_simulated(
             if adds == 0.0:
                 remark = "changes no reading"
                 check.errors.append(
-                    f"{name} {remark}: is its basis zero (a label that is not as in the file, or not declared, "
+                    f"{name} {remark}: is its basis zero (a label absent from the file, or not declared, "
                     f"allowed=(…); columns: {', '.join(b.effect.columns) or 'none'}), or is {b.slot!r} not in the "
                     f"response, as slots[{b.slot!r}]?"
                 )
             elif remark == "" and not c.flat and 1 - (sd / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
                 remark = "not identifiable here"
             elif remark == "" and abs(mean - truth) > MAX_ERROR_SD * sd:
-                remark = "did not come back"
-                came = f"{number(truth)} simulated, {with_error(mean, sd)} found"
-                check.errors.append(f"{name} {remark}: {came}")
-        name, kind = name + f", one a {u.group}" * (u.group is not None), KINDS[is_baseline]
+                remark = "not recovered"
+                values_text = f"{number(truth)} simulated, {with_error(mean, sd)} estimated"
+                check.errors.append(f"{name} {remark}: {values_text}")
+        name, kind = name + f", one per {u.group}" * (u.group is not None), KINDS[is_baseline]
         check.rows.append(Recovery(name, kind, u.unit, adds, truth, mean, sd, remark))
     if not fitted.verdict.ok:
         check.notes.append(f"{', '.join(sorted(names))}: {' '.join(fitted.verdict.reasons)}")

@@ -30,7 +30,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, why_untestable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, IN_TIME
+from bayescal._model.unknown_effect import FORMS, TIME_FORMS
 from bayescal._search.candidate import (
     Candidate,
     classify_candidate,
@@ -49,7 +49,7 @@ from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore
 
 # Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
-SEARCH = 2 / 3
+SEARCH_TIME_SHARE = 2 / 3
 UNSTATED = "not stated, as the search was ended early"
 MAX_RIVALS = 4  # effects to be told apart by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
@@ -108,22 +108,22 @@ class Discovery(Printed):
         return {**vars(self), "_average": None}
 
     def fit(self, method: Method | None = None, *, seed: Any = 0) -> Calibration:
-        """Fit the model with its missing effects, averaged over the structures that may be right.
+        """Fit the model with its missing effects, averaged over the probable structures.
 
         Unlike those of a fit of `model + discovery.best`, its predictions include the uncertainty of the structure, and
         the possibility that none of the structures is right (`form_factor`).
 
         Args:
-            method: of the fits; `Marginal()` if not given.
-            seed: of every random number.
+            method: method of the fits; `Marginal()` if not given.
+            seed: seed of the random-number generator.
 
         Raises:
-            ModelError: it is part of a `SearchPath`, which has the average as its `calibration`, or of another process.
+            ModelError: it is part of a `SearchPath`, whose `calibration` is the average, or of another process.
         """
         if self._average is None:
             raise ModelError(
-                "only what bc.discover returns can be fitted, in the process that found it: of a search take "
-                "path.calibration, of a discovery that was sent elsewhere fit model + discovery.best"
+                "only a result of bc.discover can be fitted, in the process that made it: for a search use "
+                "path.calibration, for a discovery of another process fit model + discovery.best"
             )
         return self._average(method, seed)
 
@@ -151,20 +151,20 @@ class Discovery(Printed):
         return sum(probabilities) if probabilities else None
 
     def _parts(self) -> list[str | ResultTable]:
-        """Return what is missing and the table of candidates, the most probable first."""
+        """Return the summary of missing effects and the table of candidates, the most probable first."""
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += map(folded, _describe_findings(self))
         if self.noise:
             laws = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
-        everyone = [vars(c) for c in self.candidates]
-        table = candidates_table(everyone)
+        rows = [vars(c) for c in self.candidates]
+        table = candidates_table(rows)
         lines += [table] if table.rows else []
         if any(c["source"] == "refit" for c in table.rows):
             lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
-        lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(everyone)]
-        by_reason = group_untested(everyone).items()
+        lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(rows)]
+        by_reason = group_untested(rows).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]
 
@@ -192,15 +192,15 @@ def discover(
 
     Args:
         calibration: a converged fit.
-        effects: further candidates of the user's own, beside the instrument's.
-        max_effects: most effects that may be missing at once.
-        widen_noise: False holds the noise law as it is.
-        time_limit: seconds for everything; the search ends with the best so far, as it does at Ctrl-C.
-        ignore: columns that are no causes.
-        covariates: columns unknown to the instrument that may be causes; None for all but other channels of the unit.
+        effects: further candidates of the user's own, in addition to the instrument's.
+        max_effects: largest number of missing effects.
+        widen_noise: whether other noise laws than the model's are evaluated.
+        time_limit: limit on the whole call, s; the search then ends with the best so far, as it does at Ctrl-C.
+        ignore: columns to exclude as causes.
+        covariates: undeclared columns that may be causes; None for all but other output channels.
 
     Raises:
-        InputError: a column to ignore or to allow does not exist.
+        InputError: a column of `ignore` or `covariates` does not exist.
     """
     model = calibration.model
     readings = restrict_causes(calibration.readings, model.instrument, ignore, covariates)
@@ -210,20 +210,20 @@ def discover(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library = Library(structures)
-        with deadline.sooner(SEARCH):
+        with deadline.sooner(SEARCH_TIME_SHARE):
             stopped = explore(library, max_effects)
         discovery = find_missing(library, Structure(), untestable, stopped)
         latent_model = structures.with_wide_priors(model, discovery.latent)
-        goal = Posterior.from_structures(structures).median_structure
+        target = Posterior.from_structures(structures).median_structure
 
         def average(method: Method | None, seed: Any) -> Calibration:
-            evaluated, reference = structures.evaluate(goal), calibration.reference
+            evaluated, reference = structures.evaluate(target), calibration.reference
             options = {"seed": seed, "reference": reference, "start": evaluated.phi}
-            last = fit(evaluated.sized_model, readings, method, **options)
-            mixed, _ = average_models(last, structures, goal.noise, last.seed)
-            _, used = add_latent_effects(last, mixed, structures, goal)
-            complete = find_missing(library, goal, untestable, stopped).nothing_missing
-            return add_inadequacy(used, complete, structures, goal)
+            fitted = fit(evaluated.sized_model, readings, method, **options)
+            averaged, _ = average_models(fitted, structures, target.noise, fitted.seed)
+            _, with_latent = add_latent_effects(fitted, averaged, structures, target)
+            complete = find_missing(library, target, untestable, stopped).nothing_missing
+            return add_inadequacy(with_latent, complete, structures, target)
 
         best = (*(latent_model.effect(n) for n in discovery.latent), *discovery.best)
         return replace(discovery, best=best, _average=average)
@@ -254,19 +254,19 @@ def structures_over(
     If `latent`, the structures have latent effects, which these readings cannot tell from the others.
     """
     instrument = model.instrument
-    listed = (*instrument.candidates, *instrument.effects)
-    by_name = {e.name: e for e in with_forms((*listed, *effects))}
+    instrument_effects = (*instrument.candidates, *instrument.effects)
+    by_name = {e.name: e for e in with_forms((*instrument_effects, *effects))}
     by_name |= {e.name: e for e in list_placeholders(model, readings) if e.name not in by_name}
-    given_names = {e.name for e in effects}  # their columns count even if they are to be ignored
+    given_names = {e.name for e in effects}  # their columns are used even if ignored
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
         unknown = (c for c in effect.coefficients if not c.known)
         if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
-            return "corrects a column or single readings, which no search weighs: add it yourself"
+            return "corrects a column or single readings, which no search evaluates: add it to the model"
         ignored = sorted(readings.no_causes.intersection(effect.columns))
         if ignored and effect.name not in given_names:
-            return f"the column {', '.join(ignored)} is left out"
+            return f"the column {', '.join(ignored)} is excluded"
         return why_untestable(effect, readings)
 
     # A family that the model has in one form is not missing in another.
@@ -299,9 +299,9 @@ def restrict_causes(
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """Return readings without the columns to ignore as causes; with covariates given, without all others, too."""
+    """Exclude the columns to ignore as causes; if covariates are given, all other undeclared columns, too."""
     if both := sorted({*ignore}.intersection(covariates or ())):
-        raise InputError(f"{', '.join(both)}: to be ignored, and a covariate: say one of the two")
+        raise InputError(f"{', '.join(both)}: both ignored and a covariate: give one of the two")
     if covariates is not None:
         for name in covariates:
             readings[name]
@@ -317,10 +317,10 @@ def list_placeholders(model: Model, readings: Measurements) -> list[Effect]:
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
     names = [name for name, values in list_covariates(readings).items() if np.ptp(values) > 0]
-    forms = [*IN_TIME] if "time" in names else []
+    forms = [*TIME_FORMS] if "time" in names else []
     columns = [name for name in names if readings.has(name) and name != "time"]
-    straight = {n for effect in model.effects for n in effect.varies}  # a line along them is there
-    forms += [f"{n}, {f}" for n in columns for f in FORMS if f != "line" or n not in straight]
+    linear = {n for effect in model.effects for n in effect.varies}  # have a linear term already
+    forms += [f"{n}, {f}" for n in columns for f in FORMS if f != "line" or n not in linear]
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
@@ -368,9 +368,9 @@ def summarise_discovery(
         effect = structures.candidates[scores[0].effect] if scores else None
         tested.append(classify_candidate(candidate, name in in_sets, effect))
     ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    chosen = posterior.best if stopped else posterior.median_structure
-    new, model = chosen.effects - structure.effects, structures.evaluate(chosen).sized_model
-    best = [model.effect(name) for name in structures.candidates if name in new]
+    final = posterior.best if stopped else posterior.median_structure
+    added, model = final.effects - structure.effects, structures.evaluate(final).sized_model
+    best = [model.effect(name) for name in structures.candidates if name in added]
     is_stated = scored and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_set = list(findings[0].effects) if findings else []

@@ -17,7 +17,7 @@ from bayescal._model.frame import strip_rate
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance from which a simple formula is used
 
-MAX_POINTS = 1000  # readings that formulas are tried on, evenly spread
+MAX_POINTS = 1000  # readings to which formulas are fitted, evenly spaced
 PERIODS = np.geomspace(0.06, 2.0, 300)  # of a sine, in parts of the range
 STEP_POSITIONS = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
@@ -27,8 +27,8 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     """Return Python code of an effect drafted from an unknown dependence, to be edited and given with --effects.
 
     Args:
-        calibration: of a model with the unknown dependence.
-        name: of the unknown dependence, such as "unknown(humidity)".
+        calibration: fit of a model with the unknown dependence.
+        name: name of the unknown dependence, such as "unknown(humidity)".
 
     Raises:
         ModelError: the model has no unknown dependence of that name.
@@ -36,14 +36,14 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     model, effect = calibration.model, calibration.model.effect(name)
     if not effect.is_placeholder:
         raise ModelError(
-            f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
+            f"{name!r} is a named effect, not an unknown dependence: it has an equation"
         )
     covariate, frame = effect.covariate, calibration.frame
     low, high = (float(frame.reference[f"{covariate}_{end}"]) for end in ("low", "high"))
     x = np.asarray(frame.position(covariate)) - 0.5
     curve = calibration.linear.contribution(name)
-    some = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
-    words, basis = _closest_formula(x[some], curve[some])
+    rows = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
+    text, basis = _closest_formula(x[rows], curve[rows])
     slot, word = effect.slot, identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
@@ -55,7 +55,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     label, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
     size = float(f"{2 * max(curve.std(), 1e-300):.2g}")
     return f"""\
-# {python_words(name)}: {words}
+# {python_words(name)}: {text}
 import bayescal as bc
 
 
@@ -77,7 +77,7 @@ def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
         basis = f"bc.xp.where(x > {p:.3g}, 0.5, -0.5)"
         forms.append((f"a step at {p + 0.5:.2g} of the range", basis, np.sign(x - p)))
     shares = [_fit_columns(curve, values)[0] for *_, values in forms]
-    share, (words, basis, _) = max(shares), forms[int(np.argmax(shares))]
+    share, (text, basis, _) = max(shares), forms[int(np.argmax(shares))]
     # Simple forms first: a sine has a free period and resembles almost any curve.
     for period in PERIODS if share < SIMPLE_SHARE else ():
         angle = 2 * math.pi * x / period
@@ -85,9 +85,9 @@ def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
         if sine_share > share:
             # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
             phase = f"{2 * math.pi / period:.4g} * x + {math.atan2(cosine, sine):.4g}"
-            words, basis = f"a sine of period {period:.2g} of the range", f"bc.xp.sin({phase})"
+            text, basis = f"a sine of period {period:.2g} of the range", f"bc.xp.sin({phase})"
             share = sine_share
-    return f"resembles {words} ({100 * share:.0f} % of its variance); is that the physics?", basis
+    return f"resembles {text} ({100 * share:.0f} % of its variance); is that the physics?", basis
 
 
 def _fit_columns(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:

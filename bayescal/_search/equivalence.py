@@ -30,7 +30,7 @@ from bayescal._model.parameters import bind
 from bayescal._search.library import Library
 from bayescal._search.structures import RMS_SCALE_FACTOR, Structure, Structures, has_prior_scale
 
-FLAT_NORM = 1e6  # norm of a whitened column of which no prior is stated
+FLAT_NORM = 1e6  # norm of the whitened column of a coefficient with a flat prior
 MAX_SPANNING = 2  # effects whose span is tested for another effect
 MAX_READINGS = 4096  # readings compared, evenly spread
 MAX_EXPERIMENT_READINGS = 1500  # readings of an experiment compared, evenly spread
@@ -38,7 +38,7 @@ Array = Float[np.ndarray, "n k"]
 
 
 class Equivalent(NamedTuple):
-    """Effects of which readings tell only a combination: the first is in the span of the others and the model.
+    """Effects of which readings determine only a combination: the first is in the span of the others and the model.
 
     A single effect is in the span of these coefficients of the model.
     """
@@ -56,8 +56,8 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     linear, columns = _whiten_candidates(structures)
     latent, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
     for name, whitened in columns.items():
-        if not is_undecided(whitened.beside_groups, whitened.beside_all):
-            separable[name] = whitened.beside_all
+        if not is_undecided(whitened.without_groups, whitened.without_model):
+            separable[name] = whitened.without_model
         elif widened := _list_widened(linear, RMS_SCALE_FACTOR * whitened.white):
             latent[name] = widened
     if separable:  # the triangle of a QR has the products of all columns, in few rows
@@ -78,16 +78,16 @@ def _residual_sd(structures: Structures) -> float:
     axes, values, _ = np.linalg.svd(columns * column_scale(columns), full_matrices=False)
     axes = axes[:, values > RANK * values.max(initial=0.0)]
     residual = linear.residual - axes @ (axes.T @ linear.residual)
-    free = linear.size - axes.shape[1]
-    return float(np.sqrt(residual @ residual / free)) if free > 0 else math.inf
+    dof = linear.size - axes.shape[1]
+    return float(np.sqrt(residual @ residual / dof)) if dof > 0 else math.inf
 
 
 class _Columns(NamedTuple):
-    """Whitened columns of an effect per plausible size: all readings; some, with groups, and all effects, out."""
+    """Whitened columns of an effect per plausible size: of all readings; of some, less groups, less all effects."""
 
     white: Array
-    beside_groups: Array
-    beside_all: Array
+    without_groups: Array  # group deviations counted as noise
+    without_model: Array  # all columns of the model projected out
 
 
 def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
@@ -97,13 +97,13 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
     is_random = np.zeros(len(linear.owners), dtype=bool)
     for t in linear.problem.in_x:
         is_random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None
-    # Of many readings a subset, each with the weight of several.
+    # A subset of many readings, each with the weight of `stride` readings.
     stride = -(-linear.size // MAX_READINGS)
     whitened = math.sqrt(stride) * linear.white_nuisance[::stride]
     flat_scale = FLAT_NORM / np.maximum(np.linalg.norm(whitened, axis=0), 1 / FLAT_NORM)
     whitened = whitened * np.where(linear.weight == 0, flat_scale, 1.0)
-    of_groups = _group_whitener(whitened[:, is_random])
-    of_all = _group_whitener(of_groups(whitened[:, ~is_random]))
+    whiten_groups = _group_whitener(whitened[:, is_random])
+    whiten_model = _group_whitener(whiten_groups(whitened[:, ~is_random]))
     library, by_name = Library(structures), dict[str, _Columns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
@@ -111,17 +111,17 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
         if not (others or per_member or effect.frees) and has_prior_scale(effect):
             columns = library.columns(linear, [point], {}) * library.prior_scales[name][0].sd
             whitened_columns = linear.whiten(columns)
-            beside_groups = of_groups(math.sqrt(stride) * whitened_columns[::stride])
-            by_name[name] = _Columns(whitened_columns, beside_groups, of_all(beside_groups))
+            without_groups = whiten_groups(math.sqrt(stride) * whitened_columns[::stride])
+            by_name[name] = _Columns(whitened_columns, without_groups, whiten_model(without_groups))
     return linear, by_name
 
 
 def _group_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
     """Return the whitening by noise of covariance 1 + C·Cᵀ, C columns of standard normal coefficients."""
     # Along the left singular vectors of C, singular values s, whitened columns are multiplied by 1/√(1 + s²).
-    axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    lost = axes * (1 - 1 / np.sqrt(1 + sizes**2))
-    return lambda white: white - lost @ (axes.T @ white)
+    axes, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
+    removed = axes * (1 - 1 / np.sqrt(1 + singular_values**2))
+    return lambda white: white - removed @ (axes.T @ white)
 
 
 def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tup
 
 
 def find_equivalents(spans: Spans) -> list[Equivalent]:
-    """Return minimal sets of two or three equivalent candidates, and of one and the model's effects."""
+    """Return minimal sets of two or three equivalent candidates, and single ones equivalent to the model's effects."""
     sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
     spanned = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
@@ -185,7 +185,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         columns = _whiten_candidates(restricted)[1]
         for equivalent in sets:
             if {*equivalent.effects} <= {*candidates}:
-                first, *others = (columns[n].beside_all for n in equivalent.effects)
+                first, *others = (columns[n].without_model for n in equivalent.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
                 information = information_nats(beyond(first, span))
                 if information > best[equivalent].get("nats", UNDECIDED_NATS):

@@ -12,8 +12,8 @@ from bayescal._calibration import judgement
 from bayescal._calibration.claim import Claim, as_claim, limit
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._core.settings import settings
+from bayescal._search.replaced_terms import TermComparison, find_replaced_terms, list_profile_claims
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
-from bayescal._search.taken_over import TermComparison, find_replaced_terms, list_profile_claims
 
 WORSE = "step.predicts_worse"
 
@@ -38,9 +38,9 @@ def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
 
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
-    judged: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
-    judged |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
-    subject = judgement.Subject(last.calibration, **judged, first_model=first)
+    subject_fields: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
+    subject_fields |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
+    subject = judgement.Subject(last.calibration, **subject_fields, first_model=first)
     replaced = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
     return [
         *(*last.outlying_groups, *judgement.residual_claims(subject)),
@@ -54,7 +54,7 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     ]
 
 
-def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
+def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Assess the last step; return the steps, with the reasons and notes in its calibration's verdict, and the gate."""
     last, outcome = steps[-1], assess_last(steps)
     notes = [*list_profile_claims(last.calibration)]
@@ -72,9 +72,9 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
 
 def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield claims against a model in which a coefficient is freed of its stated value."""
-    if free := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
-        yield Claim("value.freed", *free)
-        yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(free))
+    if freed_names := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
+        yield Claim("value.freed", *freed_names)
+        yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(freed_names))
 
 
 def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
@@ -158,19 +158,19 @@ def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
         errors = {"then": lowest, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
     if left_out and (best := find_better_left_out(last, earlier)) and best.leave_one_group_out:
-        what = f"each {left_out.group} from the others ({scheme(left_out.group)})"
+        prediction = f"each {left_out.group} from the others ({scheme(left_out.group)})"
         errors = {"then": best.leave_one_group_out.rmse, "now": left_out.rmse, "unit": unit}
-        yield Claim(WORSE, left_out.group, what=what, step=best.title, **errors)
+        yield Claim(WORSE, left_out.group, what=prediction, step=best.title, **errors)
     if (best := find_better_holdout(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
         yield Claim(WORSE, what="the hold-out data", step=best.title, **errors)
 
 
 def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where left-out runs differ by offsets that no term of the model describes.
+    """Yield a claim if left-out runs differ by offsets that no term of the model describes.
 
-    A run's initial state, random-walk noise or a step between runs takes up any such offset. A deviation from run to
-    run describes it, with a spread by which a new run is predicted.
+    Initial states, random-walk noise and steps between runs absorb such offsets in the fit but do not predict them; a
+    random effect between runs does, by its estimated standard deviation.
     """
     left_out, calibration = steps[-1].leave_one_group_out, steps[-1].calibration
     coefficients = (b.coefficient for b in calibration.layout.blocks)

@@ -85,7 +85,7 @@ class Library:
                 continue
             widths = tuple(_count_members(c, counts) for c in effect.coefficients)
             self.prior_scales[name] = _prior_scales(effect, widths)
-            # Given for a shape that the channels of a unit share, else points of equal prior mass.
+            # Given for a shape that the channels of a device share; otherwise points of equal prior mass.
             grid = _shape_values(effect, self.grids[name]) if self.grids else _default_grid(effect)
             self.points[name] = []
             for i, (shapes, start) in enumerate(grid):
@@ -99,7 +99,7 @@ class Library:
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
     def average_rows(self, linear: LinearModel) -> LinearModel:
-        """Return the linear model on means of readings, for scores on a long record; of a short record, as it is."""
+        """Return the linear model on means of readings, for scores on a long record; unchanged for a short one."""
         count = linear.size // MEANS_COUNT
         if count < 2:
             return linear
@@ -112,7 +112,7 @@ class Library:
         return self._means.linear_model(linear)
 
     def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all points in blocks of columns of a size that fit in memory; points that need all readings apart."""
+        """Yield all points in blocks whose columns fit in memory; points that need all readings separately."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):
@@ -211,10 +211,10 @@ def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
         # Grid of an amplitude and a length at the middles of equal parts of their priors, all points equally probable.
         for v in itertools.product(ndtri(levels), repeat=len(shapes)):
             pairs = [*zip(shapes, map(float, v), strict=True)]
-            named = {s.name: float(s.prior.value(c)) for s, c in pairs}
-            weights = np.broadcast_to(effect.weights(**named), (len(effect.coefficients),))
+            shape_values = {s.name: float(s.prior.value(c)) for s, c in pairs}
+            weights = np.broadcast_to(effect.weights(**shape_values), (len(effect.coefficients),))
             start = {effect.shape_name(s): c for s, c in pairs}
-            prior_scales.append(PriorScale(sd * weights, start, named, log_weight))
+            prior_scales.append(PriorScale(sd * weights, start, shape_values, log_weight))
         return prior_scales
     learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
     is_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(ends))

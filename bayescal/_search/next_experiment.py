@@ -1,4 +1,4 @@
-"""Design of the next experiment: the campaign that would best tell apart effects that the present readings cannot.
+"""Design of the next experiment: the campaign that would best distinguish effects that present readings do not.
 
 Each member of a credible set is fitted to the present readings and predicts a normal distribution of a campaign's
 readings (posterior draws, new group members and noise). The expected log Bayes factor between two members, if one of
@@ -38,25 +38,25 @@ MOST_READINGS = 1500
 class Experiment:
     """One feasible campaign."""
 
-    name: str  # what is done, in words
+    name: str  # description
     # (truth, rival) → expected log Bayes factor for the truth
     expected: dict[tuple[str, str], float]
-    readings: Measurements = field(repr=False)  # the campaign's plan; its outputs count for nothing
+    readings: Measurements = field(repr=False)  # planned readings; their outputs are not used
 
     @property
-    def worst(self) -> float:
-        """Return the least expected log Bayes factor of a truth against a rival, which ranks it."""
-        return self.expected[self.hardest]
+    def minimum(self) -> float:
+        """Return the smallest expected log Bayes factor of a truth against a rival, by which campaigns are ranked."""
+        return self.expected[self.hardest_pair]
 
     @property
-    def hardest(self) -> tuple[str, str]:
-        """Return the truth and the rival of the least expected log Bayes factor."""
+    def hardest_pair(self) -> tuple[str, str]:
+        """Return the truth and the rival with the smallest expected log Bayes factor."""
         return min(self.expected, key=lambda pair: self.expected[pair])
 
 
 @dataclass(frozen=True, repr=False)
 class NextExperiment(Printed):
-    """Feasible campaigns to tell effects apart, ranked by the least expected log Bayes factor."""
+    """Feasible campaigns to distinguish effects, ranked by the smallest expected log Bayes factor."""
 
     members: tuple[str, ...]
     experiments: tuple[Experiment, ...]
@@ -65,17 +65,17 @@ class NextExperiment(Printed):
         return f"to tell apart {', '.join(self.members)}: {self.experiments[0].name}"
 
     def _parts(self) -> list[str | ResultTable]:
-        """Return the feasible experiments, the most telling first."""
+        """Return the feasible experiments, the most informative first."""
         columns = (
             TableColumn("experiment", lambda e: e.name),
-            TableColumn("log Bayes factor", lambda e: e.worst, "{:.1f}".format),
-            TableColumn("least expected for", lambda e: " against ".join(e.hardest)),
+            TableColumn("log Bayes factor", lambda e: e.minimum, "{:.1f}".format),
+            TableColumn("least expected for", lambda e: " against ".join(e.hardest_pair)),
         )
         lines: list[str | ResultTable] = [
             f"to tell apart: {', '.join(self.members)}",
             ResultTable(columns, self.experiments, fold=25),
         ]
-        if self.experiments[0].worst < VERY_STRONG_NATS:
+        if self.experiments[0].minimum < VERY_STRONG_NATS:
             lines.append(
                 "None of these is expected to tell them apart (a log Bayes factor of "
                 f"{VERY_STRONG_NATS:g} would)."
@@ -88,21 +88,21 @@ def next_experiment(
     effects: Sequence[Effect | str],
     experiments: Mapping[str, Measurements] | None = None,
 ) -> NextExperiment:
-    """Rank feasible campaigns by how well they would tell effects apart.
+    """Rank feasible campaigns by the evidence with which they would distinguish effects.
 
     Args:
-        calibration: the fit that lacks one of the effects.
-        effects: those that its readings cannot tell apart, two or more, such as a credible set of `discover`.
-        experiments: name → readings of a campaign as it would be recorded (outputs do not count); those that the
-            instrument lists, if not given.
+        calibration: fit of a model that lacks one of the effects.
+        effects: two or more effects that its readings cannot distinguish, such as a finding of `discover`.
+        experiments: name → readings of a campaign as it would be recorded (outputs are not used); those of the
+            instrument if not given.
 
     Raises:
         ModelError: fewer than two effects, no feasible campaign, or one that lacks a column that an effect needs.
     """
     instrument = calibration.model.instrument
-    chosen = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
-    if len(chosen) < 2:
-        raise ModelError(f"next_experiment tells two effects or more apart, not {len(chosen)}")
+    candidates = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
+    if len(candidates) < 2:
+        raise ModelError(f"next_experiment needs two effects or more, not {len(candidates)}")
     plans = experiments
     if plans is None:
         listed = instrument.experiments
@@ -112,19 +112,19 @@ def next_experiment(
             f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
             "next_experiment(calibration, effects, {'slower': readings, …})"
         )
-    with stage("fitting each possibility"):
+    with stage("fitting the model with each effect"):
         method = LeastSquares(draws=POSTERIOR_DRAWS)
-        how: dict[str, Any] = {"reference": calibration.reference, "strict": False}
+        options: dict[str, Any] = {"reference": calibration.reference, "strict": False}
         model, fitted_readings = calibration.model, calibration.readings
-        fits = {e.name: fit(model + e, fitted_readings, method, **how) for e in chosen}
-    with stage("expecting the outcome of each experiment"):
+        fits = {e.name: fit(model + e, fitted_readings, method, **options) for e in candidates}
+    with stage("predicting each experiment"):
         campaigns = list[Experiment]()
         for name, readings in plans.items():
-            outlooks = {n: predict_campaign(c, readings) for n, c in fits.items()}
+            predictions = {n: predict_campaign(c, readings) for n, c in fits.items()}
             pairs = permutations(fits, 2)
-            factors = {pair: divergence(*(outlooks[n] for n in pair)) for pair in pairs}
+            factors = {pair: divergence(*(predictions[n] for n in pair)) for pair in pairs}
             campaigns.append(Experiment(name, factors, readings))
-    return NextExperiment(tuple(fits), tuple(sorted(campaigns, key=lambda e: -e.worst)))
+    return NextExperiment(tuple(fits), tuple(sorted(campaigns, key=lambda e: -e.minimum)))
 
 
 @dataclass(frozen=True)
@@ -139,11 +139,11 @@ def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
     """Return the Kullback–Leibler divergence of two normals, nats: the expected log density ratio."""
     # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: W = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
-    root = np.linalg.cholesky(rival.covariance)
-    whitened = np.linalg.solve(root, np.linalg.cholesky(truth.covariance))
-    gap = np.linalg.solve(root, rival.mean - truth.mean)
+    cholesky = np.linalg.cholesky(rival.covariance)
+    whitened = np.linalg.solve(cholesky, np.linalg.cholesky(truth.covariance))
+    difference = np.linalg.solve(cholesky, rival.mean - truth.mean)
     logs = np.sum(np.log(np.abs(np.diag(whitened))))  # both factors are triangular: so is W
-    return float(0.5 * (np.sum(whitened**2) + gap @ gap - gap.size) - logs)
+    return float(0.5 * (np.sum(whitened**2) + difference @ difference - difference.size) - logs)
 
 
 @on_one_thread
@@ -158,12 +158,12 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     frame = build_frame(readings, calibration.reference)
     # Group members of a planned campaign are new ones: their deviations become covariance between their readings.
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}
-    unseen = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
-    problem = calibration.problem_on(unseen)
+    planned = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
+    problem = calibration.problem_on(planned)
     record, (x, v) = problem.record, calibration.draws(POSTERIOR_DRAWS)
     means = problem.expected(x, problem.hyper(v.T))
     centred = means - means.mean(axis=0)
-    # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
+    # Noise and inputs at the median of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, for any law.
     hyper = problem.hyper(np.median(v, axis=0))
     whitener = whitening(problem.noise, hyper, record)(np.eye(record.size))
     mean_x = x.mean(axis=0)[None]

@@ -1,4 +1,4 @@
-"""Noise laws that a record can tell apart, and their evidence on residuals, coefficients held."""
+"""Noise laws that a record can distinguish, and their evidence on residuals at fixed coefficients."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ STARTING_LEVELS = (-2.0, 0.0, 1.0)
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
-    """Return further noise laws for a model, by name; none where its own is not white or readings are few.
+    """Return further noise laws for a model, by name; {} if its own is not white or there are few readings.
 
-    They are correlated noise, where there is time, and sums of correlated terms if asked for; heavy-tailed noise; and
-    scatter that follows a column.
+    They are correlated noise, if there is a time column; sums of correlated terms, with the setting `finer_noise`;
+    heavy-tailed noise; and scatter that depends on a column.
     """
-    # Coefficients of single readings are noise by another name: beside these, or with the noise held, there are none.
+    # Coefficients of single readings act as noise: with these, or with fixed noise, no other law is evaluated.
     per_reading = any(c.per == READING for e in model.effects for c in e.coefficients)
     is_fixed = any(name in model.noise.parameters() for name, _ in model.fixed)
     if per_reading or is_fixed or frame.size < MIN_READINGS or not model.noise.first:
@@ -94,10 +94,10 @@ def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT)
 
 
 def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return starting coordinates of a law's parameters, by name; none where all residuals are zero.
+    """Return starting coordinates of a law's parameters, by name; [] if all residuals are zero.
 
-    With a maximum on other residuals: that maximum, and it with one parameter changed to each level. Without: initial
-    values of some parameters, with every combination of levels of the others.
+    Given a maximum on other residuals: that maximum, and it with one parameter changed to each level. Otherwise:
+    initial values of some parameters, with every combination of levels of the others.
     """
     priors = law.parameters()
     if start and np.any(record.y):
@@ -113,7 +113,7 @@ def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list
 
 
 def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
-    """Return starting values of some of a law's parameters; none where all residuals are zero."""
+    """Return starting values of some of a law's parameters; [] if all residuals are zero."""
     residuals = record.y
     scale = float(np.sqrt(np.mean(residuals**2)))
     if law.independent:

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from bayescal._model.effect import Effect
     from bayescal._model.instrument import Instrument
 
-_RAN: dict[tuple[str, str], ModuleType] = {}  # in this process, by path and SHA-256
+_MODULES: dict[tuple[str, str], ModuleType] = {}  # run in this process, by path and SHA-256
 
 
 def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
     """Run a user's file and return its effects: EFFECTS, or every Effect in it; none if it defines only noise laws.
 
-    A noise law is registered by its class name once the file was run; searches include it where the file offers it.
+    A noise law is registered by its class name when the file is run; searches evaluate it if the file offers it.
 
     Raises:
         InputError: the file does not exist, fails, or defines neither effects nor noise laws.
@@ -39,8 +39,8 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
     effects = defined.get("EFFECTS", [v for v in defined.values() if isinstance(v, Effect)])
     effects = (effects,) if isinstance(effects, Effect) else tuple(effects)
     laws = (v for v in defined.values() if isinstance(v, type) and issubclass(v, Noise))
-    with_law = any(law.__module__ == module.__name__ for law in laws)
-    if not (effects or with_law) or not all(isinstance(e, Effect) for e in effects):
+    has_law = any(law.__module__ == module.__name__ for law in laws)
+    if not (effects or has_law) or not all(isinstance(e, Effect) for e in effects):
         raise InputError(
             f"{path} defines no effect: write EFFECTS = (bayescal.Effect(…),), or a noise law, a class derived from "
             "bayescal.Noise"
@@ -50,7 +50,7 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
 
 def instrument_named(name: str) -> Instrument:
     """Return an installed instrument, or one in a file (my.py:INSTRUMENT); raise InputError if it does not exist."""
-    if not in_a_file(name):
+    if not is_file_reference(name):
         from bayescal._model.installed import installed_instrument
 
         return installed_instrument(name)
@@ -63,7 +63,7 @@ def instrument_named(name: str) -> Instrument:
     return instrument
 
 
-def in_a_file(name: str) -> bool:
+def is_file_reference(name: str) -> bool:
     """Return whether an instrument's name refers to a file: my.py:INSTRUMENT."""
     return name.rpartition(":")[0].endswith(".py")
 
@@ -72,23 +72,23 @@ def run_file(path: Path) -> ModuleType:
     """Run a user's Python file, once per process and content, without writing a compiled copy.
 
     Raises:
-        InputError: the file does not exist, fails, or would end the program; with the line number.
+        InputError: the file does not exist, fails, or calls exit; its message has the line number.
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    ran = file, _ = str(path.resolve()), sha256_of(path)
-    if ran not in _RAN:
-        module = _RAN[ran] = ModuleType(path.stem)
+    key = file, _ = str(path.resolve()), sha256_of(path)
+    if key not in _MODULES:
+        module = _MODULES[key] = ModuleType(path.stem)
         module.__file__ = file
         # Objects defined in the file can then be pickled by the module's name; a loaded module is not replaced.
         sys.modules.setdefault(path.stem, module)
         try:
             exec(compile(path.read_bytes(), file, "exec", dont_inherit=True), vars(module))
         except BaseException as error:  # SystemExit, too, is reported as an error of the file
-            where = f", line {line}" if (line := own_file_line(error)[1]) else ""
-            del _RAN[ran]
-            raise InputError(f"{path}{where} could not be run: {format_error(error)}") from None
-    return _RAN[ran]
+            location = f", line {line}" if (line := own_file_line(error)[1]) else ""
+            del _MODULES[key]
+            raise InputError(f"{path}{location} could not be run: {format_error(error)}") from None
+    return _MODULES[key]
 
 
 def own_file_line(error: BaseException) -> tuple[str, int]:
@@ -96,7 +96,7 @@ def own_file_line(error: BaseException) -> tuple[str, int]:
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))
-    user_files = {file for file, _ in _RAN}
+    user_files = {file for file, _ in _MODULES}
     return next(((file, n) for file, n in reversed(lines) if file in user_files and n), ("", 0))
 
 

@@ -23,7 +23,7 @@ NAME_PROBABILITY = 0.55
 
 @dataclass(frozen=True)
 class Finding:
-    """One of these effects, each in some form, is missing; the readings cannot tell which."""
+    """A set of effects of which at least one, in some form, is missing; the readings cannot tell which."""
 
     effects: tuple[str, ...]
     probability: float
@@ -31,7 +31,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior probabilities of the structures that have given effects; those of an effect are of its family."""
+    """Posterior probabilities of the structures that have given effects; an effect's probability is its family's."""
 
     space: Structures
     condition: frozenset[str]  # effects that all structures have
@@ -52,12 +52,12 @@ class Posterior:
         scored = structures.scores.items()
         totals = {s: min(t, highest) for s, t in scored if not structures.is_special_case(s)}
         totals |= fitted
-        inside = [s for s in totals if required <= s.effects]
-        inside = sorted(inside, key=lambda s: (-totals[s], s not in evaluated))
-        total = np.array([totals[s] for s in inside])
+        selected = [s for s in totals if required <= s.effects]
+        selected = sorted(selected, key=lambda s: (-totals[s], s not in evaluated))
+        total = np.array([totals[s] for s in selected])
         # Structures without fit or score have probability zero: the search covers all that could have any.
         weight = np.exp(total - total[0])
-        return cls(structures, required, tuple(inside), total, weight / weight.sum(), evaluated)
+        return cls(structures, required, tuple(selected), total, weight / weight.sum(), evaluated)
 
     @cached_property
     def reported_families(self) -> tuple[frozenset[str], ...]:
@@ -82,7 +82,7 @@ class Posterior:
         return next(s for s in self.structures if s in self.evaluated)
 
     def completeness(self, unseen: Iterable[str] = ()) -> float:
-        """Return the probability that no effect is missing beside the condition's and `unseen` ones, under any noise.
+        """Return the probability, over noise laws, that no effect except the condition's and `unseen` ones is missing.
 
         A structure is incomplete where an unnamed effect, given, added or of the noise, is not negligible.
         """
@@ -125,8 +125,8 @@ class Posterior:
         """
         families = self.space.families(names)
         family, *others = families
-        alone = (shares.get(family, 0.0) for shares in self.family_shares)
-        parts = np.array(self._has_any(families) if others else [*alone], dtype=float)
+        single_shares = (shares.get(family, 0.0) for shares in self.family_shares)
+        parts = np.array(self._has_any(families) if others else [*single_shares], dtype=float)
         if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
             parts = np.where(self.needs_description, NAME_PROBABILITY, 1.0) * parts
         return float(min(1.0, self.probability @ parts))
@@ -137,13 +137,13 @@ class Posterior:
         return _sum_by_name([s.effects for s in self.structures], self.probability)
 
     def most_probable_form(self, name: str) -> str:
-        """Return the most probable form of a family; its own name where no structure has any."""
+        """Return the most probable form of a family; the family's name if no structure has any."""
         mass = self._form_probability
         forms = [n for n in mass if self.space.family(n) == name]
         return max(forms, key=mass.__getitem__, default=name)
 
-    def _sum_probability(self, inside: Sequence[bool] | np.ndarray) -> float:
-        return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
+    def _sum_probability(self, selected: Sequence[bool] | np.ndarray) -> float:
+        return float(min(1.0, self.probability[np.array(selected, dtype=bool)].sum()))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -192,13 +192,13 @@ class Posterior:
         while True:
             # Inclusion given the chosen effects: else two substitutes of one half each would both be out.
             sets, masses = [s.effects - effects for s, _ in candidates], [p for _, p in candidates]
-            of_form = _sum_by_name(sets, masses)
-            of_family = _sum_by_name(map(self.space.families, sets), masses)
-            family = max(of_family, key=lambda n: (of_family[n], n), default="")
-            if not family or of_family[family] <= 0.5 * sum(masses):
+            form_mass = _sum_by_name(sets, masses)
+            family_mass = _sum_by_name(map(self.space.families, sets), masses)
+            family = max(family_mass, key=lambda n: (family_mass[n], n), default="")
+            if not family or family_mass[family] <= 0.5 * sum(masses):
                 break
-            forms = [n for n in of_form if self.space.family(n) == family]
-            form = max(forms, key=lambda n: (of_form[n], n))
+            forms = [n for n in form_mass if self.space.family(n) == family]
+            form = max(forms, key=lambda n: (form_mass[n], n))
             effects |= {form}
             candidates = [(s, p) for s, p in candidates if form in s.effects]
         for finding in self.findings:

@@ -107,8 +107,8 @@ class Scorer:
 
     def linear_for(self, points: Sequence[GridPoint]) -> LinearModel:
         """Return the linear model that scores these points: on means, unless a candidate varies within them."""
-        blurred = any(p.effect in self.library.unaveraged for p in points)
-        return self.linear if blurred else self.linear_means
+        varies_within_means = any(p.effect in self.library.unaveraged for p in points)
+        return self.linear if varies_within_means else self.linear_means
 
     def columns(self, rows: LinearModel, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
         """Return the columns of candidates at some points, on the rows of a linear model."""
@@ -116,20 +116,20 @@ class Scorer:
 
     def reduced_model(self, *names: str) -> ReducedModel:
         """Return the linear model without some of the structure's effects, φ held."""
-        linear, dropped = self.linear, {*names}
-        is_kept = np.array([owner not in dropped for owner in linear.owners], dtype=bool)
+        linear, dropped_names = self.linear, {*names}
+        is_kept = np.array([owner not in dropped_names for owner in linear.owners], dtype=bool)
         # z: the dropped coefficients (shapes have no effect without them). With z at its prior mean and all else held,
         # r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and the score of the
         # kept nuisances is AᵀA·z alone.
-        of_x = np.arange(is_kept.size) < linear.problem.size
-        z = np.where(is_kept | ~of_x, 0.0, linear.z)
-        prior_squares, of_start = float(linear.weight @ z**2), self.inner @ z
-        shapes = float(linear.weight[~is_kept & ~of_x] @ linear.z[~is_kept & ~of_x] ** 2)
-        sum_of_squares = linear.rss + prior_squares + float(z @ of_start) - shapes
+        is_in_x = np.arange(is_kept.size) < linear.problem.size
+        z = np.where(is_kept | ~is_in_x, 0.0, linear.z)
+        prior_squares, inner_z = float(linear.weight @ z**2), self.inner @ z
+        shapes = float(linear.weight[~is_kept & ~is_in_x] @ linear.z[~is_kept & ~is_in_x] ** 2)
+        sum_of_squares = linear.rss + prior_squares + float(z @ inner_z) - shapes
         inner = self.inner[np.ix_(is_kept, is_kept)] + np.diag(linear.weight[is_kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         # The kept nuisances are integrated out: with L·Lᵀ = AᵀA + W, by the projections L⁻¹Aᵀ of r₀ and each column.
-        kept_score = solve_triangular(chol, of_start[is_kept], lower=True)
+        kept_score = solve_triangular(chol, inner_z[is_kept], lower=True)
         projection = solve_triangular(chol, self.cross[is_kept], lower=True)
         return ReducedModel(
             scorer=self,

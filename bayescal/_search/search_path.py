@@ -27,7 +27,7 @@ from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
-RISE_MARK = " ↑"  # beside a hold-out error that is so
+RISE_MARK = " ↑"  # after a hold-out error above that of the step before
 FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
 
 
@@ -48,12 +48,12 @@ class Step:
     discovery: Discovery | None  # missing effects; None where probabilities would be wrong
     description: str = ""  # other changes of the model, in words; empty if there are none
     holdout_test: HoldoutTest | None = None  # test of the model by the hold-out data
-    failures: tuple[Claim, ...] = ()  # why no search can start from this model; empty for most
+    failures: tuple[Claim, ...] = ()  # why no search can start from this model; mostly empty
     outlying_groups: tuple[Claim, ...] = ()  # implausibly different members, or along a column
 
-    def with_reasons(self, against: Sequence[str]) -> Step:
+    def with_reasons(self, reasons: Sequence[str]) -> Step:
         """Return the step with reasons against its calibration in the verdict."""
-        verdict = {"against": tuple(against), "checked": True}
+        verdict = {"against": tuple(reasons), "checked": True}
         return replace(self, calibration=self.calibration.with_verdict(**verdict))
 
     def with_notes(self, notes: Sequence[str]) -> Step:
@@ -63,12 +63,12 @@ class Step:
 
     @cached_property
     def multimodality(self) -> tuple[Claim, ...]:
-        """Return why a Gaussian about the mode does not describe the posterior; empty for most."""
+        """Return claims that a Gaussian about the mode does not describe the posterior; mostly empty."""
         return tuple(multimodality(self.calibration))
 
     @property
     def title(self) -> str:
-        """Return the step in a few words."""
+        """Return the step's title, such as "baseline" or "+ bias.drift"."""
         return self.description or "baseline" if self.added is None else f"+ {self.added}"
 
     def row(self, previous: Step | None) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class SearchPath(Printed):
 
     @property
     def progress(self) -> str:
-        """Return the search's progress in words: time, structures, the best; empty before the first."""
+        """Return the search's progress as text: time, structures, the best; empty before the first."""
         search, unit = self.search, unit_label(self.final.calibration.unit)
         if search is None or not search.structures:
             return ""
@@ -165,21 +165,21 @@ class SearchPath(Printed):
             why = "no effect was to be added" if reliable else "the fit is not reliable"
             return search.stopped or f"Nothing was looked for: {why}."
         lines = [search.stopped] if search.stopped else []
-        added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
-        if not lines and added >= most > 0:
-            lines.append(f"The search has added the {most} effects that it may (--max-effects).")
+        added, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
+        if not lines and added >= allowed > 0:
+            lines.append(f"The search has added the {allowed} effects that it may (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
         tested = {n: p for n, p in probabilities.items() if p is not None}
-        nearest = max(tested, key=tested.__getitem__, default="")
-        sure = settings().found_probability
-        if not nearest:
+        closest = max(tested, key=tested.__getitem__, default="")
+        level = settings().found_probability
+        if not closest:
             lines += [] if lines else ["These readings can test no further candidate."]
-        elif tested[nearest] >= sure:
-            lines.append(f"Still missing: {nearest}, probability {probability(tested[nearest])}.")
+        elif tested[closest] >= level:
+            lines.append(f"Still missing: {closest}, probability {probability(tested[closest])}.")
         else:
-            highest = f"{nearest}, {probability(tested[nearest])}"
-            lines.append(f"No further effect reaches probability {sure:g} (highest: {highest}).")
+            highest = f"{closest}, {probability(tested[closest])}"
+            lines.append(f"No further effect reaches probability {level:g} (highest: {highest}).")
         return " ".join(lines)
 
     if TYPE_CHECKING:
@@ -199,8 +199,8 @@ class SearchPath(Printed):
         lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
         lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
-        sure = settings().found_probability
-        heads = {sure: "found" if self.complete else "best when the search ended"}
+        level = settings().found_probability
+        heads = {level: "found" if self.complete else "best when the search ended"}
         heads |= {0.5: "more probable than not", 0.0: "in the model shown, one of several"}
         texts = dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
@@ -219,10 +219,10 @@ class SearchPath(Printed):
     def added(self) -> dict[str, float | None]:
         """Return effects added to the first model, by name with their probability (in any form) or None."""
         first, last = self.steps[0], self.final.calibration.model
-        had, discovery = set(first.calibration.model.names), first.discovery
-        had |= {*self.final.discovery.latent} if self.final.discovery else set()
+        names, discovery = set(first.calibration.model.names), first.discovery
+        names |= {*self.final.discovery.latent} if self.final.discovery else set()
         probabilities = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
-        return {e.name: probabilities.get(e.reported) for e in last.effects if e.name not in had}
+        return {e.name: probabilities.get(e.reported) for e in last.effects if e.name not in names}
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
@@ -250,7 +250,7 @@ def is_rise(error: float | None, previous: float | None) -> bool:
 
 
 def new_run_differs(rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Return whether the error of a new run is printed otherwise than that as fitted, at any step."""
+    """Return whether the printed errors of a new run and as fitted differ at any step."""
     return any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)
 
 

@@ -1,7 +1,7 @@
 """Combined evidence of the channels of a unit on a shape that they share, such as the lag of their body.
 
-The unit has the effect or not; if it has, some share of its channels shows it, any share as probable as another. Given
-shape and share channels are independent: evidence multiplies, that of the others gives a channel's cavity prior.
+If the unit has the effect, a share of its channels shows it; the share has a uniform prior. Given shape and share,
+channels are independent: their evidence multiplies, and that of the others gives a channel's cavity prior.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bayescal._search.scores import Scorer
 from bayescal._search.structures import COARSE_NATS, LAW_WINDOW_NATS, EvaluatedStructure, Structures
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # grid of the share of channels that show the effect
-GRID_LIMIT_SD, GRID_STEP_SD = 3.5, 0.25  # of the grid of a shape, prior standard deviations
+GRID_LIMIT_SD, GRID_STEP_SD = 3.5, 0.25  # of a shape's grid, prior standard deviations
 RAGGED_STEP_SD = 0.02  # step where the evidence has many maxima, as over a period
 FINE_GRID_SD = np.linspace(-4.0, 4.0, 25)  # about a channel's mode, posterior standard deviations
 MIN_SD = 1e-4  # smallest standard deviation that the grid resolves, prior standard deviations
@@ -49,7 +49,7 @@ class ShapeEvidence(NamedTuple):
         np.ndarray, "k"
     ]  # log Bayes factor of the effect, its shape at v, against none
 
-    def update(self, others: CavityPrior, shape: Shape) -> Conclusion:
+    def update(self, others: CavityPrior, shape: Shape) -> ChannelPosterior:
         """Return the channel's posterior of the effect under a cavity prior."""
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
@@ -60,17 +60,17 @@ class ShapeEvidence(NamedTuple):
         weight = np.exp(joint - log_ratio)
         mean = float(weight @ v)
         spread = math.sqrt(float(weight @ (v - mean) ** 2))
-        return Conclusion(float(expit(others.log_odds + log_ratio)), mean, spread)
+        return ChannelPosterior(float(expit(others.log_odds + log_ratio)), mean, spread)
 
 
-class Conclusion(NamedTuple):
+class ChannelPosterior(NamedTuple):
     """Posterior of an effect in one channel."""
 
     probability: float  # that the channel shows it
     v: float  # mean and standard deviation of its shape's coordinate
     sd: float
 
-    def differs_from(self, previous: Conclusion) -> tuple[bool, bool]:
+    def differs_from(self, previous: ChannelPosterior) -> tuple[bool, bool]:
         """Return whether the effect's probability changed by at least `MIN_CHANGE`, and whether it or the shape did."""
         is_changed = abs(self.probability - previous.probability) > MIN_CHANGE
         is_possible = max(self.probability, previous.probability) > MIN_CHANGE
@@ -128,8 +128,8 @@ class SharedShape:
     @property
     def probability(self) -> float:
         """Return the probability that the unit has the effect."""
-        with_it = float(np.logaddexp.reduce(self._joint(self.log_ratios), axis=None))
-        return math.exp(with_it - np.logaddexp(with_it, math.log1p(-self.prior)))
+        log_with_effect = float(np.logaddexp.reduce(self._joint(self.log_ratios), axis=None))
+        return math.exp(log_with_effect - np.logaddexp(log_with_effect, math.log1p(-self.prior)))
 
     @property
     def posterior(self) -> tuple[float, float, float]:
@@ -158,32 +158,32 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
 
 def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     """Compute a channel's evidence on a shape from the structures evaluated with and without the effect."""
-    own_shape = structures.candidates[name].shared_shape
-    assert own_shape is not None
+    local_shape = structures.candidates[name].shared_shape
+    assert local_shape is not None
     # Structures fitted in the previous round only have their log posterior corrected for the new priors.
     refits = {**structures.previous_round, **structures.visited}
     fits = (w for w in refits.values() if math.isfinite(w.log_posterior))
     evaluated = sorted(fits, key=lambda w: -w.log_posterior)
     with_effect = [w for w in evaluated if name in w.structure.effects][:MAX_STRUCTURES]
     without = [w for w in evaluated if name not in w.structure.effects][:MAX_STRUCTURES]
-    v = _shape_coordinates(shape, own_shape, with_effect[:1], f"{name}.{shape.name}")
-    u = np.array([own_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
+    v = _shape_coordinates(shape, local_shape, with_effect[:1], f"{name}.{shape.name}")
+    u = np.array([local_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
     library = Library(structures, {name: u[:, None]})
-    # An effect that was never worth a fit has the log posterior below which none is.
-    with_it = [np.full(len(v), structures.best.log_posterior - LAW_WINDOW_NATS)]
+    # An effect that was never fitted has the log posterior below which no structure is fitted.
+    log_with_effect = [np.full(len(v), structures.best.log_posterior - LAW_WINDOW_NATS)]
     for fit in with_effect:
         # A fit gives the integral over v, the score the form over v, scaled so that its prior mean is the evidence of
         # the fit, and flat far behind the best. For structures to which no fit adds the effect the score gives both.
         is_near = structures.is_in_window(fit.log_posterior, COARSE_NATS)
         factors = _score_shape(library, fit, name) if is_near else np.zeros(len(v))
         log_posterior = fit.log_posterior - structures.log_odds[name]
-        with_it.append(log_posterior + factors - np.logaddexp.reduce(factors + log_mass(u)))
+        log_with_effect.append(log_posterior + factors - np.logaddexp.reduce(factors + log_mass(u)))
     for fit in without if name in library.points else ():
         allowed = name not in structures.excluded_candidates(fit.structure)
         if allowed and fit.structure.with_effects(name) not in refits:
-            with_it.append(fit.log_posterior + _score_shape(library, fit, name))
+            log_with_effect.append(fit.log_posterior + _score_shape(library, fit, name))
     log_without = np.logaddexp.reduce([w.log_posterior for w in without])
-    return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - log_without)
+    return ShapeEvidence(v, np.logaddexp.reduce(log_with_effect, axis=0) - log_without)
 
 
 def _shape_coordinates(
@@ -212,7 +212,7 @@ def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[np.ndarray, "k"]:
     """Return an effect's log Bayes factor by score at each point of its grid, up to a constant.
 
-    An effect that corrects a column has no score: its log density along the shape stands for it, all else of φ held.
+    An effect that corrects a column has no score: its log density along the shape is used instead, all else of φ fixed.
     """
     if name not in library.points:
         shape = library.structures.candidates[name].column_shapes[0]
@@ -224,12 +224,12 @@ def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[
 def _log_density_along(
     fit: EvaluatedStructure, name: str, values: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
-    """Return the log density of φ without the shape's prior, at values of an effect's one shape, all else of φ held."""
-    own_shape = fit.model.effect(name).column_shapes[0]
-    coordinates = np.array([own_shape.prior.coordinate(float(value)) for value in values])
-    index = fit.problem.layout.index_in_phi[f"{name}.{own_shape.name}"]
+    """Return the log density of φ without the shape's prior, at values of an effect's one shape, others of φ fixed."""
+    effect_shape = fit.model.effect(name).column_shapes[0]
+    coordinates = np.array([effect_shape.prior.coordinate(float(value)) for value in values])
+    index = fit.problem.layout.index_in_phi[f"{name}.{effect_shape.name}"]
     vs = np.tile(fit.mode.v, (len(coordinates), 1))
     vs[:, index] = coordinates
-    prior = np.asarray(own_shape.prior.log_density(coordinates))
+    prior = np.asarray(effect_shape.prior.log_density(coordinates))
     density = Density(fit.problem, fit.mode.x, fit.mode.flat, fit.mode.v)
     return density.values(vs) - prior

@@ -40,7 +40,7 @@ TEMPERATURE_STEP = 30.0  # °C, where all readings are at one temperature
 
 @dataclass(frozen=True)
 class AddedPose:
-    """A reading to add: direction of what acts, temperature, °C, if one is recorded, and a known rate, output unit."""
+    """A reading to add: direction of the stimulus, temperature, °C, if recorded, and a known rate, output unit."""
 
     direction: tuple[float, float, float]
     temperature: float | None = None
@@ -59,10 +59,10 @@ class AddedPose:
 class Undetermined(Printed):
     """Combinations of coefficients that planned readings do not determine, and poses to add."""
 
-    readings: int  # how many there are; poses, of an instrument of three axes
+    readings: int  # number of readings; of poses, for an instrument of three axes
     combinations: tuple[str, ...]  # of coefficients, each a sentence
-    add: tuple[AddedPose, ...] = ()  # poses that would determine them, the most telling first
-    left: int = 0  # combinations that none of these poses determines; zero where no pose was sought
+    add: tuple[AddedPose, ...] = ()  # poses that would determine them, the most informative first
+    left: int = 0  # number of combinations left undetermined; 0 if no pose was sought
 
     def _parts(self) -> list[str]:
         if not self.combinations:
@@ -87,7 +87,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
 
     Args:
         model: the model, with the priors against which a combination counts as not determined.
-        readings: planned readings. The outputs of an instrument of three axes are the acting quantity in each pose; for
+        readings: planned readings. The outputs of an instrument of three axes are the stimulus in each pose; for
             poses already taken they may be the measured outputs.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Polynomials in T − T0, or in any other column from its reference value."""
+"""Polynomials in T − T0, or in any other column relative to its reference value."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ def _make_power(kind: Kind, order: int, meaning: str) -> Power:
     make_effect.__doc__ = f"""c·(T − T0){exponent}: {meaning}.
 
     Args:
-        slot: that it adds to, such as "bias".
+        slot: slot that it adds to, such as "bias".
         size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit over that power of the
+        unit: unit of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit over that power of the
             column's.
-        source: where the size comes from: a document, or whose estimate it is.
+        source: source of the size: a document, or the person who estimated it.
         column: the temperature T, °C: T0 is its rounded mean in the fit; or another numeric column, such as "pressure",
             in its own unit: its reference value is the middle of its range in the fit. Both are printed and stored with
             the result.
-        name: of the effect, after the slot, `slot.name{suffix}`: the column's if not given.
+        name: name of the effect after the slot, `slot.name{suffix}`; the column's name if not given.
 
-    Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
+    Source: a truncated Taylor series about T0; assumes only that the output is smooth in T.
     """
     return make_effect
 

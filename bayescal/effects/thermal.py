@@ -1,4 +1,4 @@
-"""Effects of a changing temperature: its rate, its direction, and a body that lags behind the thermometer."""
+"""Thermal effects: temperature rate, hysteresis (direction of change), and lag of a body behind the thermometer."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def thermal_lag(
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
         start: plausible standard deviation, between runs, of the initial state's effect, in `start_unit`.
-        name: of the effect, after the slot; another for a second lag.
+        name: name of the effect after the slot; give another for a second lag.
         bodies: alternative forms with T̃ in place of T, by name; all of `BODIES` if not given.
         short: alternative form for unresolvably short τ: a rate.
     """
@@ -211,11 +211,11 @@ def body(
     Σ wₖ·exp(−t/(mₖ·τ)): one coefficient per run.
 
     Args:
-        slot: that the initial state adds to.
-        start: plausible standard deviation, between runs, of what it adds, in `start_unit`.
+        slot: slot that the initial state adds to.
+        start: plausible standard deviation, between runs, of the initial state's effect, in `start_unit`.
         low, high: plausible range of τ, s.
         behind: thermal response of the body, of `BODIES`.
-        name: of the effect, after the slot.
+        name: name of the effect after the slot.
     """
     coefficients = _initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
     equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"

@@ -29,8 +29,8 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
     Args:
         column: numeric, such as "pressure".
         sd: standard deviation, in `unit`; or the name of a column of standard deviations.
-        unit: of `sd`, "delta_degC" for a temperature; of a column of standard deviations leave it out.
-        source: where the standard deviation comes from.
+        unit: unit of `sd`, "delta_degC" for a temperature; omit it for a column of standard deviations.
+        source: source of the standard deviation.
 
     Source: JCGM 100:2008, 5.1.2; of a straight line ISO/TS 28037:2010, 7.
     """
@@ -59,7 +59,7 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """Return an offset of the thermometer in each run, of unknown standard deviation: re-seated, or exchanged.
+    """Return an offset of the thermometer in each run, with learned standard deviation: re-seated, or exchanged.
 
     It corrects the column before any other effect uses it. If the output is linear in temperature it is collinear with
     a deviation of the bias in each run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.
@@ -68,7 +68,7 @@ def thermometer_offset(
         size: scale of the half-normal prior of the standard deviation between members, in `unit`.
         column: corrected column, of a thermometer or another instrument.
         per: group with one offset per member.
-        unit: of the error, that of a difference of the column.
+        unit: unit of the offset, that of a difference of the column.
     """
     offset = deviation(column, per, size, unit, source=source)
     return replace(offset, columns=(column,), equation=f"T_true = T + e[{per}]")

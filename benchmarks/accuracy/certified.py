@@ -32,7 +32,7 @@ def main() -> None:
 def digits(name: str) -> list[dict[str, Any]]:
     """Return the digits met of one of NIST's sets, from each start."""
     rows = []
-    for start, one in enumerate(nist_strd.estimates(name), 1):
+    for start, one in enumerate(nist_strd.fit_data_set(name), 1):
         met = [round(nist_strd.digits(error), 2) for error in one.errors[:2]]
         rows.append({"set": name, "start": start, "parameters": met[0], "sd": met[1]})
     return rows

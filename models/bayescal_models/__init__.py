@@ -1,4 +1,4 @@
-"""The instruments. A new one is a folder beside these and one line here.
+"""The instruments. To add one, add a folder beside these and a line here.
 
 Each instrument's folder says in `__init__.py` what its files hold; the public names, in `__init__.pyi`, load
 on first use. Its `model` holds `INSTRUMENT`, its docstring is the data sheet. Its

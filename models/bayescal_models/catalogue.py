@@ -1,4 +1,4 @@
-"""The catalogue: makers of the effects that instruments share, and the table in which each instrument states its own.
+"""Catalogue: factories of the effects that instruments share, and the table of effects of an instrument.
 
     EFFECTS = EffectTable.of(
         "data sheet of the sensor; size ours",
@@ -9,12 +9,12 @@
         ),
     )
 
-A row holds the canonical name, `slot.cause`; the family, which is a maker; the plausible size, a prior standard
-deviation (of a learned spread: its prior's scale), with its unit; and the source, where it is not that of the table.
-`recorded` has the families of what any test records: a thermometer, a clock, the supply's voltage. A row of the
-instrument's own, further up in its table, stands in the place of the one of the same name there.
-What is particular to one instrument is made of a basis by `effect`, or by `family` where several slots have it alike;
-an effect whose coefficients have sizes of their own stands in the table as it is.
+A row has the canonical name, `slot.cause`; the family, a factory; the plausible size, a prior standard deviation
+(for a learned standard deviation: its prior's scale), with its unit; and the source, if not that of the table.
+`recorded` has the families of quantities that any test records: a thermometer, a clock, the supply voltage. A row
+higher up in an instrument's table replaces the one of the same name there.
+Effects of one instrument are built from a basis by `effect`, or by `family` for several slots with the same basis;
+an effect whose coefficients have different sizes is in the table as an `Effect`.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class EffectTable:
     """The effects of an instrument.
 
     Attributes:
-        baseline: of a first calibration.
-        candidates: that may be missing from it.
-        others: of named models only.
+        baseline: effects of a first calibration.
+        candidates: effects that may be missing from it.
+        others: effects of named models only.
     """
 
     baseline: tuple[bc.Effect, ...]
@@ -62,7 +62,7 @@ class EffectTable:
         candidates: Iterable[Row] = (),
         others: Iterable[Row] = (),
     ) -> EffectTable:
-        """Build a table from rows; `source` is the default source. Of rows with one name the first counts."""
+        """Build a table from rows; `source` is the default source. Of rows with the same name the first is used."""
         used_names: set[str] = set()
 
         def make(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
@@ -129,9 +129,9 @@ def thermal_lag(
     """Build the maker of a thermal lag of time constant `low` to `high`, s.
 
     Args:
-        start, start_unit: plausible size of what its state at the start of a run adds.
-        rate: size and unit of its short form, a rate, and its source where that is another; none if empty.
-        more: of `effects.thermal_lag`.
+        start, start_unit: plausible contribution of its state at the start of a run, and its unit.
+        rate: size and unit of its form for short τ, a rate, and its source if another; none if empty.
+        further: options of `effects.thermal_lag`.
     """
 
     def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
@@ -144,10 +144,10 @@ def thermal_lag(
     return make
 
 
-# What every test records: its families, for a slot of any instrument.
+# Families of quantities that every test records, for a slot of any instrument.
 
-SHORT, LONG = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)  # s, in which a body lags
-LAG, SLOW = 5.0, 40.0  # min, of bodies whose lag would show a quarter of the size
+SHORT, LONG = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)  # s, ranges of lag times
+LAG, SLOW = 5.0, 40.0  # min, lag times at which a lag of a quarter of the size is plausible
 
 
 def recorded(
@@ -166,16 +166,16 @@ def recorded(
     """Build the families of a thermometer, a clock and a supply's voltage, sized by the slot's plausible change.
 
     Args:
-        slot: that they add to.
-        unit: of `size`, and of the coefficients.
-        size: how much the slot plausibly changes over a test.
+        slot: slot that they add to.
+        unit: unit of `size`, and of the coefficients.
+        size: plausible change of the slot over a test.
         span: half the range of the temperature, °C.
         pace: plausible rate of the temperature, °C/min.
-        column: of the thermometer.
-        order: highest power of the temperature. The fourth is hardly to be told from the second.
-        causes: the families wanted, as they are called behind the slot's name; all if empty.
-        per: group whose members have coefficients each; none for one in all.
-        source: of a coefficient, with places for its share of `size` and for where that is reached; ours if empty.
+        column: column of the thermometer.
+        order: highest power of the temperature; the fourth is nearly collinear with the second.
+        causes: names of the families to build, without the slot; all if empty.
+        per: group with one coefficient per member; None for a single one.
+        source: source text with placeholders for the share of `size` and where it is reached; ours if empty.
     """
     source = source or f"ours: {{:g}} of {size:g} {unit}{{}}"
     half, q, of = 0.5 * size, 0.25 * size, f"{unit}/degC"
@@ -224,7 +224,7 @@ def _by_supply(column: str, r: bc.Frame) -> Any:
 
 
 def _per_member(base: bc.Effect, group: str | None) -> bc.Effect:
-    """Give an effect and its short forms one coefficient per member of a group."""
+    """Give an effect and its forms one coefficient per member of a group."""
     if group is None:
         return base
     coefficients = (c if c.per or c.known else replace(c, per=group) for c in base.coefficients)
@@ -232,7 +232,7 @@ def _per_member(base: bc.Effect, group: str | None) -> bc.Effect:
     return replace(base, coefficients=tuple(coefficients), forms=forms)
 
 
-# What one instrument has.
+# Effects of a single instrument.
 
 
 def effect(
@@ -250,16 +250,16 @@ def effect(
     """Build the maker of an effect whose coefficients, one for each part, have one size.
 
     Args:
-        basis: of as many columns as there are parts.
-        equation: for people.
-        columns: what readings must have.
-        slot: where it is not the one that the name begins with.
+        basis: basis function with one column per part.
+        equation: text for reports.
+        columns: columns that readings must have.
+        slot: slot, if not the one in the name.
         parts: names of the coefficients.
-        slots: of each part, where they differ.
-        per: group whose members have a coefficient each.
-        learned: kind of the prior of their standard deviation, of scale `size`, where that is learned.
-        varies: columns that must; all that it needs but the time where it is not said.
-        more: further fields of the effect.
+        slots: slot of each part, if they differ.
+        per: group with one coefficient per member.
+        learned: type of the prior of their standard deviation, of scale `size`; None if it is not learned.
+        varies: columns that must vary; by default all columns except the time.
+        fields: further fields of the effect.
     """
 
     def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
@@ -288,9 +288,9 @@ def family(
     """Build the maker of one effect on several slots, one coefficient each, included or excluded together.
 
     Args:
-        slots: a coefficient's part is what stands after the first underscore, unless `parts` says.
-        basis: of one column, the same for all.
-        equation, columns, more: as of `effect`.
+        slots: slots; a coefficient's part is the slot's name after the first underscore, unless `parts` is given.
+        basis: basis of one column, the same for all.
+        equation, columns, fields: as of `effect`.
     """
     parts = fields.pop("parts", None) or [s.partition("_")[2] for s in slots]
     shared = partial(_in_each, basis, len(slots))
@@ -302,7 +302,7 @@ def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
     return xp.broadcast_to(column, (r.size, count))
 
 
-# Bases of a word.
+# Simple bases.
 
 
 def progress(r: bc.Frame) -> Any:
@@ -316,7 +316,7 @@ def centred(r: bc.Frame) -> Any:
 
 
 def goes_one_way(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
-    """Return why readings show no hysteresis: a temperature never rises, or never falls, by over `dead_band`, °C."""
+    """Return the reason why readings cannot identify a hysteresis: no rise, or no fall, above `dead_band`, °C."""
     rises = falls = False
     _, run = readings.groups("run")
     for k in np.unique(run):

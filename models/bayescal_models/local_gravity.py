@@ -1,8 +1,8 @@
-"""Local gravity that nobody stated: by how much a test in it may be off.
+"""Unstated local gravity: the relative error that it may cause in a test.
 
 At sea level gravity is 9.780 m/s² at the equator and 9.832 m/s² at a pole. Outputs in m/s² that were divided by a
-standard value are off by one factor, of which nothing more is known: a rectangular distribution (JCGM 100:2008, 4.3.7),
-whose standard deviation is 0.052/√12 m/s², 1.53 · 10⁻³ of it.
+standard value have a common relative error with a rectangular distribution (JCGM 100:2008, 4.3.7) of standard deviation
+0.052/√12 m/s², relative 1.53 · 10⁻³.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ PPM = 1530.0  # relative standard uncertainty
 ASSUMED = bc.Column(
     "assumed_gravity",
     "1",
-    "1 where the output was divided by a local gravity that nobody stated",
+    "1 where the output was divided by an unstated local gravity",
     required=False,
     low=0.0,
     high=1.0,
@@ -23,11 +23,11 @@ ASSUMED = bc.Column(
 
 
 def uncertain(slot: str, size: float = PPM, unit: str = "ppm") -> bc.Effect:
-    """Return the nuisance of an instrument that gravity acts on.
+    """Return the nuisance effect of an instrument on which gravity acts.
 
     Args:
-        slot: what acts, or its relative deviation.
-        size, unit: standard uncertainty of that.
+        slot: slot of the input, or of its relative deviation.
+        size, unit: its standard uncertainty.
     """
     return bc.Effect(
         f"{slot}.local_gravity",

@@ -1,4 +1,4 @@
-"""Common parts of simulators: named random generators, a clock, first-order bodies, noise, refusals."""
+"""Common parts of simulators: random-number generators, a clock, first-order bodies, noise, input checks."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ P = ParamSpec("P")
 
 
 def generators(names: Sequence[str], seed: int) -> dict[str, np.random.Generator]:
-    """Return an independent generator for each use."""
+    """Return one independent random-number generator per purpose, all spawned from one seed."""
     seeds = np.random.SeedSequence(seed).spawn(len(names))
     return {name: np.random.default_rng(s) for name, s in zip(names, seeds, strict=True)}
 
 
 def refuse_effects(effects: Mapping[str, float], names: Collection[str], where: str) -> None:
-    """Refuse effects that no law hides.
+    """Raise ValueError for effects that the simulator does not have.
 
     Args:
         effects: name → size.
-        known: names that there are.
-        where: in what they are hidden, such as "a gyro campaign".
+        names: names of the available effects.
+        where: description of the simulation, such as "a gyro campaign".
 
     Raises:
-        ValueError: an unknown name, or a size that is not finite, or so large that what it makes may not be.
+        ValueError: an unknown name, or a size that is not finite, or so large that outputs may overflow.
     """
     for name, size in effects.items():
         choices = f"choose among {', '.join(names)}"
@@ -43,25 +43,25 @@ def refuse_effects(effects: Mapping[str, float], names: Collection[str], where: 
 
 
 def refuse(wrong: Any, message: str) -> None:
-    """Raise a ValueError with this message where something is wrong."""
+    """Raise a ValueError with this message if `wrong` is true."""
     if wrong:
         raise ValueError(message)
 
 
 def refuse_unknown(plan: object, **choices: Collection[str]) -> None:
-    """Raise a ValueError where an option of a plan is none of its choices, which are given by its name."""
+    """Raise a ValueError if an option of a plan is not one of its `choices`, given by the option's name."""
     for name, allowed in choices.items():
         option = f"{type(plan).__name__}({name}={getattr(plan, name)!r})"
         refuse(getattr(plan, name) not in allowed, f"{option}: give one of {', '.join(allowed)}.")
 
 
 class Clock:
-    """The time in which a world is made, and what each reading is the mean of.
+    """Time grid of a simulation, and the grid points averaged in each reading.
 
     Attributes:
-        step: of the grid, s.
-        time: of its points, s, (m,).
-        samples: points that are averaged into each reading, (n, samples).
+        step: step of the grid, s.
+        time: times of its points, s, (m,).
+        samples: indices of the points averaged in each reading, (n, samples).
     """
 
     step: float
@@ -83,10 +83,10 @@ def first_order_body(
     """Return the response of a first-order body, τ·dT/dt = drive − T, exact for a piecewise linear drive.
 
     Args:
-        drive: what it follows, any unit.
+        drive: input, any unit.
         time_constant: τ, s.
-        step: of the grid, s.
-        start: its first value; None for that of the drive.
+        step: step of the grid, s.
+        start: initial value; None for that of the drive.
     """
     from scipy.signal import lfilter  # half a second that only a simulation needs
 
@@ -104,10 +104,10 @@ def correlated(
     """Simulate stationary Ornstein–Uhlenbeck records of unit variance along the last axis.
 
     Args:
-        generator: of random numbers.
-        shape: of what is made.
+        generator: random-number generator.
+        shape: shape of the records.
         time_constant: correlation time, s.
-        step: between neighbours, s.
+        step: time step, s.
     """
     from scipy.signal import lfilter  # half a second that only a simulation needs
 
@@ -136,7 +136,7 @@ SUPPLY, SUPPLY_WANDER, SUPPLY_TIME = 5.0, 0.1, 1200.0  # V, V and s, of a supply
 
 
 def sticking(temperature: Array) -> Array:
-    """Return the strain of joints that stick and slip: plays of several widths (Prandtl, Ishlinskii)."""
+    """Return the strain of joints that stick and slip: play operators of several widths (Prandtl, Ishlinskii)."""
     total = np.zeros(temperature.size)
     for width in SLIPS:
         seat, strain = float(temperature[0]), np.empty(temperature.size)
@@ -148,7 +148,7 @@ def sticking(temperature: Array) -> Array:
 
 
 def wandering_supply(generator: np.random.Generator, time: Array) -> Array:
-    """Simulate the voltage, V, of a supply that wanders about 5 V, at these times, s."""
+    """Simulate a supply voltage, V, that varies slowly about 5 V, at these times, s."""
     knots = np.arange(time.min(), time.max() + 2 * SUPPLY_TIME, SUPPLY_TIME)
     return np.interp(time, knots, SUPPLY + SUPPLY_WANDER * generator.standard_normal(knots.size))
 
@@ -167,19 +167,19 @@ def experiments(
     """List feasible campaigns, by description, with the columns that each would record.
 
     Args:
-        columns: of a simulated campaign.
-        campaigns: by what each is in words.
+        columns: function that simulates the columns of a campaign.
+        campaigns: campaigns by description.
     """
     return tuple((n, partial(columns, seed=0, campaign=c)) for n, c in campaigns.items())
 
 
 class Simulated(NamedTuple):
-    """Readings of a simulated test, and the truth behind them.
+    """Readings of a simulated test, and their true values.
 
     Attributes:
-        columns: of the readings, by name.
-        world: what happened in the test.
-        contributions: of each effect and of what is there without one, by name.
+        columns: columns of the readings, by name.
+        world: true conditions of the test.
+        contributions: contributions of the baseline and of each effect, by name.
         noise_free: the output without noise and rounding, (n,).
     """
 

@@ -1,4 +1,4 @@
-"""The column of a supply's voltage, which every instrument's files may hold."""
+"""The column of the supply voltage, which files of every instrument may have."""
 
 import bayescal as bc
 

@@ -17,7 +17,7 @@ LINEAR, NONLINEAR = (nist_strd.certificates(kind) for kind in ("linear", "nonlin
     [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in (*LINEAR, *NONLINEAR)],
 )
 def test_a_set_is_met_from_every_start(name) -> None:
-    found = nist_strd.estimates(name)
+    found = nist_strd.fit_data_set(name)
     assert len(found) == (1 if name in LINEAR else 2)
     for one in found:
         parameters, sd, residual_sd = map(nist_strd.digits, one.errors)

@@ -49,4 +49,4 @@ def test_more_runs_tell_more_than_the_same_again(line: bc.Calibration) -> None:
     }
     ranked = bc.next_experiment(line, RIVALS, plans)
     assert [e.name for e in ranked.experiments] == ["twice as many runs", "the same again"]
-    assert ranked.experiments[0].worst > ranked.experiments[1].worst
+    assert ranked.experiments[0].minimum > ranked.experiments[1].minimum

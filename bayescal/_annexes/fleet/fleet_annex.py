@@ -43,7 +43,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         effects = ws.own_effects(self, chosen, None)
         model = ws.compose(chosen, self, effects)
         own_files = [] if self.effects_file is None else [self.effects_file]
-        if ws.in_a_file(self.instrument):  # the workers need the user's Python files too
+        if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too
             own_files.append(Path(self.instrument.rpartition(":")[0]))
         population = self.population
         with _cluster(self.workers, self.scheduler, own_files) as client:

@@ -15,15 +15,15 @@ from bayescal import workshop as ws
 from bayescal._annexes.validation.validation_record import ValidationRecord
 
 WIDTH, HEIGHT, MARGIN = 11.69, 8.27, 0.6  # inches, A4 across
-POINTS = 7.5  # size of letters
-LINE_INCHES, LETTER_INCHES = 1.35 * POINTS / 72, 0.56 * POINTS / 72  # from line to line; a letter
-SECTION_LINES = 12  # below which a section begins on a new page
+POINTS = 7.5  # font size
+LINE_INCHES, LETTER_INCHES = 1.35 * POINTS / 72, 0.56 * POINTS / 72  # line spacing; letter width
+SECTION_LINES = 12  # lines left on a page, below which a section begins on a new one
 SETTINGS = {"pdf.fonttype": 42, "font.family": "DejaVu Sans", "text.parse_math": False}
 TITLE = "Validation of bayescal on this installation"
 
 
 class Pages:
-    """Pages that are filled from above; the head of a table stands on each that it goes on to."""
+    """Pages filled from the top; a table's header row is repeated on each page that it continues on."""
 
     def __init__(self) -> None:
         self.figures, self.y = list[Figure](), 0.0
@@ -31,26 +31,26 @@ class Pages:
         self.widths: Sequence[float] = (1.0,)
 
     def add(self, cells: Sequence[str], size: float = 1.0, weight: str = "normal") -> None:
-        """Add a row of cells, each folded to its column."""
-        room, letter = WIDTH - 2 * MARGIN, size * LETTER_INCHES
+        """Add a row of cells, each wrapped to the width of its column."""
+        width, letter = WIDTH - 2 * MARGIN, size * LETTER_INCHES
         columns = [*zip(cells, self.widths if len(cells) > 1 else (1.0,), strict=True)]
-        folded = [textwrap.wrap(cell, int(w * room / letter) - 1) or [""] for cell, w in columns]
-        if self.y < MARGIN + size * LINE_INCHES * max(map(len, folded)):
+        wrapped = [textwrap.wrap(cell, int(w * width / letter) - 1) or [""] for cell, w in columns]
+        if self.y < MARGIN + size * LINE_INCHES * max(map(len, wrapped)):
             self.figures.append(Figure(figsize=(WIDTH, HEIGHT)))
             self.y = HEIGHT - MARGIN
             if self.head:
                 self.add(self.head, weight="bold")
-        for lines in zip_longest(*folded, fillvalue=""):
+        for lines in zip_longest(*wrapped, fillvalue=""):
             x = MARGIN
             self.y -= size * LINE_INCHES
             for text, (_, w) in zip(lines, columns, strict=True):
-                how = {"fontsize": size * POINTS, "weight": weight}
-                how |= {"color": "#a33c00", "weight": "bold"} if text == "FAILED" else {}
-                self.figures[-1].text(x / WIDTH, self.y / HEIGHT, text, **how)
-                x += w * room
+                text_style = {"fontsize": size * POINTS, "weight": weight}
+                text_style |= {"color": "#a33c00", "weight": "bold"} if text == "FAILED" else {}
+                self.figures[-1].text(x / WIDTH, self.y / HEIGHT, text, **text_style)
+                x += w * width
 
     def write(self, path: Path) -> None:
-        """Write the pages with their numbers."""
+        """Write the numbered pages as a PDF file."""
         with ws.replacing_for_user(path) as partial, PdfPages(partial) as pdf:
             for i, figure in enumerate(self.figures, 1):
                 text = f"{TITLE}, page {i} of {len(self.figures)}"
@@ -79,7 +79,7 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
 
 
 def write_html(record: ValidationRecord, path: Path) -> None:
-    """Write the record as HTML, one file that needs nothing else."""
+    """Write the record as one self-contained HTML file."""
     page = ws.template("bayescal._annexes.validation", "validation.html.j2", {}, autoescape=True)
     ws.write_text(page.render(title=TITLE, sections=record.sections()), path)
 

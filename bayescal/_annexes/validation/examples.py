@@ -1,4 +1,4 @@
-"""Kinds of examples that standards give, answered by public functions; clauses.toml holds what each example needs."""
+"""Worked examples of standards by type, computed by public functions; clauses.toml has the inputs of each."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bayescal import workshop as ws
 from bayescal._annexes.validation.regressions import evaluate, fit
 
 DATA = Path(__file__).parent / "data"
-DRAWS = 100_000  # of a propagation of distributions: probabilities are known to 0.0016
+DRAWS = 100_000  # Monte-Carlo draws: the standard uncertainty of a probability is below 0.0016
 
 
 def pick(value: Any, path: str) -> Any:
-    """Return what stands at a path of attributes, keys and items, such as "corrected.value.0"."""
+    """Return the value at a path of attributes, keys and indices, such as "corrected.value.0"."""
     if isinstance(value, Mapping) and path in value:
         return value[path]
     part, _, remainder = path.partition(".")
@@ -31,7 +31,7 @@ def pick(value: Any, path: str) -> Any:
 
 
 def resolve(value: Any) -> Any:
-    """Return the data that a text names, "iso28037/examples.json ex1_equal.x", or the value itself."""
+    """Load the data that a text refers to, as "iso28037/examples.json ex1_equal.x"; return other values unchanged."""
     file, _, path = str(value).partition(" ")
     if not isinstance(value, str) or not file.endswith((".csv", ".json")):
         return value
@@ -54,45 +54,45 @@ def regression(
     method: str = "",
     prior: Sequence[float] = (),
 ) -> dict[str, Any]:
-    """Fit a constant, or a line in x − centre; calculate it there, or x for an output; decide about a limit.
+    """Fit a constant, or a line in x − centre; evaluate it, or invert it for an output; decide on conformity.
 
     Args:
-        y, x, u, x_u: readings, and standard uncertainties of y and x.
-        centre, at: of x; x − centre for which the line is calculated.
-        output, output_u: a reading for which x is calculated, and its standard uncertainty.
-        limit: on the line.
-        method, prior: of the fit; mean and standard deviation of a normal prior of the coefficients.
+        y, x, u, x_u: readings y at x, and standard uncertainties of y and x.
+        centre, at: origin of x; x − centre at which the line is evaluated.
+        output, output_u: a reading for which x is computed, and its standard uncertainty.
+        limit: limit on the line.
+        method, prior: method of the fit; mean and standard deviation of a normal prior of the coefficients.
     """
     columns = {"x0": np.ones(len(y))} | ({} if x is None else {"x1": np.asarray(x) - centre})
     uncertain = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
-    chosen = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
+    fitter = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
     stimulus = "value" if output is None else "x1"
     priors = bc.Normal(*prior) if prior else bc.Flat()
-    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=uncertain, method=chosen)
+    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=uncertain, method=fitter)
     draws = np.array([fitted.samples(f"line.b[{name}]") for name in columns])
     covariance = np.atleast_2d(np.cov(draws))
-    sd, of_both = np.sqrt(np.diag(covariance)), covariance[0, -1]
-    place = {name: at if name == "x1" else 1.0 for name in columns if name != stimulus}
+    sd, cross_covariance = np.sqrt(np.diag(covariance)), covariance[0, -1]
+    inputs = {name: at if name == "x1" else 1.0 for name in columns if name != stimulus}
     reading: Any = {
         "output": output or 0.0,
         "output_uncertainty": output_u,
         "noise": output is not None,
     }
-    how: Any = {"method": "first order", "warn": False}
+    options: Any = {"method": "first order", "warn": False}
     answer = {
         "b": draws.mean(axis=1),
         "u": sd,
-        "covariance": of_both,
-        "r": of_both / (sd[0] * sd[-1]),
+        "covariance": cross_covariance,
+        "r": cross_covariance / (sd[0] * sd[-1]),
     }
     answer |= {
-        "corrected": bc.compensator(fitted)(**reading, **place, **how),
+        "corrected": bc.compensator(fitted)(**reading, **inputs, **options),
         "chi_squared": fitted.chi_squared,
     }
     if u is None:
         answer["s"] = fitted.samples("noise.white")[0]
     if output is None:
-        answer["budget"] = bc.budget(fitted, {"value": 0.0, **place})
+        answer["budget"] = bc.budget(fitted, {"value": 0.0, **inputs})
         answer["type_b"] = sum(s.share for s in answer["budget"].sources if s.kind == "B")
     return answer | ({"decision": bc.decide(fitted, limit).decisions[0]} if limit else {})
 
@@ -100,16 +100,16 @@ def regression(
 def _fit_known(
     y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **how: Any
 ) -> bc.Calibration:
-    """Fit two readings of each y, by u above and below it: together they have y, and its standard uncertainty u."""
-    twice = {name: np.tile(values, 2) for name, values in columns.items()}
-    both = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
-    return fit(both, twice, *arguments, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
+    """Fit two readings y ± u of each estimate y: their mean has the value y and the standard uncertainty u."""
+    tiled = {name: np.tile(values, 2) for name, values in columns.items()}
+    pairs = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
+    return fit(pairs, tiled, *arguments, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
 
 
-def conformity(mean: float, u: float, limit: str, **how: Any) -> Any:
-    """Decide about a quantity of which an estimate and its standard uncertainty are known."""
+def conformity(mean: float, u: float, limit: str, **options: Any) -> Any:
+    """Decide on the conformity of a quantity with a limit, by its estimate and standard uncertainty."""
     fitted = _fit_known([mean], u, {"x0": np.ones(1)})
-    return bc.decide(fitted, f"line.b[x0]: {limit}", **how).decisions[0]
+    return bc.decide(fitted, f"line.b[x0]: {limit}", **options).decisions[0]
 
 
 def propagation(
@@ -122,12 +122,12 @@ def propagation(
     correlated: bool = True,
     method: Any = "draws",
 ) -> dict[str, Any]:
-    """Propagate inputs b1, b2, … to several values, their correlations by the uncertainties of sums of two.
+    """Propagate inputs b1, b2, … to output quantities, with correlations by the uncertainties of pairwise sums.
 
     Args:
-        values: equations.
-        mean, u, r: of the inputs; the correlation of each two.
-        observations: whose means, and covariances if `correlated`, they have instead, a row for each input.
+        values: equations of the output quantities.
+        mean, u, r: means, standard uncertainty and pairwise correlation of the inputs.
+        observations: a row for each input, whose means and (if `correlated`) covariances are used instead.
         method: "draws" (JCGM 101) or "first order" (JCGM 100).
     """
     if observations is not None:
@@ -151,13 +151,13 @@ def propagation(
     inputs |= {"output": np.zeros(len(weights)), "noise": False, "warn": False}
     corrected = bc.compensator(fitted, draws=DRAWS)(**inputs, method=method)
     sd = corrected.uncertainty
-    both = zip(sd[count:], pairs, strict=True)
-    r_each = [(s**2 - sd[i] ** 2 - sd[j] ** 2) / (2 * sd[i] * sd[j]) for s, (i, j) in both]
-    return {"y": corrected.value, "u": sd, "r": r_each}
+    pair_sd = zip(sd[count:], pairs, strict=True)
+    correlations = [(s**2 - sd[i] ** 2 - sd[j] ** 2) / (2 * sd[i] * sd[j]) for s, (i, j) in pair_sd]
+    return {"y": corrected.value, "u": sd, "r": correlations}
 
 
 def first_order_beside_draws(**inputs: Any) -> list[float]:
-    """Return how far y − 2u and y + 2u of the law of propagation are from those by draws."""
+    """Return the absolute deviations of y − 2u and y + 2u by the law of propagation from those by draws."""
     first, drawn = (propagation(**inputs, method=method) for method in ("first order", "draws"))
     y, u = (first[key][0] - drawn[key][0] for key in ("y", "u"))
     return [abs(y - 2 * u), abs(y + 2 * u)]
@@ -169,37 +169,37 @@ def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
 
 
 def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
-    """Find the noise coefficients of a simulated record: N, K, B in °/s and s, `angle` the step of an angle in °."""
-    random, size_of = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
-    rate = size_of["N"] / step**0.5 * random.standard_normal(n)
-    rate += size_of["K"] * step**0.5 * np.cumsum(random.standard_normal(n))
-    rate += np.diff(size_of["angle"] * random.uniform(-0.5, 0.5, n + 1)) / step
+    """Estimate the noise coefficients of a simulated record: N, K, B in °/s and s; `angle`: quantum of the angle, °."""
+    rng, sizes = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
+    rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
+    rate += sizes["K"] * step**0.5 * np.cumsum(rng.standard_normal(n))
+    rate += np.diff(sizes["angle"] * rng.uniform(-0.5, 0.5, n + 1)) / step
     if "B" in true:  # of the spectrum B²/(2πf)
         size = true["B"] * np.sqrt(n / (2 * np.pi * np.fft.rfftfreq(2 * n)[1:]))
-        drawn = random.standard_normal((n, 2)) @ [1, 1j]
-        rate += np.fft.irfft(np.append(0.0, size * drawn), 2 * n)[:n]
+        normals = rng.standard_normal((n, 2)) @ [1, 1j]
+        rate += np.fft.irfft(np.append(0.0, size * normals), 2 * n)[:n]
     return {f.symbol: f.value for f in bc.noise(_at_rest(rate, step)).figures}
 
 
 def allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
-    """Compute the Allan deviation of numbers of the generator in NIST SP 1065, section 12."""
-    drawn = [seed]
-    while len(drawn) < n:
-        drawn.append(16807 * drawn[-1] % 2147483647)
-    return bc.allan_deviation(_at_rest(np.array(drawn) / 2147483647, 1.0))
+    """Compute the Allan deviation of the pseudo-random sequence in NIST SP 1065, section 12."""
+    sequence = [seed]
+    while len(sequence) < n:
+        sequence.append(16807 * sequence[-1] % 2147483647)
+    return bc.allan_deviation(_at_rest(np.array(sequence) / 2147483647, 1.0))
 
 
 def instrument(
     name: str, grid: Any, output: str, true: Any, u: float, add: Any = ()
 ) -> dict[str, float]:
-    """Fit an installed instrument to exact outputs by its equation, at all combinations of some columns."""
-    chosen = ws.instrument_named(name)
+    """Fit an installed instrument to exact outputs of its equation, on a full grid of input columns."""
+    sensor = ws.instrument_named(name)
     columns: dict[str, Any] = dict(
         zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True)
     )
     y = evaluate(output, columns | true)
     columns["output_uncertainty"] = np.full(len(y), u)
-    readings = bc.Measurements.from_arrays(chosen, output=y, **columns)
-    model = (chosen.baseline() + list(add)).fix({"noise.white": 0.0})
+    readings = bc.Measurements.from_arrays(sensor, output=y, **columns)
+    model = (sensor.baseline() + list(add)).fix({"noise.white": 0.0})
     fitted = bc.fit(model, readings, bc.LeastSquares(), strict=False, reference={"T0": 25.0})
     return {n: float(fitted.samples(n).mean()) for n in model.names}

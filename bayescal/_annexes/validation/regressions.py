@@ -1,4 +1,4 @@
-"""Regressions through the public functions, their equations as text: what certified examples are fitted by."""
+"""Regression by the public functions with equations as text, for the fits of certified examples."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def fit(
     """Fit y by columns (n,): the effect "line.b" of one coefficient for each, or an equation in b1, b2, ….
 
     Args:
-        y, columns, u: of the regression; standard uncertainties of y, or None to estimate one from the residuals.
-        start, expected: of b1, b2, …, and the equation.
-        prior: of the coefficients of columns; flat if not given.
-        value, stimulus: what is calculated in use, in the same names; or the column that is asked for.
-        further, method: effects; least squares if not given.
+        y, columns, u: response, regressors, standard uncertainties of y (None: one is estimated from the residuals).
+        start, expected: starting values of b1, b2, …, and the equation.
+        prior: prior of the coefficients of columns; flat if not given.
+        value, stimulus: equation of the quantity computed in use, in the same names; or the column to solve for.
+        further, method: additional effects; method of the fit, least squares if not given.
     """
     starts = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}
 
@@ -58,28 +58,28 @@ def fit(
 
     if len(start):
         sizes = {slot: (coefficient(abs(b) or 1.0),) for slot, b in starts.items()}
-        terms = [
+        effects = [
             bc.Effect(f"{s}.constant", s, lambda r: 1.0, c, source="ours") for s, c in sizes.items()
         ]
     else:
         coefficients = tuple(coefficient(part=name) for name in columns)
-        table = lambda r: bc.xp.stack([r[name] for name in columns], axis=1)  # noqa: E731
-        terms = [
-            bc.Effect("line.b", LINE, table, coefficients, columns=tuple(columns), source="ours")
+        stack = lambda r: bc.xp.stack([r[name] for name in columns], axis=1)  # noqa: E731
+        effects = [
+            bc.Effect("line.b", LINE, stack, coefficients, columns=tuple(columns), source="ours")
         ]
 
-    def of(text: str, slots: Any, r: Any) -> Any:
-        used = {name: r[name] for name in columns if name in _compiled(text).co_names}
-        return evaluate(text, used | {slot: slots[slot] + b for slot, b in starts.items()})
+    def compute(text: str, slots: Any, r: Any) -> Any:
+        columns_used = {name: r[name] for name in columns if name in _compiled(text).co_names}
+        return evaluate(text, columns_used | {slot: slots[slot] + b for slot, b in starts.items()})
 
-    equation = None if stimulus in columns else lambda v, slots, r: v - of(value, slots, r)
+    equation = None if stimulus in columns else lambda v, slots, r: v - compute(value, slots, r)
     instrument = bc.Instrument(
         "regression",
         "a regression",
         columns=tuple(bc.Column(name, "1") for name in (*columns, "output")),
         slots=tuple(bc.Slot(slot, "1") for slot in starts),
-        response=lambda slots, r: of(expected, slots, r),
-        effects=(*terms, *further),
+        response=lambda slots, r: compute(expected, slots, r),
+        effects=(*effects, *further),
         noise=bc.White(bc.Flat()),
         use=bc.Use(stimulus, "1", equation=equation),
     )

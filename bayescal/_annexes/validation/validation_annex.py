@@ -1,4 +1,4 @@
-"""What the annex of validation offers: the command. Heavy modules load inside it."""
+"""Entry point of the validation annex: its command, which imports heavy modules when it runs."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class ValidateCommand(ws.AsJson, ws.Command):
     """
 
     example = "bayescal validate --out validation.pdf --out validation.html"
-    out: list[Path] | None = ws.opt("PDF or HTML file to write; repeat.", None, "--out", "-o")
-    standard: list[str] | None = ws.opt('Such as "JCGM 100", else all; repeat for more.')
+    out: list[Path] | None = ws.opt("PDF or HTML file to write (repeatable).", None, "--out", "-o")
+    standard: list[str] | None = ws.opt('Standard, such as "JCGM 100" (repeatable); else all.')
 
     def answer(self) -> ws.Answer:
         from bayescal._annexes.validation.document import WRITERS
@@ -29,7 +29,7 @@ class ValidateCommand(ws.AsJson, ws.Command):
         record = validate(self.standard or ())
         for path in paths:
             WRITERS[path.suffix.lower()](record, path)
-        why = f"{len(record.failed)} of {len(record.rows)} values are not as certified"
+        why = f"{len(record.failed)} of {len(record.rows)} values are out of tolerance"
         return ws.Answer(record, ok=not record.failed, why=why, written=", ".join(map(str, paths)))
 
 

@@ -1,4 +1,4 @@
-"""The validation record: values as certified and as found, NIST's sets, and the installation that they are of."""
+"""The validation record: certified and computed values, NIST's data sets, and the installation."""
 
 from __future__ import annotations
 
@@ -19,17 +19,15 @@ from bayescal import workshop as ws
 from bayescal._annexes.validation import examples, nist_strd
 
 NIST = "NIST StRD"
-PARAMETER_RTOL, SD_RTOL = (
-    1e-7,
-    1e-6,
-)  # ten times what is met by the worst set, as processors round differently
-HEAD = ("clause", "what is tested", "quantity", "certified", "found", "difference", "tolerance", "")
+# Ten times the largest error of any set, as processors round differently.
+PARAMETER_RTOL, SD_RTOL = 1e-7, 1e-6
+HEAD = ("clause", "what is tested", "quantity", "certified", "value", "difference", "tolerance", "")
 WIDTHS = (0.1, 0.34, 0.15, 0.09, 0.09, 0.09, 0.08, 0.06)  # of the page
 NIST_HEAD = ("set", "κ", "P", "parameters", "tolerance", "", "standard deviations", "tolerance", "")
 
 
 class Row(NamedTuple):
-    """A value beside what is certified."""
+    """A computed value and the certified one."""
 
     standard: str
     clause: str
@@ -45,7 +43,7 @@ class Row(NamedTuple):
 
     @property
     def cells(self) -> list[str]:
-        """The row as printed."""
+        """Return the cells of the row as text."""
         values = (ws.number(value, 7) for value in (self.certified, self.value))
         small = (ws.number(v, 2) for v in (self.value - self.certified, self.tolerance))
         outcome = "passed" if self.passed else "FAILED"
@@ -64,18 +62,18 @@ class Section(NamedTuple):
 
 @cache
 def content() -> dict[str, Any]:
-    """Return clauses.toml."""
+    """Load clauses.toml."""
     return tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True)
 class ValidationRecord:
-    """What a validation found.
+    """Result of a validation.
 
     Attributes:
         rows: all values.
         nist: condition number κ and performance P of each of NIST's sets.
-        standards: those that were run.
+        standards: names of the standards that were run.
         installation: date, versions, machine and digests.
     """
 
@@ -88,11 +86,11 @@ class ValidationRecord:
     def failed(self) -> list[Row]:
         return [row for row in self.rows if not row.passed]
 
-    def of(self, standard: str) -> list[Row]:
+    def rows_of(self, standard: str) -> list[Row]:
         return [row for row in self.rows if row.standard == standard]
 
     def __str__(self) -> str:
-        by_standard = ((name, self.of(name)) for name in self.standards)
+        by_standard = ((name, self.rows_of(name)) for name in self.standards)
         counts = (
             (n, len({r.clause for r in o}), len(o), sum(not r.passed for r in o))
             for n, o in by_standard
@@ -109,11 +107,11 @@ class ValidationRecord:
         return head | {"installation": self.installation, "rows": rows, "nist": nist}
 
     def sections(self) -> Iterator[Section]:
-        """Give the parts of the document: the installation, each standard, NIST's sets."""
+        """Yield the sections of the document: the installation, each standard, NIST's sets."""
         summary = f"{len(self.rows)} values: {len(self.failed) or 'none'} failed."
         yield Section("Installation", [summary], ["", ""], [*self.installation.items()], [0.2, 0.8])
         for standard in content()["standards"]:
-            rows = self.of(standard["name"])
+            rows = self.rows_of(standard["name"])
             before = [None, *(row.tested for row in rows)]
             same = [row.tested == other for row, other in zip(rows, before, strict=False)]
             cells = [
@@ -123,7 +121,7 @@ class ValidationRecord:
             if rows:
                 yield Section(standard["title"], missing, HEAD, cells, WIDTHS)
         sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
-        for row in self.of(NIST):
+        for row in self.rows_of(NIST):
             sets[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
         rows = [[*cells, *[""] * (len(NIST_HEAD) - len(cells))] for cells in sets.values()]
         if rows:
@@ -132,14 +130,14 @@ class ValidationRecord:
 
 
 def validate(standards: Sequence[str] = ()) -> ValidationRecord:
-    """Run the examples of some standards, or of all.
+    """Compare the examples of some standards, or of all, with their certified values.
 
     Raises:
-        InputError: a name that is no standard here.
+        InputError: a standard has no examples here.
     """
     names = [*(item["name"] for item in content()["standards"]), NIST]
-    if strange := [name for name in standards if name not in names]:
-        raise bc.InputError(f"--standard {strange[0]!r} is not one of {', '.join(names)}")
+    if unknown := [name for name in standards if name not in names]:
+        raise bc.InputError(f"--standard {unknown[0]!r} is not one of {', '.join(names)}")
     chosen = tuple(name for name in names if name in (standards or names))
     rows = [
         row for item in content()["clauses"] if item["standard"] in chosen for row in _clause(item)
@@ -148,29 +146,29 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     kinds = ("linear", "nonlinear") if NIST in chosen else ()
     for name in (name for kind in kinds for name in nist_strd.certificates(kind)):
         with ws.stage(f"{NIST}, {name}"):
-            estimates = nist_strd.estimates(name)
-        performance[name] = estimates[0].condition, max(item.performance for item in estimates)
-        worst = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
-        of = NIST, name, "largest relative error, from every start"
-        rows.append(Row(*of, "parameters", 0.0, worst[0], PARAMETER_RTOL))
+            estimates = nist_strd.fit_data_set(name)
+        performance[name] = estimates[0].condition_number, max(e.performance for e in estimates)
+        largest = [max(errors) for errors in zip(*(item.errors for item in estimates), strict=True)]
+        labels = NIST, name, "largest relative error, from every start"
+        rows.append(Row(*labels, "parameters", 0.0, largest[0], PARAMETER_RTOL))
         if name not in nist_strd.NOISELESS:
-            rows.append(Row(*of, "standard deviations", 0.0, worst[1], SD_RTOL))
+            rows.append(Row(*labels, "standard deviations", 0.0, largest[1], SD_RTOL))
     return ValidationRecord(tuple(rows), performance, chosen, installation())
 
 
 def _clause(clause: dict[str, Any]) -> Iterator[Row]:
-    """Give the values of a clause; not a number where its example is refused."""
+    """Yield the rows of a clause; values are NaN if its example raises an error."""
     inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
-    answer, refused = None, ""
+    answer, error_text = None, ""
     with ws.stage(f"{clause['standard']}, {clause['clause']}"):
         try:
             answer = getattr(examples, clause["example"])(**inputs)
         except bc.BayescalError as error:
-            refused = f" ({error})"
+            error_text = f" ({error})"
     for quantity, path, certified, tolerance in clause["rows"]:
-        value = math.nan if refused else float(examples.pick(answer, path))
-        of = clause["standard"], clause["clause"], clause["tested"] + refused, quantity
-        yield Row(*of, float(examples.resolve(certified)), value, tolerance)
+        value = math.nan if error_text else float(examples.pick(answer, path))
+        labels = clause["standard"], clause["clause"], clause["tested"] + error_text, quantity
+        yield Row(*labels, float(examples.resolve(certified)), value, tolerance)
 
 
 def installation() -> dict[str, str]:

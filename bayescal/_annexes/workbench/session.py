@@ -361,7 +361,7 @@ class Session:
             extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
             search.list_structures(first, extra, self.settings.widen_noise)
         if search.stopped and (is_new or follow is not None):
-            with ws.deadline.sooner(ws.SEARCH):
+            with ws.deadline.sooner(ws.SEARCH_TIME_SHARE):
                 search.run_search(lambda: None if follow is None else follow(search.build_path()))
             self._loops = [*(s for s in self._loops if s is not search), search][-SEARCHES:]
         return search
@@ -421,7 +421,7 @@ class Session:
         steps = [*(s.step for s in way[:-1]), step]
         steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
         if weighed is None or weighed[1].effects != weighed[0].chosen_structure.effects:
-            return bc.SearchPath(*ws.judged(steps), self.holdout)
+            return bc.SearchPath(*ws.assess_steps(steps), self.holdout)
         with self._looking:
             return weighed[0].average_path(steps, weighed[1])
 

@@ -43,7 +43,7 @@ class Origin:
         **settings: Any,
     ) -> Origin:
         """Build with absolute paths, without arguments that equal their defaults."""
-        if ws.in_a_file(instrument):
+        if ws.is_file_reference(instrument):
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
         full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]

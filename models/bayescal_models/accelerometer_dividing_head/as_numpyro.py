@@ -1,4 +1,4 @@
-"""An accelerometer on a dividing head, lines over temperature: the model whole, in NumPyro.
+"""Self-contained NumPyro model of an accelerometer on a dividing head, linear in temperature.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 

@@ -1,4 +1,4 @@
-"""The plan of a tumble on a dividing head: positions, temperatures, runs."""
+"""Plan of a tumble test on a dividing head: positions, temperatures, runs."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Campaign:
-    """Positions evenly round the head at each temperature, all of it once a run.
+    """Equally spaced positions of the head at each temperature, once per run.
 
     Attributes:
-        positions: round the head, from θ = 0; 24 are every 15°.
-        temperatures: of the chamber, °C, soaked at each.
-        runs: how often, mounted anew each time.
-        soak: before the first position of a temperature, s.
-        dwell: between readings, s.
+        positions: number of positions over a turn, from θ = 0; 24 are every 15°.
+        temperatures: soak temperatures of the chamber, °C.
+        runs: number of runs, each with a new mounting.
+        soak: time before the first position at a temperature, s.
+        dwell: time between readings, s.
         noise: standard deviation of a reading, µg.
-        thermometer_noise: of its temperature about the chamber's, °C.
+        thermometer_noise: standard deviation of its temperature about the chamber's, °C.
     """
 
     positions: int = 24

@@ -5,19 +5,19 @@ Measurement equation, output in µg of nominal scale (volts become µg by the no
     output = K0 + (1 + κ)·g·aᵢ + K2·aᵢ² + K3·aᵢ³ + Kip·aᵢ·aₚ,      aᵢ = sin(θ + ψ),  aₚ = cos(θ + ψ), in g
 
 θ is set on the head (column `position_angle`), whose axis lies level; ψ is the zero of the head with the tilt of the
-fixture and of the input axis about that axis, which one mounting does not part. A tilt η of the head's own axis with a
+fixture and of the input axis about that axis, which one mounting does not separate. A tilt η of the head's axis with a
 tilt β of the input axis along it adds g·sin β·sin η: below 1 µg for 1 mrad each, and an exact alias of K0; so is
 1 − cos β of κ. K0 is not multiplied by 1 + κ.
 
 Slots: `bias` = K0, µg; `scale` = κ; `zero` = ψ, rad; `second_order` = K2 and `cross_coupling` = Kip, µg/g²;
 `third_order` = K3, µg/g³. Plausible sizes are those of a quartz-flexure accelerometer (Q-flex): bias 4 mg, 30 µg/°C,
-180 ppm/°C, misalignment 2 mrad. K2 shows as cos 2θ beside a constant, Kip as sin 2θ, K3 as sin 3θ: eight positions or
-more tell them from K0, κ and ψ, four do not. A dividing error that goes once round is the same as K2 and Kip, whatever
-the number of positions: both are said, and a head of known error or the device turned over in its fixture tells.
+180 ppm/°C, misalignment 2 mrad. K2 contributes cos 2θ and a constant, Kip sin 2θ, K3 sin 3θ: eight or more positions
+separate them from K0, κ and ψ, four do not. A dividing error of one period per turn is an exact alias of K2 and Kip for
+any number of positions: both are reported; a head of known error, or an inverted device, separates them.
 
 Baseline: `bias.constant`, `bias.temperature`, `scale.constant`, `scale.temperature`, `zero.constant`. Candidates:
-`second_order.constant`, `third_order.constant` and `cross_coupling.constant`; `zero.temperature`, a fixture that tilts
-with the temperature; `zero.run`, one that is mounted anew; `zero.harmonic`, the head's dividing error.
+`second_order.constant`, `third_order.constant` and `cross_coupling.constant`; `zero.temperature`, a fixture tilt
+that depends on temperature; `zero.run`, a new mounting; `zero.harmonic`, the head's dividing error.
 
 Noise: white, of unknown size.
 """
@@ -49,7 +49,7 @@ def _along(a, slots):
 
 
 def _in_use(acceleration, slots, r):
-    """Return the output off the head, by the acceleration along the input axis alone."""
+    """Return the output in use (without the head) by the acceleration along the input axis."""
     return _along(acceleration / G, slots)
 
 

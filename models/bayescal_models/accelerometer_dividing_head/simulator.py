@@ -1,4 +1,4 @@
-"""Columns of simulated tumbles on a dividing head, with effects hidden in them."""
+"""Simulator of tumble tests on a dividing head with hidden effects."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class World:
     """True quantities at each reading (n,).
 
     Attributes:
-        angle: θ as set, rad.
+        angle: set angle θ, rad.
         time: s; `since` the start of its run.
-        temperature: of the device, °C, and its `departure` from T0, the mean rounded to 1 °C.
-        run: from 0, and a standard normal number for each, by what differs.
-        sweep: +1 where the temperature was reached from below, −1 from above, 0 at first.
+        temperature: device temperature, °C; `departure`: the same minus T0, the mean rounded to 1 °C.
+        run: index of the run, from 0; `differs`: a standard normal number per run, by slot.
+        sweep: +1 if the temperature was reached from below, −1 from above, 0 at first.
     """
 
     def __init__(self, campaign: Campaign, random: Mapping[str, np.random.Generator]) -> None:
@@ -62,7 +62,7 @@ class World:
         return (self.time - self.time.mean()) / np.ptp(self.time)
 
 
-Law = tuple[str, Callable[[World], Array]]  # the slot, and what of it one unit of the effect is
+Law = tuple[str, Callable[[World], Array]]  # slot, and contribution of one unit of the effect
 LAWS: dict[str, Law] = {
     "bias.constant": ("bias", lambda w: np.ones_like(w.time)),
     "bias.temperature": ("bias", lambda w: w.departure),
@@ -92,9 +92,9 @@ def simulated(
     """Simulate a tumble with hidden effects.
 
     Args:
-        effects: canonical name → true size in the unit of its coefficient; of a deviation the standard deviation. The
+        effects: canonical name → true size in the unit of its coefficient; for a deviation the standard deviation. The
             baseline is there with sizes of its own unless given otherwise.
-        seed: of every random number.
+        seed: seed of the random-number generator.
         campaign: the plan; `Campaign()` if None.
 
     Raises:

@@ -1,11 +1,11 @@
-"""Three accelerometers in poses at rest of unknown direction: bias, scale factors, misalignments, whole, in NumPyro.
+"""Self-contained NumPyro model of three accelerometers in poses at rest of unknown direction.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+It is the model that `bc.fit(equal(), readings)` fits, given as an example; the package does not import it.
 
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
     MCMC(nuts, num_warmup=1000, num_samples=8000).run(key, **data(readings))
 
-In each pose gravity points in a latent direction, a unit vector f of which nothing is known:
+In each pose gravity has a latent direction, a unit vector f with a uniform prior:
 
     y = b + (1 + κ)·f + [γ_xy·f_y + γ_xz·f_z,  γ_yz·f_z,  0] + e,     e ~ N(0, σ²) in each axis,  all in g
 
@@ -26,7 +26,7 @@ from bayescal_models.accelerometer_triad.model import INSTRUMENT
 
 
 def model(poses, output=None) -> None:
-    """Define the model of so many poses; output g (poses, 3), or None to simulate."""
+    """Define the model of a number of poses; output g (poses, 3), or None to simulate."""
 
     def sample_each(name: str, parts: tuple[str, ...], size: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])

@@ -1,23 +1,23 @@
-"""Three accelerometers in poses at rest: gravity turns about them, and its magnitude is known.
+"""Three accelerometers in poses at rest: the direction of gravity varies, and its magnitude is known.
 
 A *pose* is one averaged reading of three outputs. The specific force f at rest is 1 g up; its direction is unknown, or
 known to `pose_uncertainty` (a dividing head, a robot):
 
     y_a = f_a + b_a + Σ_j G_aj·f_j + K2_a·f_a² + Σ_{i<j} K_aij·f_i·f_j + K3_a·f_a³ + e_a,     |f| = magnitude
 
-**Gauge.** Where directions are unknown a rotation of the triad moves no reading. By convention the z axis of the body
+**Gauge.** If directions are unknown, a rotation of the triad changes no reading. By convention the z axis of the body
 is that of the sensor z, and its y axis lies in the plane of the sensors y and z: three misalignments (x toward y, x
-toward z, y toward z) in place of six. `misalignment.frame` holds the other three, and needs known directions.
+toward z, y toward z) in place of six. `misalignment.frame` has the other three, which need known directions.
 
-One effect on a family is one effect: its coefficients are found or dropped together.
+The coefficients of an effect on several axes are included or excluded together.
 
 **What poses determine.** Nine coefficients need nine poses or more that do not all lie on a quadric other than the
-sphere: six positions determine bias and scale and no misalignment; poses in one plane leave the axis across it free;
-poses within 10° of level determine the bias of z less its scale and little else. What is not determined stays at
-its prior's width. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg,
+sphere: six positions determine bias and scale but no misalignment; poses in a plane leave the axis normal to it free;
+poses within 10° of level determine the bias of z less its scale and little else. Undetermined coefficients keep
+their prior standard deviation. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg,
 K3 of 1 mg/g³ beside the scale factor by less than 0.3 mg.
 
-A local gravity that nobody stated makes all three scale factors uncertain alike (`magnitude.local_gravity`).
+An unstated local gravity makes all three scale factors uncertain by a common factor (`magnitude.local_gravity`).
 
 Noise: white, one standard deviation for all three axes.
 """

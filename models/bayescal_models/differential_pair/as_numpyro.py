@@ -1,8 +1,8 @@
-"""Accelerometers in two opposed groups on a centrifuge, in one environment: the hierarchical model whole, in NumPyro.
+"""Self-contained NumPyro model of accelerometers in two opposed groups on a centrifuge, in one environment.
 
 Each device has a scale factor, a sensitivity to the shared environment, and a departure of its own.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+It is the model that `bc.fit(equal(), readings)` fits, given as an example; the package does not import it.
 
     nuts = NUTS(bc.non_centred(model, CENTRED), dense_mass=True, target_accept_prob=0.95)
     MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
@@ -30,10 +30,10 @@ import bayescal as bc
 from bayescal_models.differential_pair import reference_problem
 
 SENSITIVITY = "environment.shared[sensitivity]"
-CENTRED = ("u", "w", "scale.device", SENSITIVITY)  # far better known by readings than by priors
-ORDERS, DIFFERING = np.arange(9), np.arange(6)  # of u, and those in which devices differ
+CENTRED = ("u", "w", "scale.device", SENSITIVITY)  # determined by readings rather than priors
+ORDERS, DIFFERING = np.arange(9), np.arange(6)  # orders of u, and those that differ between devices
 DISTURBANCE = 1000.0  # µg rms over the record
-FALLING = 0.6**ORDERS  # of the orders of u
+FALLING = 0.6**ORDERS  # relative prior sd of the orders of u
 
 
 def model(acceleration, sign, device, devices, orders, output=None) -> None:

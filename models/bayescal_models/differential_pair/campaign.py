@@ -1,4 +1,4 @@
-"""The plan of a test of accelerometers on a centrifuge arm (source 3's), and the population they come from."""
+"""Plan of a test of accelerometers on a centrifuge arm (source 3), and the population of devices."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from bayescal_models.simulated import Array, refuse, refuse_unknown
 
 G = 1e6  # µg
-RADIUS = 1.0  # m, of the arm (ours)
+RADIUS = 1.0  # m, radius of the arm (ours)
 GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
-LEVEL = 5.0  # g, of a single plateau
+LEVEL = 5.0  # g, level of a single plateau
 DISTURBANCE = 1000.0  # µg rms, of u over the record
-SENSITIVITY_SPREAD = 0.2  # standard deviation over devices, of λd
-SCALE_SPREAD = 2000.0  # the same of scale factors, ppm
+SENSITIVITY_SPREAD = 0.2  # standard deviation of λd over devices
+SCALE_SPREAD = 2000.0  # standard deviation of scale factors over devices, ppm
 DEPARTURE = 0.05  # rms of a device's own environment, in parts of the disturbance
 
 
@@ -25,7 +25,7 @@ class Campaign:
 
     Attributes:
         outer, inner: number of devices in each group.
-        duration: of the record, s.
+        duration: duration of the record, s.
         samples: readings of each device, each an average over duration/samples.
         profile: "steps", through `levels` with ramps between them; "plateau", at 5 g throughout.
         levels: plateaus, g; up and down, or a slow disturbance looks like a wrong scale factor.

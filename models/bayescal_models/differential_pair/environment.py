@@ -2,9 +2,9 @@
 
 env_k(t) = λd_k·u(t) + v_k(t). Both u and v are smooth random functions: Legendre polynomials over the record, of unit
 rms, whose prior standard deviations fall by a constant ratio from order to order. Of u's orders above the fifth, which
-are small, every device has λd = 1. For v both the size and the ratio are
-learned: what a slow v hides behind scale and sensitivity is judged by the orders that show. The scale of u is fixed by
-the population of λd, whose mean is 1; without v exact differencing would leave nothing for any pair (source 3 has
+are small, every device has λd = 1. For v both the size and the ratio are learned:
+the identified orders bound those of a slow v, confounded with scale and sensitivity. The scale of u is fixed by
+the population of λd, whose mean is 1; without v differencing would be exact for every pair (source 3 has
 u1 = u2, hence v = 0; the departures are ours).
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 import bayescal as bc
 from bayescal import xp
 
-ORDERS = 6  # of v, and of u where devices differ in their sensitivity to it
-SHARED_ORDERS = 9  # of u; of a transient or a wave as long as the record they leave 0.1 µg at most
-RATIO = 0.6  # of the prior standard deviations of neighbouring orders of u
+ORDERS = 6  # orders of v, and of u with a sensitivity per device
+SHARED_ORDERS = 9  # orders of u: error below 0.1 µg for a transient or wave as long as the record
+RATIO = 0.6  # ratio of the prior standard deviations of successive orders of u
 FALLING = (0.25, 0.95)  # 95 % of the prior of the same ratio for v
 DISTURBANCE = 1000.0  # µg rms, of u
-SENSITIVITY_SPREAD = 0.2  # of λd over devices of one type
-SHARE = (0.012, 0.21)  # 95 % of the prior of v's size, in parts of 1 mg; its middle is 5 %
+SENSITIVITY_SPREAD = 0.2  # standard deviation of λd over devices of one type
+SHARE = (0.012, 0.21)  # 95 % range of the prior of v's size relative to 1 mg; its median is 5 %
 SOURCE = "source 3; sizes ours"
 
 SENSITIVITY = "environment.shared[sensitivity]"
@@ -32,7 +32,7 @@ DEPARTURE_SHARE = "departure.device.share"
 
 
 def order_sizes() -> NDArray[np.float64]:
-    """Return prior standard deviations of the orders of u, µg; their squares add up to 1 mg²."""
+    """Return the prior standard deviations of the orders of u, µg; the sum of their squares is 1 mg²."""
     falling = RATIO ** np.arange(SHARED_ORDERS)
     return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
@@ -102,8 +102,8 @@ DEPARTURE = bc.Effect(
         bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE), part=f"order {n}", per="device")
         for n in range(ORDERS)
     ),
-    # Sizes of the coefficients, not shapes of the columns: estimated together with the coefficients, a size has its
-    # greatest density where it is large and they are small.
+    # Scales of the coefficients, not shapes of the columns: the joint density of scale and coefficients has its maximum
+    # at a large scale and small coefficients.
     shapes=(bc.Shape("share", "1", *SHARE), bc.Shape("falling", "1", *FALLING)),
     weights=_departure_sizes,
     columns=("device", "time"),

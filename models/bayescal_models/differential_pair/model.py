@@ -1,6 +1,6 @@
 """Differential pair: MEMS accelerometers in two groups on a centrifuge arm, outer and inner (source 3).
 
-Input axes point outward in the outer group and inward in the inner one, so that the devices of a pair see opposite
+Input axes point outward in the outer group and inward in the inner one, so that the devices of a pair have opposite
 accelerations and the same environment. Measurement equation, output in µg, s = +1 outer, −1 inner, a the
 commanded acceleration along the arm (µg, outward):
 
@@ -10,11 +10,11 @@ commanded acceleration along the arm (µg, outward):
 are ours, the equation is source 3's. g of `misalignment.device` is an alias of a bias, r·dΩ/dt is not; `input.radius`
 is an exact alias of `scale.device`, hence untestable.
 
-The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg; or, where the readings say so,
+The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg; or, if the readings show it,
 larger while the arm changes its speed (`noise.py`).
 
-λd·u is a product of unknowns: one factor is sampled with the hyper-parameters. The framework takes the orders of u,
-which stay six however many devices there are; λd, whose spread is learned, would make a funnel with it. A constant
+λd·u is a product of unknowns: one factor is sampled with the hyper-parameters: the orders of u, whose number
+does not grow with that of devices; λd, whose standard deviation is learned, would form a funnel with it. A constant
 acceleration leaves each device's scale and the constant part of its environment indistinguishable: record steps.
 
 Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by `pairing/measure.py`.
@@ -75,8 +75,8 @@ def _softening(r: bc.Frame) -> Any:
 
 def _as_scale(readings: bc.Measurements) -> str:
     return (
-        "is the same thing as scale.device: on an arm, a device at another radius reads as one of another "
-        "scale factor. Measure the radii, or swap devices between places"
+        "is an exact alias of scale.device: on an arm, another radius has the effect of another scale factor. "
+        "Measure the radii, or swap devices between places"
     )
 
 
@@ -86,8 +86,8 @@ def _device(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Ma
     return effect(basis, equation, "device", *columns, **{**defaults, **fields})
 
 
-# Third order beside second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, and
-# too little to be found by itself. K2' is K2 by the square of a reading's length over the time between two.
+# Third order with the second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, but
+# too small to be found alone. K2' is K2 times (duration of a reading/interval between readings)².
 SECOND_ORDER = bc.Effect(
     "scale.second_order",
     "scale",
@@ -123,7 +123,7 @@ EFFECTS = EffectTable.of(
         ("timing.skew", LATE, 10.0, "ms"),
         ("bias.drift", AGEING, 100.0, "ug"),
         ("bias.device", catalogue.deviation, 10000.0, "ug"),
-        # What lags or warms up is part of the shared disturbance, a free function of time.
+        # Lags and warm-up are part of the shared disturbance, a free function of time.
         *catalogue.recorded(
             *("bias", "ug"), size=1000.0, span=5.0, pace=1.0, causes=("supply",), per="device"
         ),

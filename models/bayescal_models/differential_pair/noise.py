@@ -1,8 +1,8 @@
 """Averaging within a reading: a column at the reading's ends, its slope, and noise while it changes.
 
-What is of second order in the acceleration has there another mean than the mean
-acceleration says, by the variance of the acceleration within the reading: so what such a reading says of a scale
-factor is worth less than what those on a plateau say, by a share that is learned.
+The mean of a term of second order in the acceleration exceeds its value at the mean acceleration
+by the variance of the acceleration within the reading. Such readings have less weight for the scale factor
+than those on a plateau, by a parameter that is learned.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayescal import xp
 from bayescal_models.differential_pair.campaign import G
 
 SPLINE = math.sqrt(3.0) - 2.0
-REACH = 12  # neighbours to either side: the next one counts 10⁻⁷
+REACH = 12  # neighbours on either side: the next has the weight 10⁻⁷
 SHARE = "noise.while_changing"
 
 
@@ -37,7 +37,7 @@ def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
 
     These are the slopes e of the cubic spline through the integral of the column, which the means give exactly: of a
     record of even steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a mean of neighbours' means
-    with weights z^|j|, z = √3 − 2. Beyond its ends a record goes on as it stood there.
+    with weights z^|j|, z = √3 − 2. Beyond its ends a record is extrapolated as constant.
     Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
     """
     ordered, place = xp.asarray(values)[r.order], xp.arange(r.size)

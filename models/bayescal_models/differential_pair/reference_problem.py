@@ -1,4 +1,4 @@
-"""The reference problem of four devices on an arm; what one is for stands in `bayescal_models`."""
+"""The reference problem of four devices on an arm, as described in `bayescal_models`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Columns of simulated batches of accelerometers on a centrifuge arm, with effects hidden in them, and their truth.
+"""Simulator of batches of accelerometers on a centrifuge arm with hidden effects, and their true values.
 
-The world is made ten times per reading and averaged: an arm that is driven through plateaus, a fixture that windage
-heats, a slow disturbance shared by all devices, and each device's own. The disturbance is made of a thermal
-transient and slow oscillations, not of the polynomials by which the model describes it; its time runs from 0 to 1.
+The test is simulated at ten times per reading and averaged: an arm driven through plateaus, a fixture heated by
+windage, a slow disturbance shared by all devices, and each device's own. The disturbance consists of a thermal
+transient and slow oscillations, not of the polynomials of the model; its time runs from 0 to 1.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from bayescal_models.simulated import (
     wandering_supply,
 )
 
-FINE = 10  # steps of the world in each reading
+FINE = 10  # simulation steps per reading
 WARMING = 0.45  # time constant of the fixture's heating by windage, in records
 HIDDEN = (
     *("environment.temperature", "scale.second_order", "misalignment.device"),
@@ -43,16 +43,16 @@ HIDDEN = (
 
 @dataclass(frozen=True)
 class Truth:
-    """Truth of a simulated batch; devices in the order outer, inner.
+    """True values of a simulated batch; devices in the order outer, inner.
 
     Attributes:
-        names: of the devices.
+        names: names of the devices.
         outer: number of outer devices.
         scale: 1 + κ of each device, (K,).
         sensitivity: λd of each device, (K,).
         environment: λd·u + v of each device, averaged as the readings are, µg, (K, T).
         acceleration: commanded, µg, (T,).
-        seed: of every random number.
+        seed: seed of the random-number generator.
     """
 
     names: tuple[str, ...]
@@ -77,10 +77,10 @@ def columns_and_truth(
     """Simulate a batch with hidden effects; return its columns, by name, in the instrument's units, and the truth.
 
     Args:
-        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
-            the standard deviation over devices, else the coefficient.
-        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
-            effects and the profile.
+        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient per device
+            the standard deviation over devices, otherwise the coefficient.
+        seed: seed of the random-number generator; the same seed gives the same devices, disturbance and noise for any
+            effects and profile.
         campaign: the plan; `Campaign()` if not given.
 
     Raises:
@@ -146,7 +146,7 @@ def acceleration(plan: Campaign, time: Array) -> Array:
 
 
 def average(values: Array) -> Array:
-    """Average the fine grid to readings, along the last axis."""
+    """Average simulation steps to readings, along the last axis."""
     return values.reshape(*values.shape[:-1], -1, FINE).mean(axis=-1)
 
 
@@ -175,7 +175,7 @@ def _transient(random: np.random.Generator, time: Array) -> Array:
 
 
 def _wave(random: np.random.Generator, time: Array) -> Array:
-    """Return a slow oscillation, such as of the room's air, of period 1 to 2.5 records."""
+    """Return a slow oscillation, such as that of room air, with a period of 1 to 2.5 records."""
     return np.sin(2 * np.pi * (time / random.uniform(1.0, 2.5) + random.uniform()))
 
 

@@ -1,4 +1,4 @@
-"""Three gyroscopes on a rate table: bias, scale factors, misalignments and the errors of mountings, whole, in NumPyro.
+"""Self-contained NumPyro model of three gyroscopes on a rate table, with errors of the mountings.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
@@ -6,8 +6,8 @@ The table turns at a rate Ω about an axis u of the body, nominally; ω = Ω·u.
 
     y_a = ω_a + b_a + Σ_j G_aj·ω_j + Ω·(θ × u)_a + e_a,     e_a ~ N(0, σ²),     all in °/s
 
-G holds scale factors and misalignments; θ is the rotation by which a mounting on the table is off, each angle
-N(0, u²) with the standard uncertainty u that the readings give.
+G has scale factors and misalignments; θ is the rotation error of a mounting on the table, each angle N(0, u²) with the
+standard uncertainty u given with the readings.
 """
 
 from __future__ import annotations

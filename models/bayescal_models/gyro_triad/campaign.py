@@ -1,4 +1,4 @@
-"""A plan of rates about the axes of a table, and the unit that is mounted on it."""
+"""Plan of rates about the axes of a table with a mounted unit, and of moves by hand."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ MOUNTINGS = ("x", "y", "z", "-x", "-y", "-z")
 
 @dataclass(frozen=True)
 class Campaign:
-    """Rates about a vertical axis, in one mounting after the other, in each at one temperature after the other.
+    """Rates about a vertical axis, in successive mountings, each at successive temperatures.
 
     Attributes:
-        mountings: axes of the body that point up, such as "x" or "-z".
-        rates: of the table, °/s, at each temperature; 0 is at rest.
+        mountings: body axes that point up, such as "x" or "-z".
+        rates: rates of the table at each temperature, °/s; 0 is at rest.
         temperatures: °C.
         noise: standard deviation of an averaged output, °/s.
-        interval: between readings, s.
-        soak: before the first reading at a temperature, s.
-        runs: sessions, through all of it each.
+        interval: time between readings, s.
+        soak: time before the first reading at a temperature, s.
+        runs: number of sessions, each the whole plan.
     """
 
     mountings: tuple[str, ...] = MOUNTINGS
@@ -32,17 +32,17 @@ class Campaign:
 
 @dataclass(frozen=True)
 class MovesByHand:
-    """A unit of gyroscopes and accelerometers that is turned from one pose at rest to the next, and logged throughout.
+    """A unit of gyroscopes and accelerometers turned by hand between poses at rest, and logged throughout.
 
     Attributes:
-        poses: how many.
-        still: in each, s.
-        move: from each to the next, s.
-        angle: mean turn of a move, rad.
-        rate: samples, 1/s.
-        gyro_noise: of gyroscopes, white, °/s/√Hz.
-        force_noise: of accelerometers, white, g/√Hz.
-        latitude: by which the Earth turns the unit, °; None where it does not turn.
+        poses: number of poses.
+        still: time at rest in each, s.
+        move: duration of a move between poses, s.
+        angle: mean rotation angle of a move, rad.
+        rate: sampling rate, 1/s.
+        gyro_noise: white noise of gyroscopes, °/s/√Hz.
+        force_noise: white noise of accelerometers, g/√Hz.
+        latitude: latitude for the Earth's rotation, °; None: without it.
     """
 
     poses: int = 24

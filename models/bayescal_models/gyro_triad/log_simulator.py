@@ -1,7 +1,7 @@
-"""A simulated log of six channels: a unit turned by hand between poses at rest.
+"""Simulator of a log of six channels: a unit turned by hand between poses at rest.
 
-The true attitude is integrated in many steps between two samples, from rates in closed form; nothing of the model's own
-integration is used.
+The true attitude is integrated in many steps between two samples, from rates in closed form, independently of the
+model's integration.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ def simulate_log(
     """Simulate a log: columns time (s), gyro_x, … (°/s), accel_x, … (g).
 
     Args:
-        effects: of the gyroscopes: canonical name → true size, in the unit of the effect's coefficients, or one for
-            each of its members; bias, scale and misalignment are there unless given otherwise.
-        seed: of every random number.
+        effects: canonical name of a gyroscopes' effect → true size, in the unit of its coefficients, or one for
+            each of its members; bias, scale and misalignment are present unless given.
+        seed: seed of the random-number generator.
         campaign: the poses and moves.
 
     Raises:
-        ValueError: an effect that this log has no law for.
+        ValueError: an effect that the simulator does not have.
     """
     plan, counts = campaign or MovesByHand(), {name: COUNTS[name] for name in LAWS}
     sizes = members_of(effects, counts, BASELINE)

@@ -4,12 +4,12 @@ A reading is the mean of three outputs while the table turns about an axis u of 
 
     y_a = ω_a + b_a + Σ_j G_aj·ω_j + K2_a·ω_a² + Ω·(θ × u)_a + e_a,     ω = Ω·u + ω_E
 
-G holds the deviations of the scale factors and six misalignments, θ is the rotation by which the mounting on the table
-is off, known to `pose_uncertainty` about each axis of the body, and ω_E the Earth's rotation where it is given. (G·θ,
-2 % of θ at most, is left out: the output is linear in all that is unknown.) All
-readings of one mounting share θ: turning more often about one axis does not tell its misalignments better than the
-mounting is known. Readings about one axis, forward or back, are of one mounting unless the column `mounting` says
-which are; on a table of two or three axes all of them are.
+G has the deviations of the scale factors and six misalignments, θ is the rotation error of the mounting on the table,
+of standard uncertainty `pose_uncertainty` about each body axis, and ω_E the Earth's rotation if given. (G·θ,
+2 % of θ at most, is neglected: the output is linear in all unknowns.) All
+readings of one mounting share θ: more readings about one axis do not determine its misalignments better than the
+uncertainty of the mounting. Readings about one axis, forward or back, are of one mounting unless the column `mounting`
+says which are; on a table of two or three axes all of them are.
 
 **Moves.** `moves` of bayescal integrates the outputs between two poses of accelerometers, and a reading is their mean
 over the move along a direction a(t) that turns with the unit; in pose or move
@@ -19,17 +19,17 @@ over the move along a direction a(t) that turns with the unit; in pose or move
 with the means of a_a, a_a·ω_j, a_a·f_j, a_a·ω_a² and w as columns. `moved()` is the baseline there: no mounting, and
 `earth.rotation` is unknown.
 
-One effect on a family is one effect: its coefficients are found or dropped together.
+The coefficients of an effect on several axes are included or excluded together.
 
 **What readings determine.** At rest: bias alone and, in poses of which gravity is known, its g-sensitivity. About one
-axis: the column of G of that axis. About three: all of G, its off-diagonals no better than the mounting. A rate that
-the table states wrongly is a scale factor of all three axes, and nothing here tells the two apart. The Earth turns at
-15.04 °/h, 0.0042 °/s: averaged over whole turns of the table its part along the axis remains.
+axis: the column of G of that axis. About three: all of G, its off-diagonals no better than the mounting. An error of
+the table's rate is an exact alias of a common scale factor of all three axes. The Earth turns at
+15.04 °/h, 0.0042 °/s: averaged over whole turns of the table its component along the axis remains.
 
 Moves about level axes determine all of G, in the axes of the accelerometers and no better than these are known; a
 constant rate about the vertical in every pose is a bias.
 
-Noise: white, one standard deviation for all three axes; of moves beside the known one of each reading.
+Noise: white, one standard deviation for all three axes; for moves in addition to each reading's known uncertainty.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ VECTOR = bc.Vector(
 
 
 def _in_moves(slots, r):
-    """Return means along directions that turn with the unit, as of moves between poses: linear in all slots."""
+    """Return mean outputs over moves between poses, along directions fixed in the unit: linear in all slots."""
     identity = xp.eye(3).ravel()
     levers = (
         (ACROSS, BIAS),

@@ -1,7 +1,7 @@
 """Readings of a simulated rate-table test: a unit of three gyroscopes, mounted with one axis up after the other.
 
-Each mounting is off by a small rotation of its own, by which rate and gravity both stand beside their nominal axis. All
-of it is computed reading by reading in NumPy, independently of the instrument's equation.
+Each mounting has a small rotation error of its own, which tilts rate and gravity from their nominal axis. Everything
+is computed reading by reading in NumPy, independently of the instrument's equation.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.triad.simulator import REFERENCE, bias_of, lag_of, matrix_of, members_of
 
-MOUNTING_SD = 1e-3  # rad, of the mounting's rotation about each axis
-# The unit that is there unless effects say otherwise: bias °/s, scale ppm, misalignment mrad.
+MOUNTING_SD = 1e-3  # rad, standard deviation of the mounting's rotation about each axis
+# The simulated unit, unless effects override it: bias °/s, scale ppm, misalignment mrad.
 BASELINE = {
     "bias.constant": (0.5, -0.8, 0.3),
     "scale.constant": (4000.0, -3000.0, 6000.0),
@@ -33,17 +33,17 @@ COUNTS = {
 def simulated_columns(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Simulate columns of readings with hidden effects, by name.
+    """Simulate readings with hidden effects; return columns by name.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
-            `SHARES` of it; or a size for each member; bias, scale and misalignment are there unless
+        effects: canonical name → true size, in the unit of the effect's coefficients, multiplied by `SHARES` for
+            its members; or a size for each member; bias, scale and misalignment are there unless
             given otherwise.
-        seed: of every random number.
-        campaign: the readings; six mountings at five rates if not given.
+        seed: seed of the random-number generator.
+        campaign: plan; six mountings at five rates if not given.
 
     Raises:
-        ValueError: an unknown effect, or a size that is no number.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     plan, sizes = campaign or Campaign(), members_of(effects, COUNTS, BASELINE)
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""An inclinometer's zero offset over the placement angle, two axes in several mountings: the model whole, in NumPyro.
+"""Self-contained NumPyro model of an inclinometer's zero offset against placement angle, for two axes.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
@@ -24,7 +24,7 @@ def model(placement, axis, axes, run, runs, output=None) -> None:
     with numpyro.plate("axes", axes):
         a = numpyro.sample("zero.constant", Normal(0.0, 1000.0))  # arcsec
         b = numpyro.sample("zero.placement", Normal(0.0, 2.0))  # arcsec/deg
-    s = numpyro.sample("zero.run.group_sd", HalfNormal(2.0))  # arcsec, how far mountings differ
+    s = numpyro.sample("zero.run.group_sd", HalfNormal(2.0))  # arcsec, sd between mountings
     with numpyro.plate("runs", runs):
         d = s * numpyro.sample("zero.run.standard", Normal(0.0, 1.0))
     noise = numpyro.sample("noise.white", HalfCauchy(2.0))  # arcsec

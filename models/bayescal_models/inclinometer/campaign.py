@@ -1,4 +1,4 @@
-"""Plans of the zero test and of the verification, and the accelerometers in them."""
+"""Plans of the zero test and of the verification, and the simulated accelerometers."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from bayescal_models.simulated import refuse
 
 @dataclass(frozen=True)
 class Accelerometer:
-    """What one accelerometer adds to its reading; angles in arcsec unless said.
+    """Errors of one accelerometer; angles in arcsec unless stated.
 
     Attributes:
-        constant: zero at ω = 0 that follows the flange axis (S_p at ω = 0, or what a line has).
-        slope: its change with the placement angle, arcsec/deg; 0 where the projections have it all.
+        constant: zero at ω = 0 about the flange axis (S_p at ω = 0, or the constant of a line).
+        slope: its change with the placement angle, arcsec/deg; 0 if given by the projections.
         electrical: S_e, which does not tilt with the axis.
         pendulum, door: S_p and S_d.
         scale: κ, ppm.
-        share: hidden effects on the accelerometer come at this multiple of their size; no two are alike.
+        share: factor of the sizes of hidden effects on this accelerometer.
     """
 
     constant: float = 0.0
@@ -46,26 +46,26 @@ Y = Accelerometer(constant=96.3284, slope=0.06818, share=-0.6)  # source 4: Sy
 class Campaign:
     """A zero test on a dividing table or, with a `grid`, a verification on a two-axis one.
 
-    The defaults are source 4's zero test, ±45° by 5°, gone through forward and backward in each of two mountings
-    of each axis: 152 readings. Sizes are ours unless said.
+    The defaults are source 4's zero test, ±45° by 5°, forward and backward in each of two mountings
+    of each axis: 152 readings. Sizes are ours unless stated.
 
     Attributes:
         axes: accelerometers by label.
-        devices: inclinometers; further ones differ.
+        devices: number of inclinometers, which differ.
         angles: placement angles of a sweep, deg.
         runs: mountings of each axis.
-        backward: each sweep is gone through backward, too.
+        backward: whether each sweep is repeated backward.
         grid: tilts of a verification, deg: all pairs that a body can take; empty for a zero test.
-        exact: a verification obeys the exact geometry; otherwise the document's ω = y.
-        interval: between readings, s.
-        pause: between runs, s.
+        exact: whether a verification has the exact geometry; otherwise the document's ω = y.
+        interval: time between readings, s.
+        pause: time between runs, s.
         noise: standard deviation of a reading, arcsec (source 4 has only the table's 2″).
         repeatability: standard deviation between mountings, arcsec.
-        swing: the laboratory's temperature goes up and down by this, °C.
-        period: of that swing, s.
+        swing: amplitude of the laboratory's temperature, °C.
+        period: period of that temperature, s.
 
     Raises:
-        ValueError: a verification of other axes.
+        ValueError: a verification with other axes than x and y.
     """
 
     axes: tuple[tuple[str, Accelerometer], ...] = (("x", X), ("y", Y))

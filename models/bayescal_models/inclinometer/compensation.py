@@ -1,4 +1,4 @@
-"""On-line compensation of a two-axis inclinometer: readings of both axes in, tilts and their uncertainty out.
+"""On-line compensation of a two-axis inclinometer: tilts and uncertainties from the readings of both axes.
 
     made = inclinometer.compensate(calibration, reading_x, reading_y)
     made.x, made.sd_x                  rad
@@ -6,18 +6,18 @@
 Two laws:
 
 - "document" (source 4, with our sign): x' = x − S_x(y), y' = y − S_y(x), S the calibrated zero at the other axis'
-  *uncompensated* reading. What it leaves of S·(…): the change of S over the other axis' own error (0.7″/deg over
-  100″ is 0.02″), and all that depends on the axis' own tilt (S_e/cos x, κ, exact placement angle).
+  *uncompensated* reading. It neglects the change of S over the other axis' error (0.7″/deg over 100″ is 0.02″),
+  and everything that depends on the axis' own tilt (S_e/cos x, κ, exact placement angle).
 - "exact": the measurement equation itself is inverted for both axes at once,
 
       x = arcsin[ sin(reading_x)/(1 + κ_x) − cos x·zero_x(x, y) − m_x·sin y ],   y likewise,
 
-  each by `bayescal.compensator` at the other's tilt, in turn from the readings. Each pass shrinks the error by the size
-  of the zero's slope (10⁻³ to 10⁻²), so that four or five reach 10⁻¹² rad.
+  each by `bayescal.compensator` at the other's tilt, alternately, from the readings. Each iteration reduces the error
+  by the factor of the zero's slope (10⁻³ to 10⁻²), so that four or five reach 10⁻¹² rad.
 
-Tilts are those at the posterior mean. Their uncertainty is, to first order, that of coefficients, of a mounting not
-seen, by the learned spread, and of the reading itself, by the noise. What belongs to the test rig (dividing table,
-base) does not act.
+Tilts are computed at the posterior mean. Their uncertainty includes, to first order, that of the coefficients, of a new
+mounting (learned standard deviation), and of the reading (noise). Effects of the test rig (dividing table, base) are
+excluded.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ import numpy as np
 import bayescal as bc
 from bayescal_models.inclinometer.geometry import ARCSEC
 
-MOST = np.pi / 2 + 0.01  # rad, of a reading; of a placement angle half a turn is allowed
-CLOSE, PASSES = 1e-12, 80  # rad, and most passes of the iteration
-# Then half a step each: with both axes at 45° the angle of projection bends like a root, and whole steps go to and fro.
+MOST = np.pi / 2 + 0.01  # rad, largest reading; a placement angle may be half a turn
+CLOSE, PASSES = 1e-12, 80  # rad, tolerance; maximum number of iterations
+# Then half steps: with both axes at 45° the angle of projection has a square-root singularity: full steps oscillate.
 WHOLE = 10
 Law = Literal["exact", "document"]
 
@@ -42,9 +42,9 @@ class Compensated:
     """Tilts, rad, one entry per pair of readings.
 
     Attributes:
-        x, y: at the posterior mean.
-        sd_x, sd_y: standard uncertainty of coefficients, mounting and noise together.
-        passes: of the iteration; 1 for the document's law.
+        x, y: tilts at the posterior mean.
+        sd_x, sd_y: combined standard uncertainty of coefficients, mounting and noise.
+        passes: number of iterations; 1 for the document's law.
     """
 
     x: np.ndarray
@@ -59,7 +59,7 @@ class _Axis:
     """One accelerometer in use."""
 
     used: bc.Compensator  # its compensator
-    covariates: dict[str, Any]  # what effects need beside the tilts, by name
+    covariates: dict[str, Any]  # further covariates of effects, by name
 
     def tilt(self, reading: np.ndarray, cross: np.ndarray, **how: Any) -> Any:
         """Compensate readings at given tilts of the other axis, rad."""
@@ -68,7 +68,7 @@ class _Axis:
         if np.any(wrong := ~np.isfinite(compensated.value)):
             row = int(np.argmax(wrong))
             raise bc.InputError(
-                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}°: no tilt gives it with this calibration. Check "
+                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}° is no tilt with this calibration. Check "
                 "the unit (rad) of the readings"
             )
         return compensated
@@ -101,25 +101,25 @@ def compensate(
 
     Args:
         calibration: a fit of the inclinometer.
-        reading_x, reading_y: what the axes read, rad.
+        reading_x, reading_y: readings of the axes, rad.
         law: "exact" or "document".
         axes: labels of the two accelerometers in the calibration.
-        device: the inclinometer's label, where the calibration has several; another is a new one.
-        covariates: what effects need beside the tilts, such as temperature=23.0 (°C).
+        device: label of the inclinometer, if the calibration has several; an unknown label is a new one.
+        covariates: further covariates of effects, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis or law, pairs that no tilt gives, or a covariate that an effect in use needs is not
-            given.
+        InputError: unknown axis or law, pairs that correspond to no tilt, or a missing covariate of an effect in
+            use.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
     if law not in ("exact", "document"):
-        raise bc.InputError(f'law={law!r} is none: choose "exact" or "document"')
+        raise bc.InputError(f'law={law!r} is unknown: choose "exact" or "document"')
     rx, ry = np.broadcast_arrays(rx, ry)
     for axis, reading in zip(axes, (rx, ry), strict=True):
         if np.any(wrong := ~(np.abs(reading) <= MOST)):
             row = int(np.argmax(wrong))
             raise bc.InputError(
-                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, no angle up to a right one: give "
+                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, more than a right angle: give "
                 "radians, such as np.deg2rad(readings)"
             )
     of_x, of_y = (_axis(calibration, axis, device, covariates) for axis in axes)
@@ -134,10 +134,10 @@ def compensate(
 def _solved(
     of_x: _Axis, of_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return tilts at the posterior mean, rad, and how many passes they took.
+    """Return tilts at the posterior mean, rad, and the number of iterations.
 
     Raises:
-        InputError: readings that lead nowhere.
+        InputError: the iteration does not converge.
     """
     x, y = rx, ry
     for done in range(PASSES):
@@ -148,6 +148,6 @@ def _solved(
         share = 1.0 if done < WHOLE else 0.5
         x, y = x + share * (new_x - x), y + share * (new_y - y)
     raise bc.InputError(
-        f"after {PASSES} passes the tilts still move by {moved:.1e} rad: check that the readings are in rad and "
-        "that the calibration is of this inclinometer"
+        f"after {PASSES} iterations the tilts still change by {moved:.1e} rad: check that the readings are in rad "
+        "and that the calibration is of this inclinometer"
     )

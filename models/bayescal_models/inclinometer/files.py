@@ -1,4 +1,4 @@
-"""Files of a zero test: read, with corrections negated."""
+"""Reader of zero-test files, which can negate corrections."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def read(
 
     Args:
         path_or_paths: the files.
-        corrections: the files hold what has to be added to a reading, as source 4's S; it is negated, because
-            here a zero offset is what the instrument reads at no tilt.
-        options: of `bayescal.read`.
+        corrections: whether the files have corrections to be added to a reading, as source 4's S; they are negated,
+            because here a zero offset is the reading at no tilt.
+        options: options of `bayescal.read`.
 
     Raises:
-        InputError: what `bayescal.read` refuses.
+        InputError: the files are invalid, as for `bayescal.read`.
     """
     readings = bc.read(path_or_paths, INSTRUMENT, **options)
     return negated(readings) if corrections else readings
@@ -33,12 +33,12 @@ def negated(readings: bc.Measurements) -> bc.Measurements:
     """Negate corrections to zero offsets, or the reverse.
 
     Raises:
-        InputError: the readings are of a verification: readings of tilts are no corrections.
+        InputError: the readings are of a verification, whose tilts are no corrections.
     """
     if readings.has("true_angle"):
         raise bc.InputError(
-            f"{readings.file} holds readings of tilts (it has the column 'true_angle'), which are no "
-            "corrections: leave corrections=True out"
+            f"{readings.file} has readings of tilts (column 'true_angle'), which are no corrections: "
+            "omit corrections=True"
         )
     flag = "the outputs were taken as corrections and negated"
     turned = readings.with_column("output", -readings["output"])

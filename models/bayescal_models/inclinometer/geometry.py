@@ -1,9 +1,9 @@
-"""Two tilts of one body: what each axis feels, and how far it is turned from pendulum toward door attitude.
+"""Two tilts of one body: specific force along each axis, and placement angle from pendulum toward door attitude.
 
-A tilt is defined by what its axis feels of gravity, A = g·sin x. With X, Y the two sensing axes and Z the body's
-normal, "up" is therefore (sin x, sin y, √(1 − sin²x − sin²y)). The X accelerometer stands with its pendulum direction
-along Z and its door direction along Y, so in the plane across its axis "up" is cos x·(cos ω·Z + sin ω·Y): turned
-from pendulum toward door by ω.
+A tilt is defined by the component of gravity along its axis, A = g·sin x. With X, Y the sensing axes and Z the body's
+normal, "up" is therefore (sin x, sin y, √(1 − sin²x − sin²y)). The X accelerometer has its pendulum direction along
+Z and its door direction along Y, so in the plane normal to its axis "up" is cos x·(cos ω·Z + sin ω·Y): rotated from
+pendulum toward door by ω.
 
 Functions take arrays of NumPy or JAX and the module `numpy` that belongs to them.
 """
@@ -18,12 +18,12 @@ DEGREE = 3600.0  # arcsec
 
 
 def exact_placement(tilt: Any, cross: Any, xp: ModuleType) -> Any:
-    """Return the placement angle of an accelerometer from its tilt and its neighbour's, rad.
+    """Return the placement angle of an accelerometer from its tilt and that of the other axis, rad.
 
     ω = atan2(sin y, √(1 − sin²x − sin²y)); source 4 takes ω = y. At x = y = 30° it is 35.3°.
 
     Args:
-        own: tilt along the accelerometer's axis, rad.
+        tilt: tilt along the accelerometer's axis, rad.
         cross: tilt along the other axis, rad.
         xp: `numpy` or `jax.numpy`.
     """
@@ -42,7 +42,7 @@ def sensed(sine: Any, zero: Any, cosine: Any, electrical: Any, scale: Any, leak:
     """Return the sine of the reading: (1 + κ)·[sin x + cos x·zero + S_e + m·sin y], all angles in rad.
 
     Args:
-        sine, cosine: of the true tilt.
+        sine, cosine: sine and cosine of the true tilt.
         zero: mechanical zero S_p·cos ω + S_d·sin ω.
         electrical: S_e.
         scale: κ.

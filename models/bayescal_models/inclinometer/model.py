@@ -1,7 +1,7 @@
 """Two-axis inclinometer of quartz flexure accelerometers: zero offset against placement angle (source 4).
 
-An accelerometer feels A = g·sin x along its axis and reads arcsin(A/g). Its true sensing direction stands a little
-beside its flange axis, toward its pendulum direction by S_p and toward its door direction by S_d; turned by the
+An accelerometer feels A = g·sin x along its axis and reads arcsin(A/g). Its true sensing direction deviates
+from its flange axis by S_p toward its pendulum direction and by S_d toward its door direction; turned by the
 *placement angle* ω from pendulum toward door attitude it reads, at no tilt,
 
     S(ω) = S_e + S_p·cos ω + S_d·sin ω                                 (S_e the electrical zero)
@@ -10,32 +10,32 @@ and at a tilt x, with the other axis at y,
 
     reading = arcsin[ (1 + κ)·( sin x + cos x·zero(ω) + m·sin y ) ]
 
-Document: ω = y, and zero(ω) a line. S_e is no angle of the axis and is not multiplied by cos x; it is part of
-`zero` here, and `zero.electrical_tilt`, S_e·(1/cos x − 1), takes the cosine out again. Exact (`geometry.py`):
+Document: ω = y, and zero(ω) a line. S_e is not an angle of the axis and not multiplied by cos x; it is part of
+`zero` here, and `zero.electrical_tilt`, S_e·(1/cos x − 1), removes the cosine. Exact (`geometry.py`):
 ω = atan2(sin y, √(1 − sin²x − sin²y)).
 
 **One instrument, two tables.** *Zero test*: rows of `axis`, `run`, `placement_angle`, `output` (files may call it
 `zero_offset`), no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is affine. *Verification data*: each
 row of true_x, true_y, reading_x, reading_y becomes two rows, (axis x, true_angle x, placement_angle y, output
-reading_x) and the same for y: `Verification.readings()`. The column `true_angle` is what tells the two apart.
+reading_x) and the same for y: `Verification.readings()`. The column `true_angle` distinguishes the two.
 `output` is in arcsec, tilts in rad (files carry their own units).
 
 **Sign.** reading = truth + zero. Source 4's S is a *correction*; `inclinometer.read(…, corrections=True)` negates.
 
-Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, and not acting in use:
-`dividing`, `base_tilt` (arcsec; added to the tilt). Every accelerometer has coefficients of its own, so that effects
-on the instrument have one for each axis; the dividing table is one and the same for all. A *run* is one mounting of
+Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, excluded in use:
+`dividing`, `base_tilt` (arcsec; added to the tilt). Effects on the instrument have one
+coefficient per axis (accelerometer); the dividing table is common to all. A *run* is one mounting of
 one axis, its label unique to it (x1, y1, …); of several devices each axis has a label of its own (7 x, 7 y, …).
 
-**Aliases.** `dividing.face` is a constant as S_e is, exactly; so is `dividing.wobble` of m = 1 the projection of one
-axis (a second axis on the same table, with projections of its own, tells them apart). `zero.cross_axis` is S_d·sin ω
+**Aliases.** `dividing.face` is an exact alias of S_e, and `dividing.wobble` of m = 1 of the projection of one
+axis (a second axis on the same table, with projections of its own, separates them). `zero.cross_axis` is S_d·sin ω
 where ω = y: exactly in the zero test, but for cos x in verification data. cos ω falls by 29 % over ±45°, so S_p and S_e
-are weakly separated, and a parabola is nearly a projection. Every mounting's own deviation hides all of a base's
-drift but what happens within a mounting: in the default plan some 30″ over the test are seen. Electrical tilt, exact
+are weakly separated, and a parabola is nearly a projection. The deviation of each mounting absorbs a drift of the
+base except within a mounting: in the default plan a drift of 30″ over the test is detectable. Electrical tilt, exact
 placement and scale factor need verification data.
 
-Noise: white, of unknown size. Source 4 gives none but the table's 2″, which stands for it here.
-Sizes are prior standard deviations for a first calibration, ours where no source is named.
+Noise: white, of unknown size. Source 4 only gives the table's 2″, which is used here.
+Sizes are prior standard deviations for a first calibration, ours if no source is named.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sense
 from bayescal_models.inclinometer.simulator import simulated_columns
 from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
-KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
+KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # knots of the spline table
 
 
 def _response(slots, r):
@@ -114,15 +114,15 @@ def _spline(r: bc.Frame) -> Any:
 
 
 def _one_way(readings: bc.Measurements) -> str | None:
-    """Return why the directions of these readings identify no hysteresis; None if they do."""
+    """Return the reason why these sweep directions do not identify a hysteresis; None if they do."""
     directions = set(readings.groups("direction")[0])
     if {"forward", "backward"} <= directions:
         return None
     return f"needs sweeps forward and backward; these readings have {', '.join(sorted(directions))} only"
 
 
-# Families of this instrument: one coefficient for each accelerometer, for the table one in all, or drawn from a
-# population of accelerometers ("axis"), devices or mountings ("run") whose spread is learned.
+# Families of this instrument: one coefficient per accelerometer, one for the table, or one per member of a
+# population of accelerometers ("axis"), devices or mountings ("run") with learned standard deviation.
 
 
 def _per_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Maker:
@@ -206,8 +206,8 @@ EFFECTS = EffectTable.of(
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
-        # A laboratory's temperature goes not far enough for a cubic and too slowly for a lag, and a
-        # drift of the zero is one of the base.
+        # A laboratory's temperature varies too little for a cubic and too slowly for a lag, and a
+        # drift of the zero is an alias of one of the base.
         *recorded(
             *("zero", "arcsec"),
             size=10.0,
@@ -231,8 +231,8 @@ EFFECTS = EffectTable.of(
     ),
 )
 
-# Named models: accelerometers (and devices) drawn from one population; the whole equation of verification data, with
-# the exact placement angle, S_e not tilted, and the scale factor.
+# Named models: accelerometers (and devices) of one population; the full equation of verification data, with the
+# exact placement angle, untilted S_e, and the scale factor.
 LINE, BOTH = ("zero.placement",), ("zero.constant", "zero.placement")
 AXES = ("zero.mean", "zero.placement_mean", "zero.axis", "zero.placement_axis")
 EXACT = ("zero.electrical", "zero.projection_exact", "scale.constant")

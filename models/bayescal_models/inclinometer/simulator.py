@@ -1,7 +1,7 @@
-"""Columns of simulated zero tests and verifications, with effects hidden in them.
+"""Simulator of zero tests and verifications with hidden effects.
 
-The world is made by its physics: true angles behind the table's dividing errors, a hinge that lags behind the
-thermometer, a base that settles, a hysteresis that needs some degrees to turn round, and the equation of both axes.
+The test is simulated physically: true angles with the table's dividing errors, a hinge that lags behind the
+thermometer, a settling base, a hysteresis that reverses over some degrees, and the equation of both axes.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sense
 
 MEAN_TEMPERATURE = 20.0  # °C
 STREAMS = ("noise", "run", "table", "thermometer", "device", "supply")
-DIVIDING = 2.0  # arcsec, to which the table's angles are good, uniformly (source 4)
-LAG_TIME = 300.0  # s, of the hinge behind the thermometer
-WARM_UP_TIME = 900.0  # s, of the electronics in a mounting
-SETTLING_TIME = 12 * 3600.0  # s, of a base that goes on tilting
-REVERSAL = 2.0  # deg, within which hysteresis follows a change of direction
+DIVIDING = 2.0  # arcsec, limit of the table's dividing errors, uniform (source 4)
+LAG_TIME = 300.0  # s, lag of the hinge behind the thermometer
+WARM_UP_TIME = 900.0  # s, warm-up of the electronics in a mounting
+SETTLING_TIME = 12 * 3600.0  # s, time constant of the settling base
+REVERSAL = 2.0  # deg, over which hysteresis follows a reversal
 DEVICE_SPREAD, DEVICE_SLOPE = (
     30.0,
     0.3,
 )  # arcsec and arcsec/deg, standard deviations between devices
-PHASES = (0.0, 0.7)  # rad, where temperature and the base's settling start: not in step
+PHASES = (0.0, 0.7)  # rad, initial phases of temperature and settling
 
 
 class World:
-    """A campaign laid out, device by device and mounting by mounting, and what is true: one entry per reading.
+    """True quantities of a campaign, device by device and mounting by mounting: one entry per reading.
 
     Attributes:
-        plan: of the test.
+        plan: plan of the test.
         device, axis, run: labels.
-        placement_set, tilt: placement angle (ω, or the other axis' tilt) and tilt along the own axis as set, rad.
+        placement_set, tilt: set placement angle (ω, or the other axis' tilt) and set tilt along the axis, rad.
         time: s.
         forward: +1 in forward sweeps, −1 in backward ones.
-        accelerometer: one of arrays of its constants; hidden effects come at its `share`.
+        accelerometer: arrays of its constants; hidden effects are multiplied by its `share`.
         cross: true tilt of the other axis, or true placement angle, rad.
-        placement: placement angle that the zero follows, rad.
-        thermometer, warmth: what it reads, and the hinge, which lags, less the mean, °C.
-        started: share of its warm-up that each mounting has still before it.
+        placement: placement angle of the zero's equation, rad.
+        thermometer, warmth: its reading, and the lagging hinge's temperature minus the mean, °C.
+        started: remaining fraction of each mounting's warm-up.
         supply: voltage of the supply, V.
-        settled: part of the base's tilting that has happened, from −½ to ½.
-        sweep: direction of the sweep, turning round gradually.
-        mounted: what each mounting adds to the zero, arcsec.
+        settled: fraction of the base's settling, from −½ to ½.
+        sweep: direction of the sweep, with gradual reversal.
+        mounted: deviation of each mounting's zero, arcsec.
     """
 
     def __init__(self, plan: Campaign, random: Mapping[str, np.random.Generator]) -> None:
@@ -67,7 +67,7 @@ class World:
         )
         self.forward, turned, self.time = motion
         phase = 2 * np.pi * self.time / plan.period + PHASES[0]
-        turn = 2 * np.pi * LAG_TIME / plan.period  # of a body of first order, in its swing
+        turn = 2 * np.pi * LAG_TIME / plan.period  # of a first-order body, phase lag of the swing
         noise = 0.01 * random["thermometer"].standard_normal(self.time.size)
         self.thermometer = MEAN_TEMPERATURE + plan.swing * np.sin(phase) + noise
         self.warmth = plan.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
@@ -143,12 +143,12 @@ def _zero(law: Callable[[World], Any]) -> Callable[[World, float], _Sum]:
 
 
 def _electrical(w: World, size: float) -> _Sum:
-    """Return the electrical share of the zero: it does not tilt with the axis."""
+    """Return the electrical part of the zero, which does not tilt with the axis."""
     return _Sum(zero=-w.share * size, electrical=w.share * size)
 
 
 def _wobble(w: World) -> np.ndarray:
-    """Return the spindle axis's cone, once and twice a turn; every sine and cosine of size 1."""
+    """Return the wobble of the spindle axis, once and twice per turn; every sine and cosine of amplitude 1."""
     return np.sqrt(2.0) * (np.cos(w.cross - np.pi / 4) + np.cos(2 * w.cross - np.pi / 4))
 
 
@@ -182,12 +182,12 @@ def simulated_columns(
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficients, which all have that size;
-            effects on an accelerometer come at its own `share` of it.
-        seed: of every random number.
+            effects on an accelerometer are multiplied by its `share`.
+        seed: seed of the random-number generator.
         campaign: the test; the default is source 4's zero test.
 
     Raises:
-        ValueError: an unknown effect, or a size that is no number.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     simulated.refuse_effects(effects, _LAWS, "a test of the inclinometer")

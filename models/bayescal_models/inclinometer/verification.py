@@ -1,7 +1,7 @@
-"""Verification data: two axes read at known tilts, as a table of its own and as readings of the instrument.
+"""Verification data: readings of two axes at known tilts, as a separate table and as readings of the instrument.
 
 Each row of `true_x, true_y, reading_x, reading_y` becomes two readings: of axis x at true_angle x and placement
-angle y, and of axis y the other way round. Both kinds of data are then one instrument's, and can be fitted alike.
+angle y, and of axis y conversely. Both kinds of data can then be fitted by one instrument.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.geometry import ARCSEC, possible
 from bayescal_models.inclinometer.model import INSTRUMENT
 
-_MOST = np.pi / 2 + 0.01  # rad; degrees under a [rad] header are refused by it
+_MOST = np.pi / 2 + 0.01  # rad, largest tilt: rejects degrees under a [rad] header
 
 
 OTHERS = ("device", "run", "temperature", "time")
@@ -30,7 +30,7 @@ TILTS = {
 
 
 class _FileOfTilts(NamedTuple):
-    """What a file of verification data holds, as `bayescal.read` asks it of an instrument."""
+    """Columns of a file of verification data, with the attributes that `bayescal.read` uses of an instrument."""
 
     columns: tuple[bc.Column, ...]
     name: str = "inclinometer verification"
@@ -52,11 +52,11 @@ class Verification:
 
     Attributes:
         true_x, true_y: known tilts.
-        reading_x, reading_y: what the axes read.
+        reading_x, reading_y: readings of the axes.
         others: further columns (device, run, temperature, time) by name.
 
     Raises:
-        InputError: lengths differ, or no body can be tilted so.
+        InputError: lengths differ, or the tilts are geometrically impossible.
     """
 
     true_x: np.ndarray
@@ -77,8 +77,8 @@ class Verification:
             row = int(np.argmax(wrong))
             x, y = np.rad2deg([self.true_x[row], self.true_y[row]])
             raise bc.InputError(
-                f"verification data, row {row + 1}: no body has tilts of {x:.4g}° and {y:.4g}°, since "
-                "sin²x + sin²y is above 1. Tilts are what each axis feels of gravity, A = g·sin x"
+                f"verification data, row {row + 1}: tilts of {x:.4g}° and {y:.4g}° are impossible, since "
+                "sin²x + sin²y is above 1. A tilt is defined by the gravity along its axis, A = g·sin x"
             )
 
     def __len__(self) -> int:
@@ -90,7 +90,7 @@ class Verification:
         return self.reading_x - self.true_x, self.reading_y - self.true_y
 
     def readings(self) -> bc.Measurements:
-        """Return readings of the instrument, x above y; runs get the axis before their label."""
+        """Return readings of the instrument, x before y; run labels are prefixed by the axis."""
         columns: dict[str, Any] = {n: np.concatenate([c, c]) for n, c in self.others.items()}
         axis = np.repeat(["x", "y"], len(self))
         run = columns.get("run", np.full(2 * len(self), "1"))
@@ -110,10 +110,10 @@ def read_verification(path_or_paths: Any, **options: Any) -> Verification:
 
     Args:
         path_or_paths: the files.
-        options: of `bayescal.read`.
+        options: options of `bayescal.read`.
 
     Raises:
-        InputError: what `bayescal.read` refuses, and tilts that no body has.
+        InputError: invalid files, as for `bayescal.read`, or impossible tilts.
     """
     table = bc.read(path_or_paths, FILE_OF_TILTS, **options)
     others = {n: table[n] for n in OTHERS if table.has(n)}

@@ -1,8 +1,8 @@
-"""Three magnetometers turned in a constant field of unknown direction: hard and soft iron, whole, in NumPyro.
+"""Self-contained NumPyro model of three magnetometers turned in a constant field of unknown direction.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
-In each reading the field of magnitude F points along a latent unit vector u of which nothing is known; m = F·u:
+In each reading the field of magnitude F points along a latent unit vector u with a uniform prior; m = F·u:
 
     y = b + (1 + κ)·m + [γ_xy·m_y + γ_xz·m_z,  γ_yz·m_z,  0] + e,     e ~ N(0, σ²) in each axis,  all in µT
 

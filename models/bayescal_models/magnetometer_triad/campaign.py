@@ -1,4 +1,4 @@
-"""The plan of poses of a magnetometer triad: that of any three axes, with the noise and the field of a compass."""
+"""Plan of poses of a magnetometer triad: that of any triad, with the noise and field of a compass."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayescal_models.triad.campaign import Campaign as _Poses
 
 @dataclass(frozen=True)
 class Campaign(_Poses):
-    """As of any three axes; 100 readings turned by hand, noise in µT, in a field of 50 µT."""
+    """Plan of 100 readings turned by hand, noise in µT, in a field of 50 µT."""
 
     poses: int = 100
     noise: float = 0.3

@@ -2,14 +2,14 @@
 
     y_a = m_a + b_a + Σ_j G_aj·m_j + e_a,     |m| = magnitude
 
-b is the hard iron with the sensor's own offset; G holds the scale factors, the misalignments and the soft iron, which
-no turning in one field tells apart. The direction of the field in the body is unknown, or known to
+b is the hard iron plus the sensor's offset; G has the scale factors, the misalignments and the soft iron, which
+rotation in one field does not separate. The direction of the field in the body is unknown, or known to
 `pose_uncertainty`.
 
-**Gauge.** As of `accelerometer_triad`: three misalignments in place of six where directions are unknown, and z of the
-body that of the sensor z. All three scale factors hang together with the local field's size. Where that is not given
-(column `magnitude`, `--local-field`), it is taken as the magnetometers read it, the mean radius of their ellipsoid: the
-ratios of the scale factors alone are measured, and headings do not depend on it.
+**Gauge.** As of `accelerometer_triad`: three misalignments in place of six if directions are unknown, and z of the
+body that of the sensor z. A common factor of the scale factors is an alias of the local field's magnitude. If that is
+not given (column `magnitude`, `--local-field`), it is the mean radius of the ellipsoid of the outputs: only ratios of
+the scale factors are then measured, and headings do not depend on it.
 
 Noise: white, one standard deviation for all three axes.
 """
@@ -36,7 +36,7 @@ from bayescal_models.triad.families import (
 )
 from bayescal_models.triad.scatter import with_scatter
 
-# Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; what iron adds differs from axis to axis.
+# Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; the contribution of iron differs between axes.
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
 
 

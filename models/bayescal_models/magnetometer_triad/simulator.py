@@ -1,9 +1,9 @@
-"""Columns of a simulated campaign of three magnetometers; the world is that of `triad/simulator.py`."""
+"""Simulator of a campaign of three magnetometers, by `triad/simulator.py`."""
 
 from bayescal_models.magnetometer_triad.campaign import Campaign
 from bayescal_models.triad.simulator import COUNTS, simulator_of
 
-# The triad that is there unless effects say otherwise: bias µT, scale ppm, misalignment mrad; x, y, z (xy, xz, yz).
+# The simulated triad, unless effects override it: bias µT, scale ppm, misalignment mrad; x, y, z (xy, xz, yz).
 BASELINE = {
     "bias.constant": (15.0, -25.0, 8.0),
     "scale.constant": (60000.0, -40000.0, 90000.0),

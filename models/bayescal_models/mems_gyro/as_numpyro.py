@@ -1,6 +1,6 @@
-"""A gyroscope's bias over temperature with a turn-on offset per run: the hierarchical model whole, in NumPyro.
+"""Self-contained NumPyro model of a gyroscope's bias over temperature, with a turn-on offset per run.
 
-What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+It is the model that `bc.fit(equal(), readings)` fits, given as an example; the package does not import it.
 
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
     MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))

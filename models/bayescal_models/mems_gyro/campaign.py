@@ -1,4 +1,4 @@
-"""The plan of a stepped-chamber test of a gyro: source 1's test, and more of it."""
+"""Plan of a stepped-chamber test of a gyro, after source 1."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ class Campaign:
     """Plan of a stepped-chamber test of one gyro, and the world it is made in.
 
     The defaults follow source 1 (30…80 °C by 5 °C, 300 s a step, logged every 5 s) with two runs
-    more, and give 330 readings. Sizes are ours unless said.
+    more, and give 330 readings. Sizes are ours unless stated.
 
     Attributes:
         temperatures: chamber set points in the order of the first run, °C.
         dwell: time at each set point, s.
-        runs: how many times the series is gone through.
-        alternate: every second run goes through the set points backwards (up, down, up).
-        pause: time with the power off between runs, s; the chamber goes to the next start.
+        runs: number of repetitions of the series.
+        alternate: whether every second run has the set points in reverse order (up, down, up).
+        pause: time with the power off between runs, s; the chamber moves to the next start.
         chamber_time: first-order time constant of the chamber's air, s.
-        chamber_ramp: fastest change of the chamber's set point, °C/min.
+        chamber_ramp: largest rate of the chamber's set point, °C/min.
         average: time averaged into one reading, s, a multiple of `LOGGING_INTERVAL`.
-        rate_input: rates of the turntable, °/s, one a step, cycled over all steps of all runs;
+        rate_input: rates of the turntable, °/s, one per step, cycled over all steps of all runs;
             None leaves the gyro at rest, and the column out.
         noise: standard deviation of the white noise of one averaged reading, °/s.
         thermometer_noise: white error of the column `temperature`, °C (standard deviation).
         constant: zero-rate output at `T0`, °/s.
         slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
-        T0: temperature about which every law of the world is written, °C.
+        T0: reference temperature of the simulated effects, °C.
         nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
             their leading terms, numbers between or beyond a mixture.
         lag_time: time constant of the die behind the ambient thermometer, s.

@@ -6,19 +6,19 @@ Measurement equation, output in °/s:
 
 Raw outputs in volt become °/s by V = 1.2000 V + 0.83 mV/(°/s)·rate (source 1; the 1.2000 V follows from its table).
 
-The resonance laws stand in for the line. Silicon softens as E0·(1 − K_ET·(T−T0)), so both modes of the gyro detune,
+The resonance laws replace the line. Silicon softens as E0·(1 − K_ET·(T−T0)), so both modes of the gyro detune,
 and the zero-rate offset carries the resonance denominator (source 1)
 
     D = √[ (r²·(1−ε_s) − (1−ε_d))² + (1−ε_d)/Q² ],   ε = K_ET·(T−T0) of each mode,  r = ω_s0/ω_d0,
 
 as rate = c0 + q·(D(T0)/D(T) − 1). (Written so that c0 is the zero rate at T0; the document's c0 + q·D(T0)/D(T)
-has the same curves.) A second form holds the drive force instead of the amplitude, with a factor (1−ε_d)^−½.
+has the same curves.) A second form has constant drive force instead of constant amplitude, with a factor (1−ε_d)^−½.
 
 Noise: white, of unknown size. Known beforehand: the converter's step 0.0311 mV (0.037 °/s), the rounding of the
 printed voltage to 0.1 mV (0.12 °/s), and the thermometer, good to 0.5 °C (uniform: 0.29 °C).
 
-Prior sizes are standard deviations for a first calibration, ours, where no source is named; a user replaces
-them with data-sheet values.
+Prior sizes are standard deviations for a first calibration, ours if no source is named; replace
+them by data-sheet values.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Simulated campaigns of a MEMS gyro in a stepped chamber, made by physics of their own.
+"""Simulator of campaigns of a MEMS gyro in a stepped chamber, independent of the model's equations.
 
     sim = simulate_arrays({"bias.thermal_lag": 0.05}, seed=1)
     sim.columns["output"], sim.noise_free, sim.contributions["bias.thermal_lag"]
@@ -28,11 +28,11 @@ SILICON_TEMPERATURE = (
     500.0  # K, characteristic, of the modulus in Varshni's law; ours, as silicon's
 )
 SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
-PACKAGE_TIME = 20.0  # s, of the package, through which heat flows
-SLOW_TIME = 2400.0  # s, of what lags slowly, such as the chamber's load
+PACKAGE_TIME = 20.0  # s, thermal time constant of the package
+SLOW_TIME = 2400.0  # s, time constant of a slow body, such as the chamber's load
 BOARD_TIME, BOARD_HEATING = 480.0, 2.0  # s, of the electronics board; °C, by which it heats itself
-WARM_UP_TIME = 600.0  # s, of the electronics after power-on
-NOISE_DEGREES = 4.0  # of freedom, of Student-t noise
+WARM_UP_TIME = 600.0  # s, warm-up of the electronics after power-on
+NOISE_DEGREES = 4.0  # degrees of freedom of Student-t noise
 WANDER, WANDER_TIME = 0.05, 300.0  # °/s and s, of correlated noise
 
 
@@ -40,11 +40,11 @@ class World(Clock):
     """What happens in a test, second by second; arrays have one value per grid point.
 
     Attributes:
-        plan: of the test.
+        plan: plan of the test.
         since: time since the last power-on, s.
         powered: whether the gyro is on.
-        ambient: air at the ambient thermometer, °C: steps, no faster than the ramp, then first order.
-        turn_on: one standard normal number per run, held through that run and the pause after it.
+        ambient: air at the ambient thermometer, °C: ramp-limited steps through a first-order lag.
+        turn_on: one standard normal number per run, constant through that run and the pause after it.
         supply: voltage of the gyro's supply, V.
         humidity: relative humidity in the chamber, %.
         run: run of each reading, counted from 0.
@@ -56,7 +56,7 @@ class World(Clock):
         self.plan, starts = plan, plan.run_starts
         length = round((starts[-1] + plan.run_duration) / GRID) + 1
         self.time = GRID * np.arange(length)
-        # A run owns the samples in (start, end], as does a step: the sample on the hour closes it.
+        # A run has the samples in (start, end], as has a step: the sample at the end belongs to it.
         self._run = np.maximum(np.searchsorted(starts, self.time, side="left") - 1, 0)
         self.since = self.time - starts[self._run]
         self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
@@ -104,8 +104,8 @@ def _set_point(plan: Campaign, time: Array) -> Array:
     return simulated.ramp_limited(time, starts, goals, plan.chamber_ramp)
 
 
-# Laws: what one unit of an effect adds to the output, °/s. None uses the columns from which a candidate effect builds
-# its basis, so a fitted model is an approximation here as it is in life.
+# Laws: contribution of one unit of an effect to the output, °/s. None uses the columns of a candidate effect's basis,
+# so that a fitted model is an approximation, as with real readings.
 
 
 def _quadratic(w: World) -> Array:
@@ -147,10 +147,10 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "bias.temperature_cubic": _cubic,
         # stress from the heat flowing into the package: its true heating rate, °C/min
         "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / PACKAGE_TIME,
-        # the die is not at the temperature that the ambient thermometer shows
+        # the die lags behind the ambient thermometer
         "bias.thermal_lag": lambda w: w.body(w.ambient, w.plan.lag_time) - w.ambient,
         "bias.thermal_lag_slow": lambda w: w.body(w.ambient, SLOW_TIME) - w.ambient,
-        # stress between package and die, of a glue that gives way more, the warmer it is
+        # stress between package and die, of a glue that is softer when warm
         "bias.temperature_x_lag": lambda w: (
             (w.ambient - w.plan.T0) * (w.body(w.ambient, w.plan.lag_time) - w.ambient)
         ),
@@ -159,9 +159,9 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "bias.temperature_x_supply": lambda w: (
             (w.ambient - w.plan.T0) * (w.supply - simulated.SUPPLY)
         ),
-        # the chip that gives the zero level, 1.2 V, has a linear tempco and sits on the board
+        # the 1.2 V reference, on the board, has a linear tempco
         "bias.reference_voltage": lambda w: w.board - w.plan.T0,
-        # electronics are off when cold, and right when they have heated themselves
+        # the error of the electronics decays with self-heating
         "bias.warm_up": lambda w: 1.0 - w.body(w.powered.astype(float), WARM_UP_TIME, start=0.0),
         "bias.drift": _drift,
         # turn-on repeatability: a new offset at each power-on, the size its standard deviation
@@ -169,7 +169,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         # the scale factor follows the package: κ(T_package)·Ω, nothing at rest
         "scale.temperature": lambda w: 1e-6 * (w.package - w.plan.T0) * w.rate,
         "scale.constant": lambda w: 1e-6 * w.rate,
-        # one that no catalogue holds: leakage that grows with the relative humidity, about 45 %, in °/s/%
+        # not in the catalogue: leakage that grows with relative humidity, about 45 %, in °/s/%
         "unlisted.humidity": lambda w: w.humidity - 45.0,
     }
 )
@@ -192,7 +192,7 @@ def simulate_arrays(
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficient. The baseline's constant and slope
             are options of the campaign.
-        seed: of every random number.
+        seed: seed of the random-number generator.
         campaign: the plan of the test and the world it is made in; the default has three runs between 30 and 80 °C.
         noise_law: "white"; "student_t" (same standard deviation, heavier tails); "ornstein_uhlenbeck" (the white noise,
             and the campaign's correlated part, `wander`).

@@ -1,4 +1,4 @@
-"""The document's table of zero rate over temperature, as a file."""
+"""File with the table of zero rate over temperature of source 1."""
 
 from pathlib import Path
 

@@ -1,10 +1,10 @@
-"""A ng accelerometer on a tilted, turning table, over temperature: the hierarchical model whole, in NumPyro.
+"""Self-contained NumPyro model of a ng accelerometer on a tilted, turning table, over temperature.
 
 Bias and scale factor follow the temperature; the angles of fixture, base and tide are latent.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
-The face of the table is tilted by γ and turned to θ; gravity acts along the input axis as a = g·u·s (source 0), with
+The face of the table is tilted by γ and rotated to θ; gravity acts along the input axis as a = g·u·s (source 0), with
 
     u = ( sin γ2∥,  cos γ2∥·sin(γ + γ2⊥),  cos γ2∥·cos(γ + γ2⊥) ),     s = ( cos γ1·cos θ,  cos γ1·sin θ,  sin γ1 )
     output = K0 + (1 + κ)·a + e,     e ~ N(0, σ²)

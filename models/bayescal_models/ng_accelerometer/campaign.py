@@ -2,8 +2,8 @@
 
 Campaign()                                   instrument A as source 0 tested it: 12 positions at 0.45°
 replace(INSTRUMENT_A, positions=4)           four positions
-Campaign(tilts=(0.45 * DEGREE, -0.45 * DEGREE))    each cell at two tilts: tells γ2⊥ from the scale factor
-Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   the face turned over: tells γ1 from the bias
+Campaign(tilts=(0.45 * DEGREE, -0.45 * DEGREE))    each cell at two tilts: separates γ2⊥ from the scale factor
+Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   the face inverted: separates γ1 from the bias
 fixed_point_heating()                        one position a run, temperature stepped
 """
 
@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from bayescal_models.simulated import DEGREE, HOUR, refuse
 
-GRID = 10.0  # s, step of the grid on which the test is integrated
-FULL_SCALE = 10e3  # µg, greatest input
+GRID = 10.0  # s, integration step of the simulated test
+FULL_SCALE = 10e3  # µg, largest input
 
 TRUTH_A: Mapping[str, float] = MappingProxyType(
     {
@@ -61,7 +61,7 @@ class Campaign:
             `positions` and `runs`.
         repeats: readings at each position.
         temperatures: set points in the order of the first run, °C.
-        runs: how many times the series is gone through.
+        runs: number of repetitions of the series.
         alternate: every second run goes through the set points backwards.
         soak: time at a set point before the first reading, s.
         ramp: pace of the chamber's set point, °C/min.

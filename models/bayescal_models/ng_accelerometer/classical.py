@@ -1,7 +1,7 @@
-"""The customary estimator of a cell: bias and scale factor by four or more positions equally spaced over a turn.
+"""Classical estimator of a cell: bias and scale factor by four or more positions equally spaced over a turn.
 
-It takes the tilt as set, the input axis as lying in the face, and the base as level. What that costs stands in the
-datasheet of `model.py`. Source: source 0, equations 9, 12 and 14.
+It assumes that the tilt is as set, the input axis lies in the face, and the base is level; for the resulting errors
+see `model.py`. Source: source 0, equations 9, 12 and 14.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def classical_estimates(
 
     Args:
         readings: one of each position in a cell, at one tilt, µg.
-        positions: 4, to use those at 0, 90, 180 and 270° alone; None for all that there are.
+        positions: 4, to use only those at 0, 90, 180 and 270°; None for all.
 
     Raises:
         ValueError: fewer than four positions, or positions that are not equally spaced from 0°.

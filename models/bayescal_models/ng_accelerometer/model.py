@@ -5,14 +5,14 @@ Measurement equation, output in µg of nominal scale (volts become µg by the no
     output = K0 + (1 + κ)·a + K2·a² + K3·a³ + Kip·a·ap
 
 The table's face is tilted by γ (column `tilt`) and turned to θ (column `position_angle`), nominally a = g·sin γ·sin θ;
-a in µg (mg under K2 and K3), ap in g. K0 is not multiplied by 1 + κ. Where gravity points is exact, no small-angle
-approximation: in the tilted frame that does not turn (e0 along θ = 0, e90 along θ = 90°, n normal to the face) the
-unit vector "up" and the input axis are
+a in µg (mg under K2 and K3), ap in g. K0 is not multiplied by 1 + κ. The direction of gravity is exact, without small-
+angle approximation: in the tilted frame that does not rotate (e0 along θ = 0, e90 along θ = 90°, n normal to the face)
+the unit vector "up" and the input axis are
 
     u = ( sin γ2∥,  cos γ2∥·sin(γ + γ2⊥),  cos γ2∥·cos(γ + γ2⊥) )
     s = ( cos γ1·cos θ,  cos γ1·sin θ,  sin γ1 )
 
-so that along the input axis acts a = g·u·s, and along the normal, the pendulous axis, ap = g·u·n (source 0, sections 2
+so that a = g·u·s along the input axis, and ap = g·u·n along the normal, the pendulous axis (source 0, sections 2
 and 3; formulas of the exact form ours).
 
 Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_parallel` = γ2∥ and `base_tilt_perp` =
@@ -20,15 +20,15 @@ Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_par
 to θ, rad. A *cell* is a run × temperature point.
 
 An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of
-`base_tilt.constant[perp]`; both are kept, because they are two causes with a budget line each and together leave
-the scale factor √2·617 ppm at 0.45°. Within a cell are aliases too: bias with the fixture tilt, scale factor with
-γ2⊥ and with Kip, γ2∥ with δ. Their priors, time, laboratory temperature and other set-ups are all that parts them.
+`base_tilt.constant[perp]`; both are kept as two causes with a budget line each, which together contribute
+√2·617 ppm to the uncertainty of the scale factor at 0.45°. Further aliases in a cell: bias with the fixture tilt,
+scale factor with γ2⊥ and with Kip, γ2∥ with δ. Only priors, time, laboratory temperature or other set-ups part them.
 
-`base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` all but one of b0: to add them
-widens those tempcos to what their priors leave, which no number of readings of the same kind narrows.
+`base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` nearly one of b0: adding them raises
+the uncertainty of those tempcos to that of the priors, which more readings of the same kind do not reduce.
 
 `temperature`, °C: `temperature.reading`, the thermometer's own error (2 mK, ours; errors in variables). At 44 µg/°C
-it is half the noise of a reading, and a line fitted without it is pulled towards zero.
+it is half the noise of a reading, and the slope of a line fitted without it is biased towards zero.
 
 Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the sensor alone).
 """
@@ -75,7 +75,7 @@ OVER = 180 * DEGREE - TILT
 
 
 class Accelerations(NamedTuple):
-    """What acts on the accelerometer: along the input axis, µg, and along the table's normal, g."""
+    """Specific force on the accelerometer: along the input axis, µg, and along the table's normal, g."""
 
     along: Float[Any, "n"]
     normal: Float[Any, "n"]
@@ -91,10 +91,10 @@ def accelerations(
     """Return gravity in the axes of the accelerometer. All angles in rad.
 
     Args:
-        tilt: γ, of the table's face.
-        angle: θ, to which the face is turned, the azimuth of the input axis included.
-        fixture_tilt: γ1, of the input axis out of the face.
-        parallel, perp: γ2∥ and γ2⊥, of the base along θ = 0 and along θ = 90°.
+        tilt: γ, tilt of the table's face.
+        angle: θ, rotation of the face, including the azimuth of the input axis.
+        fixture_tilt: γ1, tilt of the input axis out of the face.
+        parallel, perp: γ2∥ and γ2⊥, tilts of the base along θ = 0 and along θ = 90°.
     """
     e0 = xp.sin(parallel)
     e90 = xp.cos(parallel) * xp.sin(tilt + perp)
@@ -123,7 +123,7 @@ def _response(slots, r):
 
 
 def _in_use(a, slots, r):
-    """Return the output without the table, by the acceleration along the input axis alone."""
+    """Return the output in use (without the table) by the acceleration along the input axis."""
     mg = a / 1e3
     bent = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
     return slots["bias"] + (1 + slots["scale"]) * a + bent
@@ -140,7 +140,7 @@ def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4
 
 
 def tides(r: bc.Frame) -> Float[Any, "n 20"]:
-    """Return cos and sin of every constituent, for one component of the base tilt and then for the other."""
+    """Return cos and sin of every tidal constituent, for each component of the base tilt in turn."""
     phase = [2 * xp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
@@ -149,8 +149,8 @@ def tides(r: bc.Frame) -> Float[Any, "n 20"]:
 def direction(r: bc.Frame) -> Float[Any, "n"]:
     """Return the sign of the last change of temperature within the run, 0 before the first.
 
-    A change is one by more than the dead band from where the temperature last stood: between readings at soaked
-    temperature points this is the sign of (this cell − previous cell).
+    A change exceeds the dead band relative to the last stable temperature: between readings at soaked temperature
+    points this is the sign of (this cell − previous cell).
     """
     temperature, first = r.record["temperature"][r.order], r.step < 0
 
@@ -212,7 +212,7 @@ def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
     )
 
 
-# A deviation of each cell has a spread that is known to an order of magnitude or two.
+# The standard deviation between cells is known to within one or two orders of magnitude.
 OF_CELLS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
 LEARNED: dict[str, Any] = {"per": "cell", "learned": bc.HalfCauchy, "varies": ()}
 CELL, CELL_OF_BASE = effect(one, *OF_CELLS, **LEARNED), _base(one, *OF_CELLS, **LEARNED)

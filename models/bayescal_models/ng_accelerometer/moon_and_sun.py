@@ -1,8 +1,8 @@
-"""How much the Moon and the Sun tilt the plumb line, from where they stand.
+"""Tilt of the plumb line by the Moon and the Sun, from their positions.
 
 The horizontal tidal acceleration of a body at zenith distance z is ³⁄₂·(GM·r/d³)·sin 2z, towards it; over g it is
 the tilt of the plumb line. Positions are low-precision ephemerides (a few arc minutes), which is far better than a
-laboratory knows its own tilt response: that is why sizes are given as a peak.
+laboratory's tilt response is known: sizes are therefore given as a peak.
 
 Source: J. Meeus, Astronomical Algorithms, ch. 25 and 47, leading terms; the peak of ±200 nrad: source 0.
 """
@@ -24,7 +24,7 @@ OBLIQUITY = np.radians(23.439)
 DAY = 86400.0
 BEGIN = 7730.0  # days since 2000-01-01 12:00 UT, of a test
 LATITUDE, LONGITUDE = 30.5, 114.4  # degrees north and east (source 0: Wuhan)
-MONTH = 30.0  # days over which the peak of a tide is taken
+MONTH = 30.0  # days over which the peak of a tide is computed
 
 
 def plumb_line(days: ArrayLike) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
-"""The reference problem, a small model and a small test: intervals must cover, and methods agree on its posterior.
+"""The reference problem, a small model and test on which intervals must cover and methods must agree.
 
-The model is the baseline with narrower priors, all proper: what a recalibration would start from.
+The model is the baseline with narrower priors, all proper, as for a recalibration.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Columns of a simulated test, with effects hidden in it: one small physical law per effect.
+"""Simulator of a test with hidden effects: one small physical law per effect.
 
     made = simulate_arrays({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
     made.columns["output"], made.world, made.contributions["second_order"]
 
-A law takes the world of the test and returns what one unit of the effect adds to its slot, moment by moment. None
-uses the columns from which a candidate builds its basis (set points, the thermometer's record, the clock of the
-readings), and most are not quite of its form, so that a fitted model is an approximation here as it is in life. The
-geometry is done with rotations of vectors, apart from the closed form that models are fitted with.
+A law returns the contribution of one unit of the effect to its slot at each instant of the simulated test. None uses
+the columns of a candidate's basis (set points, the thermometer's record, the clock of the readings), and most have a
+slightly different form, so that a fitted model is an approximation, as with real readings. The geometry is computed by
+rotations of vectors, independently of the model's closed form.
 
 An effect on the base tilt acts on both components with the size given; `name[parallel]` and `name[perp]` set one
 alone. The size of `base_tilt.tide` is each component's largest tilt of the month, nrad.
@@ -27,9 +27,9 @@ from bayescal_models.simulated import ARCSEC, DEGREE, Array, Simulated
 
 G = 1e6  # µg
 STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups", "supply")
-SATURATION = 40.0  # °C, over which a curved law departs from its leading power
-UNEVEN = 0.002  # 1/°C, by which a warming fixture bends more, the warmer it is
-HIGHER = 0.1  # share of the next lobes in what is uneven around a turn
+SATURATION = 40.0  # °C, scale on which a curved law deviates from its leading power
+UNEVEN = 0.002  # 1/°C, relative increase of the fixture's bending with temperature
+HIGHER = 0.1  # relative amplitude of the higher harmonics around a turn
 UNITS = {
     **dict.fromkeys(("ug", "ug/mg^2", "ug/mg^3", "1/g"), 1.0),
     **{"ppm": 1e-6, "urad": 1e-6, "nrad": 1e-9, "arcsec": ARCSEC, "deg": DEGREE},
@@ -39,7 +39,7 @@ BY_RUN = ("bias", "scale", "fixture_tilt", "fixture_tilt.temperature")
 
 
 class Law(NamedTuple):
-    """The slot that a law adds to, the unit of the effect, and what one unit of it adds, moment by moment."""
+    """The slot that a law adds to, the unit of the effect, and the contribution of one unit at each instant."""
 
     slot: str
     unit: str
@@ -175,7 +175,7 @@ def _all() -> dict[str, tuple[Law, ...]]:
 
 
 LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_all())
-"""Every effect that can be in a test, baseline and hidden, by canonical name."""
+"""All effects of a simulated test, baseline and hidden, by canonical name."""
 
 
 def simulate_arrays(
@@ -183,19 +183,19 @@ def simulate_arrays(
 ) -> Simulated:
     """Simulate a test with hidden effects.
 
-    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two simulations
-    differ by the effects alone. Contributions are those of every effect to its slot, in the slot's unit, (slot, (n, m))
+    The same seed gives the same noise, temperatures and scatter for any effects, so two simulations differ by the
+    effects alone. Contributions are those of every effect to its slot, in the slot's unit, (slot, (n, m))
     for each component.
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
             above for the two components of the base tilt, and for the tide). The instrument's own line,
-            constants and scatter are there too, as `campaign.truth` has them unless given here.
-        seed: of every random number.
+            constants and scatter are included, as in `campaign.truth` unless given here.
+        seed: seed of the random-number generator.
         campaign: plan of the test.
 
     Raises:
-        ValueError: an unknown effect, or a size that is no number.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     sizes = {**campaign.truth, **(effects or {})}
     simulated.refuse_effects(sizes, LAWS, "a test of the ng accelerometer")
@@ -227,7 +227,7 @@ simulated_columns = simulated.columns_of(simulate_arrays)
 
 
 def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:
-    """Return the output without noise at each moment, µg."""
+    """Return the output without noise at each instant, µg."""
     slots: dict[str, Array] = {}
     for name in contributions:
         for slot, part in contributions[name]:
@@ -251,8 +251,8 @@ def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], .
 def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple[Array, Array]:
     """Return the acceleration along the input axis, µg, and the table's normal, g, by successive rotations.
 
-    Up, (0, 0, 1) in the laboratory, is turned into the face by the tilt about e0 and by the base about e90; the
-    input axis is lifted by the fixture and then turned with the table.
+    Up, (0, 0, 1) in the laboratory, is rotated into the face by the tilt about e0 and by the base about e90; the
+    input axis is tilted by the fixture and then rotated with the table.
 
     Args:
         tilt, parallel: of the face about e0 and of the base about e90, rad.

@@ -1,7 +1,7 @@
-"""The world of a test: where the table stands at every reading, and every temperature behind it.
+"""Conditions of a simulated test: attitude of the table at every reading, and all temperatures.
 
-The chamber's air follows a ramp-limited set point; the device, its sensing element, the fixture and the base hang
-on it as bodies of first order, all integrated on a grid of ten seconds over the whole test, pauses included. The
+The chamber's air follows a ramp-limited set point; the device, its sensing element, the fixture and the base follow
+it as first-order bodies, all integrated on a grid of ten seconds over the whole test, pauses included. The
 laboratory has a daily course and slow correlated noise of its own, and the base follows it with a lag.
 """
 
@@ -26,32 +26,32 @@ from bayescal_models.simulated import (
 CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
 BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
 WANDER_TIME, LABORATORY_WANDER_TIME = 600.0, 2 * HOUR  # s, of the Ornstein–Uhlenbeck records
-REVERSAL = 1.0  # °C, of path on which hysteresis follows a change of direction
-FORGETTING = 2 * HOUR  # s, in which hysteresis is lost while the power is off
-LAG_TIME = 1800.0  # s, of the sensing element behind the device's thermometer
+REVERSAL = 1.0  # °C, over which hysteresis follows a reversal
+FORGETTING = 2 * HOUR  # s, decay time of the hysteresis while the power is off
+LAG_TIME = 1800.0  # s, lag of the sensing element behind the device's thermometer
 READING_TIME = 60.0  # s, over which the output is averaged; a whole number of grid steps
 POWER_ON = 300.0  # s before the first reading of a run
-WARM_UP_TIME = 1800.0  # s, of the electronics after power-on
-MOVE_TIME = 60.0  # s, turning to a position and coming to rest
+WARM_UP_TIME = 1800.0  # s, warm-up of the electronics after power-on
+MOVE_TIME = 60.0  # s, time to rotate to a position and come to rest
 
 
 class World:
-    """Everything that an effect may depend on: a row per reading, a column per moment of its averaging.
+    """Conditions of each reading that effects depend on: a row per reading, a column per instant of its averaging.
 
     Attributes:
-        plan: of the test.
+        plan: plan of the test.
         run, cell: index of each reading's run and cell, (n,).
         point: set point of its cell, °C, (n,).
         tilt, angle: γ and θ as set, rad, (n, 1).
-        time: since the start of the test, s, (n, m), as all below.
-        share: of the test that has passed, 0 at the first reading and 1 at the last.
+        time: time since the start of the test, s, (n, m), as all below.
+        share: elapsed fraction of the test, 0 at the first reading and 1 at the last.
         device, element, fixture, base: temperatures, °C.
-        heating: rate of the device, °C/h.
-        laboratory, foundation: of the laboratory, and of the base that follows it, °C.
+        heating: temperature rate of the device, °C/h.
+        laboratory, foundation: temperature of the laboratory, and of the base that follows it, °C.
         direction: state of hysteresis, −1 … 1.
-        warmth: share of its own heat that the electronics lack, 1 at power-on.
+        warmth: fraction of the self-heating not yet reached, 1 at power-on.
         supply: voltage of the supply, V.
-        tide: components ∥ (towards east) and ⊥ (north), each in parts of its month's peak.
+        tide: components ∥ (towards east) and ⊥ (north), each relative to its monthly peak.
         by_cell, by_run: standard normal numbers by effect, one per reading, equal within a cell or run.
     """
 
@@ -62,12 +62,12 @@ class World:
         cells: tuple[str, ...],
         runs: tuple[str, ...],
     ) -> None:
-        """Carry out the plan.
+        """Simulate the plan.
 
         Args:
-            plan: of the test.
-            generators: of random numbers: "chamber", "laboratory", "groups", "supply".
-            cells, runs: names of what scatters from cell to cell, and from run to run.
+            plan: plan of the test.
+            generators: random-number generators "chamber", "laboratory", "groups", "supply".
+            cells, runs: names of quantities that vary between cells, and between runs.
         """
         self.plan, done = plan, _CarriedOut(plan)
         grid, body = np.arange(0.0, done.end + GRID, GRID), partial(first_order_body, step=GRID)
@@ -103,7 +103,7 @@ class World:
 
 
 class _CarriedOut:
-    """When everything happens, s: readings as (run, cell, point, tilt, angle, start), set points, and power.
+    """Schedule of the test, s: readings as (run, cell, point, tilt, angle, start), set points, and power.
 
     Set points are (time, goal), power (on, off).
     """
@@ -141,7 +141,7 @@ class _CarriedOut:
 def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
     """Integrate dh = (sign(dT) − h)·|dT|/REVERSAL, as friction at a joint, reset at every power-on.
 
-    `temperature` is that without the chamber's wander, which is too small to move a joint.
+    `temperature` is without the chamber's wander, which is too small to move a joint.
     """
     on = np.zeros(grid.size, dtype=bool)
     for first, off in power:

@@ -1,4 +1,4 @@
-"""A quartz resonant beam accelerometer with two thermometers: source 2's fifteen columns, whole, in NumPyro.
+"""Self-contained NumPyro model of a quartz resonant beam accelerometer with two thermometers, 15 columns (source 2).
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
@@ -7,7 +7,7 @@ With t1 at the beams' circuit, t2 in the head, both from T0, and δ = t1 − t2:
     output = b + (1 + κ)·a + e,     e ~ N(0, σ²)
     b, κ = Σ of  1, t1, t1², t1³,  1, t2, t2², t2³,  δ, δ², δ³,  dt1/dt, dt2/dt,  t2·dt2/dt, t2·δ
 
-The fifteen columns have rank twelve: priors share out what three combinations of coefficients leave open.
+The fifteen columns have rank twelve: three combinations of coefficients are determined by their priors only.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SIZES = {  # prior standard deviations of the bias: µg, °C, min; in the order 
     "temperature_x_rate": 0.2,
     "temperature_x_gradient": 0.5,
 }
-TENTH = 0.1  # of these the sizes of the scale factor's, ppm
+TENTH = 0.1  # ratio of the scale factor's sizes, ppm, to these
 CONSTANT = {"bias": 2e4, "scale": 5e3}
 
 

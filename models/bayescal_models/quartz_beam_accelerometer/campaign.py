@@ -1,4 +1,4 @@
-"""The plan of a test: soaked four-position tumbles, and continuous ramps at several attitudes.
+"""Plan of a test: soaked four-position tumbles, and continuous ramps at several attitudes.
 
     Campaign()                                    # both kinds, −40 … +70 °C
     Campaign(attitudes=())                        # soaked points alone

@@ -13,17 +13,17 @@ Both b and κ are, after source 2, sums of 15 columns (its `b_com = b0 − [ …
         + ċ1·dt1/dt + ċ2·dt2/dt + c×rate·t2·dt2/dt + c×grad·t2·δt
 
 with t1 and t2 about one T0 (mean of t2, rounded, stored with the calibration as temperature_head_0). The
-columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad leave no trace in any readings; all
-15 are kept, their priors hold these three, and every calibration names them. On soaked points the rank is 4.
+columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad are not identified by any readings; all
+15 are kept, their priors determine these three, and every calibration reports them. On soaked points the rank is 4.
 
-*Baseline*: a constant and a cubic of the head's temperature for b and for κ, which is what a soaked four-position
-tumble can tell (rank 4); what ramps show beyond it is for `discover` to find, or for the structure "two
-thermometers" to hold all at once. What stands in brackets above, and `frequency_sum`, belong to the
+*Baseline*: a constant and a cubic of the head's temperature for b and for κ, which a soaked four-position tumble
+determines (rank 4); further effects on ramps are found by `discover`, or included all at once by the structure
+"two thermometers". The bracket above and `frequency_sum` belong to the
 document's other methods: polynomials of t1 of order 1, 3 and 5; t1 with its rate and their product; the sum of the
-beams' frequencies. `*.constant_circuit` stands in structures alone: beside `*.constant_head` it measures nothing.
+beams' frequencies. `*.constant_circuit` is used in structures only: with `*.constant_head` it is not identified.
 
-Noise: white, of unknown size. Sizes are prior standard deviations for a first calibration, ours where no source is
-named; a user replaces them with data-sheet values.
+Noise: white, of unknown size. Sizes are prior standard deviations for a first calibration, ours if no source is
+named; replace them by data-sheet values.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
 
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
-SLIP = 1.0  # °C, width of the play
+SLIP = 1.0  # °C, half width of the backlash
 
 
 def _response(slots, r):
@@ -51,7 +51,7 @@ def _response(slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * (PER_G * a) ** 2
 
 
-# Bases: t1 and t2 from T0, their difference, the temperature that the beams show, °C; and how a joint slips.
+# Bases: t1 − T0, t2 − T0, their difference, the temperature indicated by the beams, °C; and backlash of a joint.
 
 
 def circuit(r: bc.Frame) -> Any:
@@ -91,7 +91,7 @@ def _times_gradient(of: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
 
 
 def _slipped(r: bc.Frame) -> Any:
-    """Return (t2 − seat)/width, the seat dragged along within ±width, reset in each run: from −1 to 1."""
+    """Return the backlash (play) operator (t2 − seat)/width, −1 … 1, reset in each run."""
     temperature = r["temperature_head"][r.order]
     begins = r.step < 0
 
@@ -111,7 +111,7 @@ BySlot = dict[str, Maker]
 
 
 def _either(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> BySlot:
-    """Return the makers of an effect on the bias and on the scale factor, which only an acceleration shows."""
+    """Return the factories of an effect on the bias and on the scale factor, which needs an acceleration."""
     needed = {"bias": columns, "scale": (*columns, "acceleration")}
     return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in needed.items()}
 
@@ -169,11 +169,11 @@ SLIPPING = _either(
     kind="hysteresis",
 )
 
-# Rows of both slots: cause, family, size for the bias, µg, what that is per, and the source where it is another. For
-# the scale factor a tenth, ppm, but for the constants.
+# Rows of both slots: cause, family, size for the bias, µg, divisor of its unit, and the source if another. The sizes of
+# the scale factor are a tenth, ppm, except the constants.
 SHARE, OURS = 0.1, "ours"
 CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
-# The body of the head is one for both slots, and a form of the bias's lag.
+# The body of the head is common to both slots, and a form of the bias's lag.
 LAGGING = {"bias": _lagging(20.0, "ug"), "scale": _lagging(20.0 * SHARE, "ppm", bodies={})}
 OF_CIRCUIT = (
     ("temperature_circuit", _t1(1), 50.0, "/degC"),
@@ -198,7 +198,7 @@ PRODUCTS = (
     ("temperature_x_rate", _by_rate(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
     ("temperature_x_gradient", _by_gradient(head, "t2"), 0.5, "/degC^2"),
 )
-PRODUCTS_OF_CIRCUIT = (  # the document leaves open which thermometer t is
+PRODUCTS_OF_CIRCUIT = (  # the document does not say which thermometer t is
     ("temperature_x_rate_circuit", _by_rate(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
     ("temperature_x_gradient_circuit", _by_gradient(circuit, "t1"), 0.5, "/degC^2"),
 )
@@ -232,7 +232,7 @@ EFFECTS = EffectTable.of(
     candidates=(
         *_both(*OF_CIRCUIT[:3], *BETWEEN, *PRODUCTS, *OTHERS),
         ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size ours"),
-        # The document's products with a rate and a gradient are a lag that grows with the temperature.
+        # The document's products with a rate and a gradient are a lag that grows with temperature.
         *catalogue.recorded(
             *("bias", "ug"),
             size=400.0,

@@ -1,4 +1,4 @@
-"""Columns of a simulated campaign, with effects hidden in it: the device itself, and one physical law per cause.
+"""Simulator of a campaign with hidden effects: the device, and one physical law per cause.
 
 Two devices. `cubic`: bias and scale factor follow the head's temperature by a cubic, exactly. `beams`: two quartz
 beams pulled and pushed by the proof mass, of frequency `F·(1 + α·ΔT + β·ΔT² + γ·ΔT³)` each, with slightly unlike
@@ -6,8 +6,8 @@ coefficients and lags behind the head; the difference of their frequencies carri
 thermometer. To it come the oscillator circuit's phase, the stress of an uneven temperature, which grows with
 temperature, and the softening of a glued joint. None of these is a polynomial in what the thermometers read.
 
-A law gives what one unit of the effect does, step by step of the world; the same laws act on bias (µg) and scale
-factor (ppm). They work on the world's own temperatures and heat flows, not on the columns of a fitted model's bases.
+A law returns the contribution of one unit of the effect at each simulation step, to the bias (µg) or scale factor
+(ppm). Laws use the true temperatures and heat flows, not the columns of a fitted model's bases.
 
 Source: source 2 (differential beams, thermometers, dependence on gradient and rate); numbers ours.
 """
@@ -34,8 +34,8 @@ BEAM_TIME = 90.0  # s, of the beams behind the head's thermometer
 LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative
 KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
-LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
-BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
+LEAKAGE = 80.0  # °C, over which leakage currents increase by the factor e; ours
+BOW = 60.0  # °C, gradient at which a bowed plate stiffens; ours
 WANDER_TIME, LAG_TIME = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
@@ -56,7 +56,7 @@ CUBIC: Mapping[str, float] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Truth:
-    """What the device does, reading by reading (n,): bias in µg, relative scale factor in ppm, sum in Hz."""
+    """True values of the device at each reading (n,): bias in µg, relative scale factor in ppm, sum in Hz."""
 
     bias: Array
     scale: Array
@@ -67,7 +67,7 @@ def truth(world: World, coefficients: Mapping[str, float]) -> Truth:
     """Return bias, scale factor and frequency sum of the test's device.
 
     Args:
-        coefficients: of the cubic device; the beams have none of these.
+        coefficients: coefficients of the cubic device; not used for "beams".
     """
     if world.plan.device == "beams":
         return _beams(world)
@@ -140,7 +140,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "temperature_circuit_cubic": _leakages,
         # heat flowing from circuit to head strains the mount
         "gradient": lambda w: w.uneven,
-        # an unevenly warm plate bows, whichever side is warmer, and stiffens as it does
+        # an unevenly warm plate bows, whichever side is warmer, and stiffens
         "gradient_quadratic": lambda w: 2.0 * BOW**2 * (np.sqrt(1.0 + (w.uneven / BOW) ** 2) - 1.0),
         "gradient_cubic": lambda w: w.uneven**3 / (1.0 + (w.uneven / BOW) ** 2),
         # the heat that flows into the circuit board strains it: its true heating rate, °C/min
@@ -149,16 +149,16 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         # strain by heat flow, through a mismatch of expansions that grows with temperature
         "temperature_x_rate": lambda w: (w.head - w.plan.T0) * w.head_rate,
         "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.uneven,
-        # the resonators are not at the temperature of the head's thermometer
+        # the resonators lag behind the head's thermometer
         "thermal_lag": lambda w: w.body(w.head, LAG_TIME) - w.head,
         "hysteresis": lambda w: simulated.sticking(w.head),
-        # the oscillators are off when cold and right when they have warmed
+        # the error of the oscillators decays with warm-up
         "warm_up": lambda w: 1.0 - w.warmth,
         # ageing, logarithmic in time, one over the whole test
         "drift": lambda w: np.log2(1.0 + w.time / w.time[-1]),
     }
 )
-"""Every cause that can be hidden in bias or scale factor, beside chance."""
+"""All causes that can be hidden in bias or scale factor, except random ones."""
 
 OF_BIAS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
     {
@@ -166,7 +166,7 @@ OF_BIAS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "bias.temperature_x_supply": lambda w: (w.head - w.plan.T0) * (w.supply - simulated.SUPPLY),
     }
 )
-"""What the supply does, to the bias alone."""
+"""Effects of the supply, on the bias only."""
 
 CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingProxyType(
     {
@@ -176,7 +176,7 @@ CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingPro
         "cell": lambda w, chance: np.where(w.cell >= 0, chance["cell"][np.maximum(w.cell, 0)], 0.0),
     }
 )
-"""What is there by chance: of each reading, in standard deviations."""
+"""Random effects at each reading, in standard deviations."""
 
 
 def simulated_columns(
@@ -190,11 +190,11 @@ def simulated_columns(
         effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
             deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
             T0 = `campaign.T0`) may be replaced by name.
-        seed: of every random number.
+        seed: seed of the random-number generator.
         campaign: plan of the test.
 
     Raises:
-        ValueError: no law for an effect of that name, or a size that is no number.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     world, true = _true(World(campaign), effects, seed)

@@ -1,9 +1,9 @@
-"""The coupled thermal world: a chamber drives circuit and head, and the powered circuit heats itself and the head.
+"""Coupled thermal model: a chamber drives circuit and head, and the powered circuit heats itself and the head.
 
     τ_c·dTc/dt = T_air + h·p(t) − Tc          p = 1 with power, else 0
     τ_h·dTh/dt = (1−k)·T_air + k·Tc − Th
 
-so that both thermometers, their rates and their difference hang together, as they do in a sensor.
+so that both thermometers, their rates and their difference are correlated, as in a sensor.
 Source: structure from source 2's two thermometers; equations and numbers ours.
 """
 
@@ -17,24 +17,24 @@ from bayescal_models.simulated import SUPPLY, Clock
 CIRCUIT_TIME, HEAD_TIME = 300.0, 720.0  # s
 POSITION_TIME = 180.0  # s, from position to position
 ROOM = 25.0  # °C, at power-on
-COUPLING = 0.15  # share of the head's surroundings that is the circuit, the rest being air
-SELF_HEATING = 4.0  # °C, by which the powered circuit ends up warmer than its surroundings
+COUPLING = 0.15  # thermal coupling of the head to the circuit; the remainder is to air
+SELF_HEATING = 4.0  # °C, final temperature rise of the powered circuit
 WARM_UP_TIME = 900.0  # s
 
 
 class World(Clock):
-    """A test step by step on the grid (m,), and the readings taken of it (n,).
+    """Conditions of a test at simulation steps (m,), and at the readings (n,).
 
     Attributes:
-        plan: of the test.
+        plan: plan of the test.
         circuit, head: temperatures, °C; `uneven` is circuit less head.
         circuit_rate, head_rate: true heating rates, °C/min.
-        supply: voltage of the supply, V; nominal until it is said to wander.
-        warmth: share of the warm-up reached, 0 cold … 1 warm.
-        run: of each reading, counted from 0.
-        point: soak temperature of each reading, °C, not a number on ramps.
+        supply: supply voltage, V; nominal unless replaced by a varying one.
+        warmth: fraction of the warm-up reached, 0 cold … 1 warm.
+        run: run of each reading, counted from 0.
+        point: soak temperature of each reading, °C, NaN on ramps.
         cell: number of each reading's cell (run and soak temperature), −1 on ramps.
-        acceleration: of each reading, g.
+        acceleration: acceleration at each reading, g.
     """
 
     step = GRID
@@ -68,7 +68,7 @@ class World(Clock):
 
 
 class _CarriedOut:
-    """A campaign gone through: knots of the set point, when power was on, and when what was read; times in s."""
+    """Schedule of a campaign: knots of the set point, times of power, and readings; times in s."""
 
     def __init__(self, plan: Campaign) -> None:
         self.plan, self.now, self.here = plan, 0.0, ROOM

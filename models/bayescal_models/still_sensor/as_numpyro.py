@@ -1,4 +1,4 @@
-"""Any sensor at rest, a line over temperature: the model whole, in NumPyro.
+"""Self-contained NumPyro model of any sensor at rest, linear in temperature.
 
 What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 

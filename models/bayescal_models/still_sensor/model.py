@@ -1,26 +1,26 @@
-"""Any sensor at rest: one output, temperature and time, so that any logged channel can be tried.
+"""Any sensor at rest: one output, temperature and time, for any logged channel.
 
     bayescal calibrate imu.csv --instrument still_sensor --columns output=acc_x
         --unit acc_x=m/s^2 --columns time=t_s --unit t_s=s --unit temperature=degC
 
-Measurement equation, the output in whatever it is logged in (kept in µg, °/s, rad, °C, s, or base
+Measurement equation, with the output in its logged unit (stored in µg, °/s, rad, °C, s, or base
 units):
 
     output = bias
 
 One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line; the constant alone
-where the temperature was not recorded, or did not change by a tenth of a degree.
-The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown
+if the temperature was not recorded, or varied by less than a tenth of a degree.
+The true input is assumed constant: all changes are attributed to the sensor. Noise: white, of unknown
 size.
 
-Such a channel has no data sheet, so the plausible sizes are parts of what the record itself shows:
+Such a channel has no data sheet, so the plausible sizes are estimated from the record itself:
 an empirical choice, which uses the readings twice, though only for their orders of magnitude. Five
-settings hold them: the output's *unit*; half of its range, a hundredth of the readings left out,
+settings define them: the output's *unit*; half of its range, without the outer hundredth of readings,
 *size*; the prior standard deviation of the constant, √(median² + (10·size)²); half the range of the
 temperature, *span*; and the mean of |dT/dt| from minute to minute, *pace*.
 
-`INSTRUMENT` itself states sizes in parts of them (size 1, span 1 °C, pace 1 °C/min), and
-`INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. Where the sizes are
+`INSTRUMENT` itself has relative sizes (size 1, span 1 °C, pace 1 °C/min), and
+`INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. If the sizes are
 known, give them: `instrument("ug", size=300.0, constant=2000.0, span=40.0, pace=3.0)`.
 """
 
@@ -39,7 +39,7 @@ from bayescal_models.still_sensor import COLUMNS
 from bayescal_models.still_sensor.simulator import simulated_columns
 
 SETTINGS = {"unit", "size", "constant", "span", "pace"}
-LEAST_TEMPERATURE_RANGE = 0.1  # °C: what a good chamber holds: no temperature model is seen in less
+LEAST_TEMPERATURE_RANGE = 0.1  # °C, stability of a good chamber: no effect is seen in less
 
 
 def _at_rest(slots, r):
@@ -66,14 +66,14 @@ def instrument(
     """Build a sensor at rest with these plausible sizes.
 
     Args:
-        unit: of the output, such as "ug", "deg/s" or "V".
-        size: how much the output plausibly changes over the record, in `unit`.
+        unit: unit of the output, such as "ug", "deg/s" or "V".
+        size: plausible change of the output over the record, in `unit`.
         constant: prior standard deviation of its constant, in `unit`; 10·size if not given.
-        span: half the range of the temperature, °C; 0 where it does not change, or was not recorded.
+        span: half the range of the temperature, °C; 0 if it does not change, or was not recorded.
         pace: plausible rate of the temperature, °C/min.
 
     Raises:
-        InputError: a size is not positive, or the unit is none.
+        InputError: a size is not positive, or the unit is unknown.
     """
     constant = 10 * size if constant is None else constant
     settings = {"size": size, "constant": constant, "span": span, "pace": pace}
@@ -107,14 +107,14 @@ def instrument(
 
 
 def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
-    """Build a sensor at rest in the unit of these readings, with plausible sizes from them.
+    """Build a sensor at rest in the unit of these readings, with plausible sizes estimated from them.
 
     Args:
-        readings: of any channel.
-        settings: of `instrument`, not to be taken from the readings.
+        readings: readings of any channel.
+        settings: settings of `instrument` that replace estimates.
 
     Raises:
-        InputError: the output does not change, or its square is no number, so that no size can be taken from it.
+        InputError: the output does not change, or its square overflows, so that no size can be estimated.
     """
     if set(settings) == SETTINGS:
         return instrument(**settings)
@@ -122,10 +122,10 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     middle = float(np.median(output))
     low, high = np.quantile(output, [0.005, 0.995])
     size = settings.get("size") or 0.5 * float(high - low) or 0.5 * float(np.ptp(output))
-    if not 1e-150 < size < 1e150:  # whose squares are numbers
+    if not 1e-150 < size < 1e150:  # whose squares are finite
         column = next((s.output for s in readings.sources if s.output), "output")
         about = f"{middle:g} within ±{size:.3g}" if size > 0 else f"{middle:g} throughout"
-        text = f"{readings.file}, column {column!r}: reads {about}, so no size can be taken from it"
+        text = f"{readings.file}, column {column!r}: is {about}, so that no size can be estimated"
         raise bc.InputError(f"{text}: choose another channel")
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
     sizes = {

@@ -1,4 +1,4 @@
-"""The reference problem of a record on ramps; what one is for stands in `bayescal_models`."""
+"""The reference problem of a record on ramps, as described in `bayescal_models`."""
 
 from __future__ import annotations
 

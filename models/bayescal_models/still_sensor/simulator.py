@@ -1,7 +1,7 @@
-"""Columns of simulated records of a sensor at rest on temperature ramps, with effects hidden in them.
+"""Simulator of records of a sensor at rest on temperature ramps, with hidden effects.
 
-The world is made second by second and logged every ten; effects are laws of the true temperature and
-its true rate (the catalogue's rate is an estimate from the readings before).
+The test is simulated second by second and logged every ten; effects are laws of the true temperature and
+its true rate (the catalogue's rate is an estimate from the preceding readings).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ NOISE = 20.0  # standard deviation of white noise, and of the wander beside it, 
 
 
 class World:
-    """The true temperature second by second, of a chamber whose air follows its ramps with a lag.
+    """True conditions second by second, in a chamber whose air follows its ramps with a lag.
 
     Attributes:
-        second: within a run, s, (m,).
-        ambient: T, °C, (m,): every run is gone through alike.
-        departure: T − T0, °C, T0 the mean of all rounded to 1 °C.
-        start: of each run, s, (runs, 1).
+        second: time within a run, s, (m,).
+        ambient: T, °C, (m,), the same in every run.
+        departure: T − T0, °C, T0 the mean rounded to 1 °C.
+        start: start of each run, s, (runs, 1).
         turn_on: one standard normal number for each run, (runs, 1).
         supply: voltage of the supply, V, (runs, m).
     """
@@ -82,7 +82,7 @@ _LAWS: dict[str, Callable[[World], np.ndarray]] = {
     "bias.thermal_lag": lambda w: w.behind,
     "bias.thermal_lag_slow": lambda w: w.body(w.ambient, SLOW_TIME) - w.ambient,
     "bias.temperature_x_lag": lambda w: w.departure * w.behind,
-    # the sign of the rate, which takes its time to turn
+    # the sign of the rate, with a lag
     "bias.hysteresis": lambda w: w.body(np.sign(w.rate), REVERSAL_TIME),
     "bias.warm_up": lambda w: np.exp(-w.second / WARM_UP_TIME),
     "bias.drift": lambda w: w.progress,
@@ -108,9 +108,9 @@ def simulated_columns(
             there (2000 and 40 per °C) unless given otherwise.
         seed: seed of every random number.
         unit: of the output; sizes and noise (20) are in it.
-        runs: how many times the ramps are gone through, an hour apart.
-        interval: between readings, s.
-        noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, beside white noise).
+        runs: number of repetitions of the ramps, an hour apart.
+        interval: time between readings, s.
+        noise_law: "white" or "ornstein_uhlenbeck" (correlation time 300 s, plus white noise).
 
     Raises:
         ValueError: an unknown effect or noise law.

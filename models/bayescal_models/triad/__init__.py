@@ -1,1 +1,1 @@
-"""What the instruments of three axes share: the equation, its slots, effects on families of them, and poses."""
+"""Common parts of three-axis instruments: the equation, its slots, effects on several axes, and poses."""

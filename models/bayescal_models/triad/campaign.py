@@ -1,4 +1,4 @@
-"""A plan of poses, and the triad that is put into them."""
+"""Plan of poses of a triad."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayescal_models.simulated import refuse_unknown
 
 KINDS = ("random", "six", "twelve", "planar", "level")  # of poses
 
-# Of two sessions over temperature in directions known to 0.5 mrad.
+# Two sessions over temperature in directions known to 0.5 mrad.
 TWO_SESSIONS: dict[str, Any] = {
     "poses": 14,
     "temperatures": (-20.0, 0.0, 25.0, 50.0, 70.0),
@@ -20,18 +20,18 @@ TWO_SESSIONS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Campaign:
-    """Poses at rest, at one temperature after the other.
+    """Poses at rest, at successive temperatures.
 
     Attributes:
-        poses: at each temperature.
-        kind: which: "random", "six", "twelve", "planar" or "level" (within 10°).
+        poses: number of poses at each temperature.
+        kind: kind of directions: "random", "six", "twelve", "planar" or "level" (within 10°).
         temperatures: °C.
         noise: standard deviation of an averaged output, in the output's unit.
-        magnitude: of what acts, in that unit.
-        pose_uncertainty: standard uncertainty of a known direction about each cross axis, rad; None where directions
+        magnitude: magnitude of the input, in that unit.
+        pose_uncertainty: standard uncertainty of a known direction about each cross axis, rad; None if directions
             are unknown.
-        interval: between poses, s.
-        runs: sessions, through all of it each.
+        interval: time between poses, s.
+        runs: number of sessions, each the whole plan.
 
     Raises:
         ValueError: an unknown kind.

@@ -1,4 +1,4 @@
-"""Columns of the instruments of three axes: of a session, of three components, and of the readings made of them."""
+"""Columns of three-axis instruments: of a session, of three components, and of computed readings."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def three(
     """Declare a column for each component.
 
     Args:
-        name: before the axis, as in `output_x`.
-        unit: of all three.
-        words: what they are, `{axis}` for the axis.
+        name: name before the axis, as in `output_x`.
+        unit: unit of all three.
+        words: description, with `{axis}` for the axis.
         also: other names, likewise.
-        more: of `bc.Column`.
+        options: options of `bc.Column`.
     """
     return tuple(
         bc.Column(
@@ -53,7 +53,7 @@ def derived(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, 
 
 
 def made_in_moves(unit: str) -> tuple[bc.Column, ...]:
-    """Declare the columns of a mean over a move, along a direction that turns with the unit."""
+    """Declare the columns of a mean output over a move, along a direction fixed in the unit."""
     return (
         *(
             bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)

@@ -1,4 +1,4 @@
-"""The output of three axes, each a polynomial of what acts.
+"""Outputs of three axes, each a polynomial of the input.
 
     y_a = f_a + b_a + Σ_j G_aj·f_j + Q_a·f_a² + Σ_{i<j} C_aij·f_i·f_j + R_a·f_a³
 
@@ -17,7 +17,7 @@ from bayescal import xp
 AXES = ("x", "y", "z")
 BIAS = tuple(f"bias_{a}" for a in AXES)
 SCALE = tuple(f"scale_{a}" for a in AXES)
-# Of the first axis toward the second.
+# Angles of the first axis toward the second.
 UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
 FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
@@ -27,7 +27,7 @@ CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
 def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
-    """Return the slots of three axes whose outputs are in `unit`; `acts` describes the input, in words."""
+    """Return the slots of three axes whose outputs are in `unit`; `acts` describes the input."""
     return (
         *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {acts}") for name in BIAS),
         *(
@@ -42,7 +42,7 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
 
 
 def higher_order(unit: str) -> tuple[bc.Slot, ...]:
-    """Return further slots, of terms of second and third order."""
+    """Return the slots of second- and third-order terms."""
     return (
         *(
             bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")

@@ -1,6 +1,6 @@
 """Families of three axes: one effect on several slots, a coefficient for each axis or pair of axes.
 
-They are those of the catalogue; what lags has one time for all slots, dies that follow the thermometer late.
+They are those of the catalogue; a lag has one time constant for all slots (dies that lag behind the thermometer).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:
-    """Return why a rotation of the triad moves no reading; None if it does."""
+    """Return the reason why a rotation of the triad is not identified; None if it is."""
     return (
         None
         if readings.has("across_x")

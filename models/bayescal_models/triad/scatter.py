@@ -1,8 +1,8 @@
-"""Prior of the scatter of poses: as large again as the noise seen at rest.
+"""Prior of the scatter of poses, equal to the noise observed at rest.
 
-Six positions off their axes determine six coefficients and nothing of the noise, so that its prior decides. Without a
-stated uncertainty that is an order of magnitude or two, and a bias known to 0.2 mg is stated as ±3 mg. Blocks at rest
-have shown the sensor's own noise; what they cannot show (temperature from pose to pose, its own drift) is of its order.
+Six positions near the axes determine six coefficients but not the noise, which its prior then determines. Without a
+stated uncertainty that prior covers one or two orders of magnitude, and a bias known to 0.2 mg is reported as ±3 mg.
+Blocks at rest show the sensor's noise; variations between poses (temperature, drift) are of the same order.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 import bayescal as bc
 
-# Of readings of poses, and which of a pose they are.
+# Columns: uncertainty of a pose's reading, and kind of reading.
 UNCERTAINTY, WHICH = "output_uncertainty", "axis"
 LOG_SD = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95 %, so that readings soon decide
 
@@ -24,9 +24,9 @@ def with_scatter(
     """Return the instrument with a noise prior as large as the poses' stated uncertainties, if all state one.
 
     Args:
-        instrument: of three axes.
-        readings: poses.
-        scatter: what is believed beforehand, in the outputs' unit; None: root mean square of what the poses state.
+        instrument: three-axis instrument.
+        readings: readings of poses.
+        scatter: prior median, in the outputs' unit; None: root mean square of the poses' stated uncertainties.
     """
     if scatter is None:
         stated = _stated(readings)
@@ -38,7 +38,7 @@ def with_scatter(
 
 
 def _stated(readings: bc.Measurements | None) -> np.ndarray:
-    """Return the stated uncertainties of outputs along the input; across it a direction's uncertainty counts too."""
+    """Return the stated uncertainties of magnitude readings; projections include the direction's uncertainty."""
     if readings is None or not readings.has(UNCERTAINTY):
         return np.zeros(0)
     along = readings[WHICH] == "magnitude" if readings.has(WHICH) else slice(None)

@@ -1,7 +1,7 @@
-"""Poses of a simulated campaign: three dies, each with its own input axis, in poses at rest.
+"""Simulator of three dies, each with its own input axis, in poses at rest.
 
-An axis feels the specific force along its own direction, a row of the sensor's matrix; quadratic terms are those of its
-own equation. All of it is computed pose by pose in NumPy, independently of the instrument's equation.
+An axis senses the specific force along its own direction, a row of the sensor's matrix; quadratic terms are those of
+its equation. Everything is computed pose by pose in NumPy, independently of the instrument's equation.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from bayescal_models.simulated import refuse
 from bayescal_models.triad.campaign import Campaign
 
-BODY = 200.0  # s
-REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
-# A hidden effect of size c comes at these multiples of it on the members of its family.
+BODY = 200.0  # s, time constant of the dies
+REFERENCE = 25.0  # °C, reference temperature of bias, scale and misalignment
+# Factors of a hidden effect's size for the members of its family.
 SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
 PAIRS = ((0, 1), (0, 2), (1, 2))
 OFF_DIAGONAL = (*PAIRS, (1, 0), (2, 0), (2, 1))
-# Laws, and how many coefficients each has.
+# Effects, and their numbers of coefficients.
 COUNTS = {
     **dict.fromkeys(("bias.constant", "bias.temperature", "bias.temperature_quadratic"), 3),
     **dict.fromkeys(("bias.thermal_lag", "bias.drift", "bias.run"), 3),
@@ -40,18 +40,18 @@ def members_of(
     """Return sizes of the members of every family, by canonical name.
 
     Args:
-        effects: canonical name → size, of which the members come at their own `SHARES`; or one for each member.
-        counts: how many members each family has; the others are zero.
-        baseline: what is there unless effects say otherwise.
-        known: effects that can be given; all that have a count if not given.
+        effects: canonical name → size, multiplied by `SHARES` for the members; or one for each member.
+        counts: number of members of each family; others are zero.
+        baseline: baseline effects, present unless overridden.
+        names: effects that can be given; all of `counts` if not given.
 
     Raises:
-        ValueError: an unknown effect, or a size that is no number.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     requested, names = dict(effects or {}), counts if names is None else names
     for name, size in requested.items():
-        refuse(name not in names, f"no law for {name}: choose among {', '.join(names)}")
-        refuse(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is no number")
+        refuse(name not in names, f"no effect {name}: choose among {', '.join(names)}")
+        refuse(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is not finite")
     sizes = {name: np.zeros(count) for name, count in counts.items()}
     sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
     for name, size in requested.items():
@@ -94,10 +94,10 @@ def simulator_of(
     """Build a simulator of poses.
 
     Args:
-        baseline: what is there unless effects say otherwise, by its canonical name: sizes of its three members.
-        known: effects of the instrument.
-        small: output units in the unit of biases and terms of second order, such as 10⁻³ for mg.
-        plan: kind of its campaigns, which without options is the default.
+        baseline: baseline effects, present unless overridden, by its canonical name: sizes of its three members.
+        names: effects of the instrument.
+        small: unit of biases and second-order terms in output units, such as 10⁻³ for mg.
+        plan: class of its campaigns; an instance without options is the default.
     """
 
     def simulated_columns(
@@ -106,13 +106,13 @@ def simulator_of(
         """Simulate columns of poses with hidden effects, by name.
 
         Args:
-            effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at
-                their own `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
-            seed: of every random number.
+            effects: canonical name → true size, in the unit of the effect's coefficients, multiplied by
+                `SHARES` for its members; bias, scale and misalignment are present unless given.
+            seed: seed of the random-number generator.
             campaign: the poses; random ones if not given.
 
         Raises:
-            ValueError: an unknown effect, or a size that is no number.
+            ValueError: an unknown effect, or a size that is not a finite number.
         """
         sizes = members_of(effects, COUNTS, baseline, names)
         return _poses(sizes, small, seed, campaign or plan())
@@ -161,7 +161,7 @@ def _poses(
 
 
 def lag_of(temperature: np.ndarray, run: np.ndarray, pause: np.ndarray) -> np.ndarray:
-    """Return the lag of the dies behind the thermometer, °C, with time constant `BODY`; zero when each run begins.
+    """Return the lag of the dies behind the thermometer, °C, with time constant `BODY`; zero at the start of each run.
 
     Args:
         temperature, run, pause: of each reading, °C, from 0, and s since the reading before.
@@ -179,8 +179,8 @@ def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
     Args:
         kind: "random" over the sphere; "six" each axis up and down, in turn; "twelve" halfway between two axes, in
             turn; "planar" at random angles about the y axis; "level" within 10° of z up.
-        count: of poses.
-        rng: of every random number.
+        count: number of poses.
+        rng: random-number generator.
     """
     if kind == "random":
         vectors = rng.standard_normal((count, 3))

@@ -1,11 +1,11 @@
-"""The two criteria by which a pair is judged, and the document's estimator of the environment ratio.
+"""The two criteria of a pair, and the document's estimator of the environment ratio.
 
 Ratio variance (source 3, step 1): records are fitted by y = Σ c_i·t^i, i = 0 … 3, t from the start of the record in
 parts of its length, not centred; a pair's ratios are c_i(outer)/c_i(inner), and their variance over i is to be least.
 The degree is ours (the source leaves n open).
 
-Residual (ours, physical): rms over the record of [env1 − λbd·env2]/(λ1 + λbd·λ2), what the pair's measurement leaves
-of the environment, with λbd as calibrated.
+Residual (ours, physical): rms over the record of [env1 − λbd·env2]/(λ1 + λbd·λ2), the residual environment of the
+pair's measurement, with the calibrated λbd.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ def polynomial(time: Array, records: Array) -> Array:
 
 
 def ratio_variance(coefficients: Array, outer: int) -> Array:
-    """Return the variance over the orders of c_i(outer)/c_i(inner).
+    """Return the variance of c_i(outer)/c_i(inner) over the powers i of time.
 
     Args:
-        coefficients: of each device, outer first, (…, K, 4).
+        coefficients: c_i of each device, outer first, (…, K, 4).
         outer: number of outer devices.
 
     Returns:
@@ -42,10 +42,10 @@ def ratio_variance(coefficients: Array, outer: int) -> Array:
 
 
 def residual(environment: Array, scale: Array, ratio: Array) -> Array:
-    """Return the rms of the environment left by differencing, over the record, µg.
+    """Return the rms residual environment of differencing, over the record, µg.
 
     Args:
-        environment: of each device, outer first, µg, (…, K, T).
+        environment: environment of each device, outer first, µg, (…, K, T).
         scale: 1 + κ, (…, K).
         ratio: λbd of each pair, (outer, inner).
 
@@ -64,7 +64,7 @@ def residual(environment: Array, scale: Array, ratio: Array) -> Array:
 def document_ratio(removed: Array, outer: int) -> Array:
     """Return Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) over the record (source 3, step 2), (outer, inner).
 
-    It needs a Σu away from zero, and takes whatever offset is left in the records for environment.
+    It is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
     """
     total = removed.sum(axis=-1)
     return total[:outer, None] / total[None, outer:]

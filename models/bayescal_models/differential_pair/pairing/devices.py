@@ -32,20 +32,20 @@ class Devices:
     """Joint draws of every device, outer ones first.
 
     Attributes:
-        names: of the devices, (K,).
+        names: names of the devices, (K,).
         outer: number of outer devices.
-        time: of the readings, s, (T,).
+        time: times of the readings, s, (T,).
         scale: 1 + κ, (d, K).
         sensitivity: λd, (d, K).
         shared: u(t), µg, (d, T).
         environment: λd·u + v, µg, (d, K, T).
-        departure: rms that a device's own departure has in a record, µg, (d,).
+        departure: rms of a device's own departure over a record, µg, (d,).
         bias: µg, (d, K).
-        noise: of one reading, µg, (d,).
+        noise: standard deviation of one reading, µg, (d,).
         commanded: a(t), µg, (T,).
-        records: the outputs, µg, (K, T).
-        known: part of the records that is no environment and no noise, posterior mean, µg, (K, T).
-        others: effects of the model that a measurement with a pair does not allow for.
+        records: outputs, µg, (K, T).
+        known: records without environment and noise, posterior mean, µg, (K, T).
+        others: effects of the model that the equation of a pair does not contain.
     """
 
     names: tuple[str, ...]
@@ -69,17 +69,15 @@ class Devices:
         return np.where(np.arange(len(self.names)) < self.outer, 1.0, -1.0)
 
     def place(self, name: str, outer: bool) -> int:
-        """Return the position of a device by name.
+        """Return the index of a device by name.
 
         Raises:
-            InputError: there is none in that group.
+            InputError: the group has no device of that name.
         """
         group = self.names[: self.outer] if outer else self.names[self.outer :]
         if name not in group:
             side = "outer" if outer else "inner"
-            raise bc.InputError(
-                f"no {side} device is called {name!r}; there are: {', '.join(group)}"
-            )
+            raise bc.InputError(f"{name!r} is not an {side} device; these are: {', '.join(group)}")
         return self.names.index(name)
 
 
@@ -93,7 +91,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     if SHARED.name not in calibration.model.names:
         raise bc.InputError(
             f"the model has no {SHARED.name!r} (it has: {', '.join(calibration.model.names)}): pairs are chosen "
-            "by it. Fit the instrument's baseline"
+            "by that effect. Fit the instrument's baseline"
         )
     names = [str(n) for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
     samples = {n: calibration.samples(n) for n in names}
@@ -131,7 +129,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
 
 
 def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tuple[Array, Array]:
-    """Return each device's v(t), µg, (d, K, T), and its rms in a record, µg, (d,); zero in a model without."""
+    """Return each device's v(t), µg, (d, K, T), and its rms over a record, µg, (d,); zero without departures."""
     if DEPARTURE_SHARE not in samples:
         zero = np.zeros(len(samples[SENSITIVITY]))
         return zero[:, None, None], zero
@@ -142,7 +140,7 @@ def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tu
 
 @dataclass(frozen=True)
 class _Table:
-    """Records side by side: names, outer first; row of each reading (K, T); place of each device in the samples."""
+    """Records side by side: names, outer first; row of each reading (K, T); index of each device in the samples."""
 
     names: tuple[str, ...]
     outer: int
@@ -155,7 +153,7 @@ def _table(readings: bc.Measurements) -> _Table:
     """Arrange one record per device, over the same times.
 
     Raises:
-        InputError: they are not; says which.
+        InputError: the times of a device differ, or groups are missing.
     """
     names, codes = readings.groups("device")
     groups, runs = readings["group"], readings.groups("run")[0]
@@ -173,9 +171,9 @@ def _table(readings: bc.Measurements) -> _Table:
     for i, row in zip(order, rows, strict=True):
         if len(row) != len(time) or not np.allclose(readings["time"][row], time, atol=1e-3):
             raise bc.InputError(
-                f"{readings.file}, column 'time': device {names[i]!r} was read at other times than "
+                f"{readings.file}, column 'time': device {names[i]!r} has other reading times than "
                 f"{names[order[0]]!r} ({len(row)} and {len(time)} readings); devices are compared reading by "
-                "reading. Interpolate the records to common times first"
+                "reading: interpolate the records to common times"
             )
     outer = sum(side == "outer" for side in sides.values())
     return _Table(tuple(names[i] for i in order), outer, time, np.stack(rows), order=order)

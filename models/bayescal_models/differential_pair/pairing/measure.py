@@ -5,8 +5,8 @@
     devices = dp.devices_of(calibration)
     found = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
 
-λbd is the calibrated ratio, the posterior median. What it does not cancel is part of the uncertainty: the next record
-has another u and other departures, of the sizes that this one shows.
+λbd is the calibrated ratio, the posterior median. The residual environment is part of the uncertainty: the next record
+has another u and other departures, of the same sizes.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class Measured:
     """Acceleration over time with its uncertainty.
 
     Attributes:
-        acceleration: along the arm, outward, µg.
-        sd: standard uncertainty of each reading, µg: by what is unknown of scale and bias, by what differencing leaves
-            of the environment, rms over a record, and by the noise of the two readings.
-        ratio: λbd that was used.
+        acceleration: acceleration along the arm, outward, µg.
+        sd: standard uncertainty of each reading, µg: of scale and bias, of the residual environment of differencing
+            (rms over a record), and of the noise of the two readings.
+        ratio: λbd used.
     """
 
     acceleration: Array
@@ -50,17 +50,17 @@ def measure(
     Args:
         found: a calibration of a batch, or its devices.
         outer, inner: names of the two devices.
-        outer_output, inner_output: what they read at the same times, µg.
+        outer_output, inner_output: their outputs at the same times, µg.
 
     Raises:
         InputError: no such devices, outputs of unequal length, or a model with effects that the equation
-            above does not allow for.
+            above does not contain.
     """
     devices = found if isinstance(found, Devices) else devices_of(found)
     if devices.others:
         raise bc.InputError(
-            f"the model has {', '.join(devices.others)}, which depend on the acceleration or on time, and the pair's "
-            "equation has no place for them: correct the outputs first, and calibrate the baseline"
+            f"the model has {', '.join(devices.others)}, which depend on the acceleration or on time, and "
+            "the pair's equation does not contain them: correct the outputs first, and calibrate the baseline"
         )
     i, j = devices.place(outer, outer=True), devices.place(inner, outer=False)
     y1, y2 = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))

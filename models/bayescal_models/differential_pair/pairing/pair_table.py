@@ -16,20 +16,20 @@ from bayescal.workshop import as_json, plain_table
 Array = NDArray[np.float64]
 
 UNIT = "ug"
-WIDTH = 110  # columns of a sentence
+WIDTH = 110  # characters per line of a remark
 PRINTED_PAIRS = 12  # pairs in the table
-VARIES = 0.01  # relative change of the commanded acceleration, above which it is not constant
+VARIES = 0.01  # relative change above which the commanded acceleration is not constant
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """λbd = λ1d/λ2d of a pair.
+    """Environment ratio λbd = λ1d/λ2d of a pair.
 
     Attributes:
-        median, low, high: of the posterior, with the limits of its 95 % credible interval.
-        sd: of the posterior; a robust one, (q84 − q16)/2, because a ratio need not have a variance.
+        median, low, high: posterior median, and limits of the 95 % credible interval.
+        sd: robust posterior standard deviation, (q84 − q16)/2, since a ratio may have no variance.
         document: the estimator of source 3, step 2.
-        document_reliable: whether its denominator Σu is away from zero.
+        document_reliable: whether its denominator Σu differs significantly from zero.
     """
 
     median: float
@@ -45,15 +45,15 @@ class Pair:
     """An outer and an inner device.
 
     Attributes:
-        outer, inner: names.
-        probability_residual: of leaving the least residual.
-        probability_ratio_variance: of the least variance of ratios, commanded part removed.
+        outer, inner: names of the devices.
+        probability_residual: probability that the pair has the smallest residual.
+        probability_ratio_variance: probability of the smallest variance of ratios, commanded part removed.
         probability_ratio_variance_raw: the same on raw records.
-        expected_residual: posterior mean, µg.
-        expected_loss: expected residual beyond that of the best pair, µg.
-        ratio_variance, ratio_variance_raw: the document's own figures, from the records as they are.
+        expected_residual: posterior mean of the residual, µg.
+        expected_loss: expected excess of the residual over that of the best pair, µg.
+        ratio_variance, ratio_variance_raw: variances of ratios computed from the records (document).
         orders_near_zero: orders whose denominator, the inner device's coefficient, is near zero.
-        environment_ratio: λbd.
+        environment_ratio: environment ratio λbd.
     """
 
     outer: str
@@ -70,14 +70,14 @@ class Pair:
 
     @property
     def names(self) -> tuple[str, str]:
-        """Return outer and inner name."""
+        """Return the names of the outer and the inner device."""
         return self.outer, self.inner
 
     def __str__(self) -> str:
         return f"{self.outer} with {self.inner}"
 
 
-_CELLS: dict[str, Callable[[Pair], str]] = {  # of the printed table, by their heads
+_CELLS: dict[str, Callable[[Pair], str]] = {  # cells of the printed table, by column header
     "outer": lambda p: p.outer,
     "inner": lambda p: p.inner,
     "P(best)": lambda p: f"{p.probability_residual:.2f}",
@@ -92,14 +92,14 @@ _CELLS: dict[str, Callable[[Pair], str]] = {  # of the printed table, by their h
 
 @dataclass(frozen=True)
 class PairTable:
-    """Every pair, the best of them, and the best disjoint set; prints itself.
+    """Table of all pairs, the best pair, and the best disjoint set; printable.
 
     Attributes:
-        pairs: the best first, by the criterion.
-        best: outer and inner name.
+        pairs: all pairs, the best first by the criterion.
+        best: names of the outer and the inner device of the best pair.
         matching: the best set of disjoint pairs.
-        criterion: by which.
-        remarks: what to know of this choice, a sentence each.
+        criterion: name of the criterion.
+        remarks: remarks on this choice, one sentence each.
     """
 
     pairs: tuple[Pair, ...]
@@ -117,10 +117,10 @@ class PairTable:
         for pair in self.pairs:
             if (pair.outer, pair.inner) == (outer, inner):
                 return pair
-        raise bc.InputError(f"there is no pair of {outer!r} and {inner!r}")
+        raise bc.InputError(f"{outer!r} and {inner!r} are not a pair")
 
     def data(self) -> dict[str, Any]:
-        """Return the table as plain JSON."""
+        """Return the table as JSON data."""
         return {
             "criterion": self.criterion,
             "pairs": [as_json(pair) | {"unit": UNIT} for pair in self.pairs],
@@ -140,8 +140,8 @@ class PairTable:
             lines.append(f"… and {hidden} more")
         lines += [
             "",
-            "Residual and loss in µg. P(best): least residual; P(ratios): least variance of ratios, commanded part",
-            "removed; P(raw): the same on raw records.",
+            "Residual and loss in µg. Probability of P(best): the smallest residual; P(ratios): the smallest variance",
+            "of ratios, commanded part removed; P(raw): the same on raw records.",
             "",
             f"best pair by {self.criterion}: {best}, expected residual {best.expected_residual:.0f} µg, "
             f"expected loss {best.expected_loss:.0f} µg",
@@ -158,8 +158,8 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     """Return remarks on a choice of pairs, one sentence each.
 
     Args:
-        pairs: the best first.
-        commanded: acceleration, µg, (T,).
+        pairs: all pairs, the best first.
+        commanded: commanded acceleration, µg, (T,).
     """
     sentences, best = [], pairs[0]
     physical = min(pairs, key=lambda p: p.expected_residual)
@@ -167,33 +167,33 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     raw = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
     if physical.names != ratios.names:
         sentences.append(
-            f"The criteria disagree: the least residual is left by {physical} "
-            f"({physical.expected_residual:.0f} µg; best with probability {physical.probability_residual:.2f}), the "
-            f"least variance of ratios is most probably that of {ratios} ({ratios.expected_residual:.0f} µg, an "
-            f"expected loss of {ratios.expected_loss:.0f} µg). Each order has equal weight in the ratios, "
-            "even where the environment contributes little."
+            f"The criteria disagree. Smallest residual: {physical} ({physical.expected_residual:.0f} µg, "
+            f"probability {physical.probability_residual:.2f}). Smallest variance of ratios, most probably: "
+            f"{ratios} ({ratios.expected_residual:.0f} µg, expected loss {ratios.expected_loss:.0f} µg). "
+            "The variance of ratios gives every order of the polynomial equal weight, even where the "
+            "environment contributes little."
         )
     near = sorted({(p.inner, n) for p in pairs for n in p.orders_near_zero})
     if near:
         what = ", ".join(f"order {n} of {name}" for name, n in near[:4])
         others = f" and {len(near) - 4} more" if len(near) > 4 else ""
         sentences.append(
-            f"Denominators near zero: {what}{others}. Such a ratio is heavy-tailed, without a finite mean, and the "
-            "variance of ratios is then decided by that order's noise; the residual is not touched by it."
+            f"Denominators near zero: {what}{others}. Such a ratio is heavy-tailed, without a finite mean, and "
+            "dominates the variance of ratios by its noise; the residual does not depend on it."
         )
     sentences.append(
         "On raw records (P(raw)) the commanded acceleration dominates every order, so that the variance of ratios "
-        "favours insensitive pairs, whether or not they match: here "
+        "favours insensitive pairs, whether they match or not: here "
         f"{raw} ({raw.expected_residual:.0f} µg)."
     )
     if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
         sentences.append(
-            "A constant acceleration does not tell a device's scale factor from the constant part of its environment: "
+            "At constant acceleration a device's scale factor and the constant part of its environment are confounded: "
             "record steps."
         )
     if not best.environment_ratio.document_reliable:
         sentences.append(
-            f"The environment ratio of {best} by sums over the record ({best.environment_ratio.document:.3g}) is not "
-            "reliable: the sum of the environment is near zero. Use the posterior."
+            f"The environment ratio of {best} by sums over the record ({best.environment_ratio.document:.3g}) is "
+            "unreliable, because its denominator is near zero: use the posterior."
         )
     return tuple(sentences)

@@ -1,8 +1,8 @@
-"""Which outer and which inner device make the differential pair, with probabilities (source 3, step 1).
+"""Selection of the outer and inner device of a differential pair, with probabilities (source 3, step 1).
 
-Each joint draw of the calibration has a best pair under each criterion; how often a pair is the best is its
-probability of being so. The expected loss of choosing a pair is what its residual exceeds that of the best by, on
-average: physical, in µg, because the ratio criterion has no finite mean. The best set of disjoint pairs comes from
+Each joint draw of the calibration has a best pair under each criterion; the fraction of draws in which a pair is best
+is its probability. The expected loss of a pair is the mean excess of its residual over that of the best pair,
+in µg, because the ratio criterion has no finite mean. The best set of disjoint pairs comes from
 the assignment problem (scipy.optimize.linear_sum_assignment).
 """
 
@@ -23,24 +23,22 @@ from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 Array = NDArray[np.float64]
-SURE = 3.0  # standard deviations from zero, below which a ratio's denominator is said to be near it
+SURE = 3.0  # standard deviations from zero below which a ratio's denominator counts as near zero
 
 
 def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> PairTable:
-    """Judge every pair.
+    """Evaluate and rank all pairs.
 
     Args:
         found: a calibration of a batch, or its devices.
-        criterion: that orders the pairs and names the best: "residual", "ratio-variance" (of what is left when
-            the commanded part is removed), "ratio-variance-raw" (of the records as source 3 prints it).
+        criterion: criterion of the ranking: "residual", "ratio-variance" (with the commanded part removed), or
+            "ratio-variance-raw" (of the records, as in source 3).
 
     Raises:
         InputError: the readings cannot be paired, or an unknown criterion.
     """
     if criterion not in CRITERIA:
-        raise bc.InputError(
-            f"criterion {criterion!r} is not one of {', '.join(CRITERIA)}: choose one"
-        )
+        raise bc.InputError(f"criterion {criterion!r} is not one of {', '.join(CRITERIA)}")
     devices = found if isinstance(found, Devices) else devices_of(found)
     figures = judge(devices)
     places = np.ndindex(figures.residual.shape[1:])
@@ -55,13 +53,13 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
 
 
 class Figures(NamedTuple):
-    """Criteria of all pairs."""
+    """Values of the criteria for all pairs."""
 
-    # of_pair, of_ratio: figures of `Pair` and of `Ratio` by their names, (outer, inner)
+    # of_pair, of_ratio: fields of `Pair` and of `Ratio` by name, (outer, inner)
     of_pair: dict[str, Array]
     of_ratio: dict[str, Array]
     residual: Array  # draws, µg, (d, outer, inner)
-    near_zero: Array  # whether the denominator of an order is, (inner, 4)
+    near_zero: Array  # whether the denominator of an order is near zero, (inner, 4)
 
 
 def judge(devices: Devices) -> Figures:
@@ -106,7 +104,7 @@ def _near_zero(draws: Array) -> Array:
 
 
 def _share_best(values: Array) -> Array:
-    """Return the share of draws in which each pair has the least value, (outer, inner)."""
+    """Return the fraction of draws in which each pair has the smallest value, (outer, inner)."""
     count, *shape = values.shape
     least = np.argmin(values.reshape(count, -1), axis=1)
     return np.bincount(least, minlength=math.prod(shape)).reshape(shape) / count
@@ -132,7 +130,7 @@ def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
 
 
 def _matching(devices: Devices, figures: Figures, criterion: str) -> tuple[tuple[str, str], ...]:
-    """Find disjoint pairs of the least total residual, or of the greatest total probability."""
+    """Find the disjoint pairs with the smallest total residual, or the largest total probability."""
     share = figures.of_pair[f"probability_{criterion.replace('-', '_')}"]
     cost = figures.of_pair["expected_residual"] if criterion == "residual" else -share
     rows, columns = linear_sum_assignment(cost)

@@ -144,24 +144,24 @@ def has_repeated_profile(readings: Measurements, column: str) -> bool:
 
 
 def list_profile_claims(calibration: Calibration) -> list[Claim]:
-    """Return a claim where all runs have one profile and the model changes within runs."""
+    """Return a claim if all runs have one temperature profile and the model has effects of time or lag."""
     readings, model = calibration.readings, calibration.model
-    thermal = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
-    warm = [n for n in sorted(model.columns) if readings.has(n) and readings.unit(n) == "degC"]
-    warm = [n for n in warm if n != "temperature_point" and has_repeated_profile(readings, n)]
-    if not (thermal and warm):
+    effects = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
+    columns = [n for n in sorted(model.columns) if readings.has(n) and readings.unit(n) == "degC"]
+    columns = [n for n in columns if n != "temperature_point" and has_repeated_profile(readings, n)]
+    if not (effects and columns):
         return []
-    details = {"column": warm[0], "another": suggest_run(calibration, warm[:1])}
-    return [Claim("profile.one", *(e.name for e in thermal), **details)]
+    details = {"column": columns[0], "another": suggest_run(calibration, columns[:1])}
+    return [Claim("profile.one", *(e.name for e in effects), **details)]
 
 
 def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
-    """Suggest the run that would separate most: over the range of a temperature, from its other end."""
+    """Suggest the run that would separate them best: over the temperature range, from its other end."""
     column, *others = columns
     if others or column not in calibration.frame.rates:
-        return f"Vary {' and '.join(columns)} otherwise in another run."
+        return f"Vary {' and '.join(columns)} in another way in another run."
     values = calibration.readings[column]
     start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
     ends = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
     farther, nearer = (number(float(end), 3) for end in ends)
-    return f"One run of another profile would tell: from {farther} to {nearer} °C and back."
+    return f"A run of another profile would tell: from {farther} to {nearer} °C and back."
