@@ -23,7 +23,6 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._core.formatting import folded, number
 from bayescal._core.parallel import on_one_thread
-from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -70,21 +69,6 @@ class Pair:
     log_bayes_factor: float
 
 
-@renamed(wrong="is_wrong")
-@dataclass(frozen=True)
-class FixedComparison:
-    """Reference noise for the residuals of a model with fixed coefficients, output unit."""
-
-    noise: float  # standard deviation of the reference noise
-    rms: float  # root mean square of the residuals
-    free_fit: float  # noise standard deviation of the same model with free coefficients
-
-    @property
-    def is_wrong(self) -> bool:
-        """Return whether the rms is more than twice the noise of the same model with free coefficients."""
-        return self.rms > 2 * self.noise
-
-
 @dataclass(frozen=True, repr=False)
 class Check(Printed):
     """Residual checks of a model.
@@ -100,7 +84,7 @@ class Check(Printed):
         outliers: (row, leave-one-out residual in standard deviations).
         pit_p: p-value of uniform leave-one-out probability integral transforms.
         one_sided: p-value of the sign test on the tenth of the readings farthest from the model.
-        fixed: reference noise of a model with fixed coefficients; None for others.
+        free_noise: noise sd of the same model with its fixed coefficients freed, output unit; None if none is fixed.
         residuals: (n,), output unit.
     """
 
@@ -113,9 +97,14 @@ class Check(Printed):
     scatter_with: dict[str, float]
     outliers: tuple[tuple[int, float], ...]
     pit_p: float
-    fixed: FixedComparison | None
+    free_noise: float | None
     residuals: np.ndarray = field(repr=False)
     one_sided: float = 1.0
+
+    @property
+    def contradicts_fixed(self) -> bool:
+        """Return whether the rms with fixed coefficients is more than twice the noise with free ones."""
+        return self.free_noise is not None and self.rms > 2 * self.noise
 
     def _parts(self) -> list[str | ResultTable]:
         return check_parts(self)
@@ -166,8 +155,15 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
     unit, rows = unit_label(check.unit), check.data()[:max_rows]
     noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
-    if check.fixed:
-        lines += [_fixed_text(check.fixed, check.residuals, unit), ""]
+    if check.free_noise is not None:
+        r = check.residuals
+        lines += [
+            f"with the fixed coefficients: {np.sum(r > 0)} of {r.size} residuals are positive, mean {r.mean():.2f} "
+            f"({r.min():.2f} to {r.max():.2f}) {unit}, rms {check.rms:.2f}\n"
+            f"the same model with free coefficients leaves {check.free_noise:.3g} {unit}: "
+            f"the rms is {check.rms / check.noise:.1f} times that",
+            "",
+        ]
     lines.append(check_table(rows) if rows else "no covariate varies")
     strong = settings().strong_evidence
     depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
@@ -208,15 +204,6 @@ def place_in_words(row: Mapping[str, Any]) -> str:
     return f"{interval} {unit}".rstrip() + (f" in run {group}" if group else "")
 
 
-def _fixed_text(f: FixedComparison, residuals: np.ndarray, unit: str) -> str:
-    return (
-        f"with the fixed coefficients: {np.sum(residuals > 0)} of {residuals.size} residuals are positive, mean "
-        f"{residuals.mean():.2f} ({residuals.min():.2f} to {residuals.max():.2f}) {unit}, rms {f.rms:.2f}\n"
-        f"the same model with free coefficients leaves {f.free_fit:.3g} {unit}: "
-        f"the rms is {f.rms / f.noise:.1f} times that"
-    )
-
-
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates count as the same
 # Expected lag-1 autocorrelation above which the fit alone determines it, as with two readings about a free level.
 TIED_CORRELATION = 0.99
@@ -238,7 +225,7 @@ def check(calibration: Calibration) -> Check:
     With fixed coefficients the reference noise is that of the same model with free ones, as misfit inflates their own.
     """
     judged_fit, free_noise = _with_reference_noise(calibration)
-    linear, fixed = judged_fit.linear, None
+    linear = judged_fit.linear
     residuals, scores = linear.conditional_residuals, linear.scores
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residuals**2)))
     covariates = covariates_of(judged_fit)
@@ -260,8 +247,6 @@ def check(calibration: Calibration) -> Check:
         if count := int(SIGN_TEST_SHARE * len(loo_z)):  # sign test
             positive = int(np.sum(loo_z[np.argsort(-np.abs(loo_z))[:count]] > 0))
             one_sided = min(1.0, 2 * float(bdtr(min(positive, count - positive), count, 0.5)))
-    if free_noise is not None:
-        fixed = FixedComparison(noise, rms, free_noise)
     outlier_threshold = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
@@ -274,7 +259,7 @@ def check(calibration: Calibration) -> Check:
         outliers=tuple((i, z) for i, z in enumerate(loo_z.tolist()) if abs(z) > outlier_threshold),
         pit_p=_normality_p_value(loo_z),
         one_sided=one_sided,
-        fixed=fixed,
+        free_noise=free_noise,
         residuals=residuals,
     )
 

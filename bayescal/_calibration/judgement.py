@@ -96,9 +96,8 @@ def find_nonconvergence(subject: Subject) -> Iterator[Claim]:
     verdict = subject.fit.verdict
     if not verdict.ok:
         yield Claim("fit.not_converged", reasons=" ".join(verdict.reasons))
-    elif subject.check and (fixed := subject.check.fixed) and fixed.is_wrong:
-        unit = subject.check.unit
-        yield Claim("fixed.wrong", rms=fixed.rms, unit=unit, times=fixed.rms / fixed.noise)
+    elif (check := subject.check) and check.contradicts_fixed:
+        yield Claim("fixed.wrong", rms=check.rms, unit=check.unit, times=check.rms / check.noise)
 
 
 def contradicted_priors(subject: Subject) -> Iterator[Claim]:

@@ -172,9 +172,9 @@ class StepwiseSearch:
     def list_structures(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """List the structures to search beyond a fitted step."""
         self.started = time.monotonic()
-        self.steps, c, fixed = [first], first.calibration, first.check.fixed
+        self.steps, c = [first], first.calibration
         # Probabilities need a converged fit; a published calibration that fails its check is not extended by effects.
-        if not c.verdict.ok or (fixed is not None and fixed.is_wrong):
+        if not c.verdict.ok or first.check.contradicts_fixed:
             self.max_effects, widen_noise = 0, False
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
         named = [e for e in self.reconsidered if not e.is_placeholder]
