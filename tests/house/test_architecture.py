@@ -234,7 +234,7 @@ CEILINGS = {
     "bayescal/_model": 5_472,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
-    "bayescal/_calibration": 4_599,
+    "bayescal/_calibration": 4_583,
     "bayescal/_use": 2_830,
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_672,
@@ -248,7 +248,7 @@ CEILINGS = {
     "tests": 23_755,
     "benchmarks": 10_609,
 }
-WORDS = 49_300  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_291  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
