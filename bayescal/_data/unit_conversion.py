@@ -40,7 +40,6 @@ class Unit(NamedTuple):
         in_context: other spellings where a unit of its kind is expected, and unambiguous; parted by commas.
         symbol: for people, where that is not its name.
         zero: of a temperature scale, K.
-        kind: of a base unit, its quantity.
     """
 
     name: str
@@ -51,25 +50,24 @@ class Unit(NamedTuple):
     in_context: str = ""
     symbol: str = ""
     zero: float | None = None
-    kind: str = ""
 
 
 _DEGREE = math.pi / 180
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6}
 REGISTRY = (
-    Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds, Sek, Sek., Sekunden", kind="time"),
+    Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds, Sek, Sek., Sekunden"),
     Unit("ms", 1e-3, "s", also="msec"),
     Unit("us", 1e-6, "s", also="usec"),
     Unit("min", 60, "s", also="minute minutes", in_context="Min, Min., min., Minuten"),
     Unit("h", 3600, "s", also="hr hour hours", in_context="Std, Std., Stunden, heures"),
     Unit("day", 86400, "s", also="days"),
-    Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0, kind="temperature"),
+    Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0),
     Unit("degC", 1, "K", "", "celsius Celsius DegC DEGC deg_C degree_Celsius",
          "C, oC, deg C, degrees C, deg. C, celcius, Cel, Grad C, °, º, deg, degree, degrees, c", "°C", 273.15),
     Unit("delta_degC", 1, "K", also="delta_degree_Celsius", symbol="°C"),
     Unit("degF", 5 / 9, "K", "", "", "F, deg F, degrees F, fahrenheit, f", "°F", 459.67 * 5 / 9),
     Unit("delta_degF", 5 / 9, "K", symbol="°F"),
-    Unit("rad", 1, "rad", "pnum", "radian radians", kind="angle"),
+    Unit("rad", 1, "rad", "pnum", "radian radians"),
     Unit("deg", _DEGREE, "rad", "m", "degree degrees Degrees Grad", symbol="°"),
     Unit("gon", math.pi / 200, "rad"),
     Unit("arcmin", _DEGREE / 60, "rad", also="arcminutes"),
@@ -82,32 +80,32 @@ REGISTRY = (
     Unit("dps", _DEGREE, "rad/s", "m", symbol="°/s"),
     Unit("dph", _DEGREE / 3600, "rad/s", symbol="°/h"),
     Unit("rpm", math.pi / 30, "rad/s", in_context="U/min, 1/min, tr/min"),
-    Unit("ug", 1, "ug", in_context="micro_g, micro g", kind="acceleration in local g"),
+    Unit("ug", 1, "ug", in_context="micro_g, micro g"),
     Unit("g", 1e6, "ug", "nm", "", "G, gee, gn"),
     Unit("m/s^2", 0, in_context="m_s2, ms2, ms-2, ms^-2, mps2, m_per_s2, m_s_2, mss, m per s2"),
     Unit("Gal", 1e-2, "m/s**2", "u", "gal"),
     Unit("mGal", 1e-5, "m/s**2", also="mgal"),
-    Unit("m", 1, "m", "numck", kind="length"),
-    Unit("V", 1, "V", "nk", "volt volts Volt Volts VOLT VDC Vdc VAC", kind="voltage"),
+    Unit("m", 1, "m", "numck"),
+    Unit("V", 1, "V", "nk", "volt volts Volt Volts VOLT VDC Vdc VAC"),
     Unit("mV", 1e-3, "V", also="mVDC"),
     Unit("uV", 1e-6, "V", also="uVDC"),
-    Unit("Hz", 1, "Hz", "mkM", "hertz", kind="frequency"),
-    Unit("A", 1, "A", "um", kind="current"),
-    Unit("ohm", 1, "ohm", "M", "ohms Ohm Ohms OHM", kind="resistance"),
+    Unit("Hz", 1, "Hz", "mkM", "hertz"),
+    Unit("A", 1, "A", "um"),
+    Unit("ohm", 1, "ohm", "M", "ohms Ohm Ohms OHM"),
     Unit("kohm", 1e3, "ohm", also="kohms kOhm"),
-    Unit("W", 1, "W", "m", kind="power"),
-    Unit("Pa", 1, "Pa", "hk", kind="pressure"),
+    Unit("W", 1, "W", "m"),
+    Unit("Pa", 1, "Pa", "hk"),
     Unit("bar", 1e5, "Pa", "m"),
     Unit("psi", 6894.757293168361, "Pa", "k"),
     Unit("Torr", 101325 / 760, "Pa", "m", "torr"),
     Unit("mmHg", 133.322387415, "Pa"),
     Unit("inHg", 3386.389, "Pa"),
     Unit("atm", 101325, "Pa"),
-    Unit("kg", 1, "kg", kind="mass"),
+    Unit("kg", 1, "kg"),
     Unit("gram", 1e-3, "kg", "um", "grams gramme Gramm", "g"),
     Unit("tonne", 1e3, "kg", "", "tonnes"),
     Unit("lb", 0.45359237, "kg", "", "lbs lbm"),
-    Unit("N", 1, "N", "umkM", "newton newtons Newton", kind="force"),
+    Unit("N", 1, "N", "umkM", "newton newtons Newton"),
     Unit("kgf", STANDARD_GRAVITY, "N", "", "kp"),
     Unit("gf", 1e-3 * STANDARD_GRAVITY, "N"),
     Unit("lbf", 4.4482216152605, "N"),
@@ -118,18 +116,18 @@ REGISTRY = (
     Unit("L/min", 0, also="lpm LPM"),
     Unit("slm", 1e-3 / 60, "m**3/s", "", "slpm SLPM SLM"),
     Unit("sccm", 1e-6 / 60, "m**3/s", "", "SCCM"),
-    Unit("mol", 1, "mol", "num", kind="amount of substance"),
-    Unit("uT", 1, "uT", kind="magnetic flux density"),
+    Unit("mol", 1, "mol", "num"),
+    Unit("uT", 1, "uT"),
     Unit("nT", 1e-3, "uT"),
     Unit("mT", 1e3, "uT"),
     Unit("gauss", 1e2, "uT", also="Gauss", in_context="Gs"),
     Unit("mgauss", 1e-1, "uT", also="mGauss", in_context="mG"),
-    Unit("count", 1, "count", also="counts LSB lsb", kind="count"),
+    Unit("count", 1, "count", also="counts LSB lsb"),
     Unit("percent", 1e-2, symbol="%"),
     Unit("ppm", 1e-6),
     Unit("ppb", 1e-9),
 )  # fmt: skip
-BASE = {unit.name: unit.kind for unit in REGISTRY if unit.kind}
+BASE = [unit.name for unit in REGISTRY if unit.name == unit.base]
 KNOWN_UNITS = {name: (1.0, name) for name in BASE} | {
     prefix + unit.name: (_PREFIXES.get(prefix, 1.0) * unit.size, unit.base)
     for unit in REGISTRY
@@ -322,8 +320,7 @@ def convert(
     power = _power_of_gravity(old.powers, new.powers)
     if power is None:
         raise InputError(
-            f"[{from_unit}] cannot be converted to [{to_unit}]: the one is {_dimension(old)}, "
-            f"the other {_dimension(new)}. Correct the unit"
+            f"[{from_unit}] cannot be converted to [{to_unit}], a unit of another quantity: correct the unit"
         )
     if new.offset is not None and not difference:
         if old.offset is None:
@@ -531,9 +528,3 @@ def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> flo
     expected = {"m": power, "s": -2 * power, "ug": -power}
     matches = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)
     return power if matches and (not power or {"s", "ug"} <= names) else None
-
-
-def _dimension(parsed: ParsedUnit) -> str:
-    ranked = sorted(parsed.powers.items(), key=lambda item: -item[1])
-    factors = (BASE[n] if power == 1 else f"({BASE[n]})^{power:g}" for n, power in ranked)
-    return " × ".join(factors) or "a plain number"
