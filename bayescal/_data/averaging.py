@@ -8,9 +8,8 @@ from contextlib import suppress
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
-from bayescal._data.records import Records, label_codes
-from bayescal._data.unit_conversion import convert, quantity, unit_label
+from bayescal._data.column import UNCERTAINTY
+from bayescal._data.unit_conversion import convert, quantity
 
 # In usual changes of a column: a larger change is a step between two settings, over which no mean is taken.
 SET_JUMP_CHANGES = 10.0
@@ -31,62 +30,7 @@ def duration(text: str | float) -> float:
     )
 
 
-def average(
-    columns: Mapping[str, np.ndarray],
-    units: Mapping[str, str | None],
-    output: str,
-    step: str | float,
-    names: str,
-) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
-    """Average readings whose labels all agree over consecutive times, `step` (such as "1 s", or s) long.
-
-    Returns:
-        Means of numbers and labels as they were, in the order of time within runs; their units; and a flag.
-
-    Raises:
-        InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
-    """
-    seconds = duration(step)
-    if "time" not in columns:
-        raise InputError(
-            f"{names}: averaging needs the column 'time', which is not there (there are: "
-            f"{', '.join(columns)}). Name the column that holds the time, or do not average"
-        )
-    time = columns["time"]
-    label_sets = label_codes(columns, [n for n in columns if units[n] is None or n == MAY_BE_EMPTY])
-    order = np.lexsort((time, label_sets))
-    same = np.diff(label_sets[order], prepend=-1) == 0  # as the reading before, in this order
-    bins = _bins(time[order], same, seconds)
-    starts = ~same | (np.diff(bins, prepend=bins[:1]) != 0)
-    for name, unit in units.items():
-        if unit not in (None, "degC") and name not in ("time", output, UNCERTAINTY, MAY_BE_EMPTY):
-            starts |= _steps(columns[name][order], same)
-    begins = np.flatnonzero(starts)
-    counts = np.diff(begins, append=time.size)
-    _refuse_useless(time[order], same, counts, seconds, names)
-    means = {
-        name: values[order][begins] if units[name] is None else mean_rows(values[order], begins)
-        for name, values in columns.items()
-    }
-    noise = 0.0
-    if output in columns:
-        noise = _noise(columns, output, order, ~starts)
-        uncertainties = _uncertainty(columns, order, begins, noise)
-        means |= {UNCERTAINTY: uncertainties} if uncertainties is not None else {}
-    runs = Records.of(columns).codes[order][begins]
-    row = np.lexsort((means["time"], runs))
-    averaged = {name: values[row] for name, values in means.items()}
-    output_unit = units.get(output)
-    low, high = int(counts.min()), int(counts.max())
-    sizes = str(high) if low == high else f"{low} to {high}"
-    flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {sizes}"
-    if noise:
-        alone = f"{noise:.3g} {unit_label(output_unit or '')}".rstrip()
-        flag += f"; noise.white is that of a mean of {high}, {alone} that of one"
-    return averaged, {UNCERTAINTY: output_unit, **units}, flag
-
-
-def _refuse_useless(
+def refuse_useless(
     time: np.ndarray, same: np.ndarray, counts: np.ndarray, seconds: float, names: str
 ) -> None:
     """Raise InputError for a time that averages no two readings, or all of them."""
@@ -102,7 +46,7 @@ def _refuse_useless(
         )
 
 
-def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
+def bin_times(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
     """Return the index of the averaging time that each reading falls into, counted from its record's first reading.
 
     They begin half a step before a reading, so that uneven clocks do not move readings across.
@@ -114,7 +58,7 @@ def _bins(time: np.ndarray, same: np.ndarray, seconds: float) -> np.ndarray:
     return np.floor((time - starts_of_records + 0.5 * min(median_step, seconds)) / seconds)
 
 
-def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
+def find_steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     """Return where (n,) a column of settings, such as an angle held for many readings, goes to its next value.
 
     A step is a change of more than ten times the usual one (the median: zero where a value is held exactly). A column
@@ -132,7 +76,7 @@ def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
     return first + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
-def _noise(
+def noise_of_reading(
     columns: Mapping[str, np.ndarray], output: str, order: np.ndarray, inside: np.ndarray
 ) -> float:
     """Return the white noise of a reading beyond its known uncertainty: half the mean square of its changes, rooted."""
@@ -142,7 +86,7 @@ def _noise(
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def _uncertainty(
+def uncertainty_of_means(
     columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
 ) -> np.ndarray | None:
     """Return the standard uncertainty of each mean beyond the noise of the fullest, which a fit finds; None if zero.

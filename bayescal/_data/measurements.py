@@ -17,8 +17,9 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
 from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._data import averaging
 from bayescal._data import dataset_checks as checks
-from bayescal._data.averaging import average
+from bayescal._data.averaging import mean_rows
 from bayescal._data.column import (
     ARRAYS,
     MAY_BE_EMPTY,
@@ -30,8 +31,8 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns, join_files
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
-from bayescal._data.records import PAUSE_STEPS, Records, distinct, median_step
-from bayescal._data.unit_conversion import ANY, parse
+from bayescal._data.records import PAUSE_STEPS, Records, distinct, label_codes, median_step
+from bayescal._data.unit_conversion import ANY, parse, unit_label
 from bayescal._tables.cells import broadcast_columns, format_date
 from bayescal._tables.raw_table import ROW, Objections, Table, option
 from bayescal._tables.write import write
@@ -380,9 +381,36 @@ class Measurements(Printed):
             step: such as "1 s", "0.5 s" or "2 min"; a number is in s.
 
         Raises:
-            InputError: no such time, no column `time`, or no two readings in any of these times.
+            InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
         """
-        values, units, flag = average(self.values, self.units, self.output, step, self.file)
+        seconds, time, units = averaging.duration(step), self["time"], self.units
+        labels = [n for n, unit in units.items() if unit is None or n == MAY_BE_EMPTY]
+        codes = label_codes(self.values, labels)
+        order = np.lexsort((time, codes))
+        same = np.diff(codes[order], prepend=-1) == 0  # as the reading before, in this order
+        bins = averaging.bin_times(time[order], same, seconds)
+        starts = ~same | (np.diff(bins, prepend=bins[:1]) != 0)
+        varying = ("time", self.output, UNCERTAINTY, *labels)
+        for name in (n for n, unit in units.items() if unit != "degC" and n not in varying):
+            starts |= averaging.find_steps(self[name][order], same)
+        begins = np.flatnonzero(starts)
+        counts = np.diff(begins, append=time.size)
+        averaging.refuse_useless(time[order], same, counts, seconds, self.file)
+        means = {
+            name: v[order][begins] if units[name] is None else mean_rows(v[order], begins)
+            for name, v in self.values.items()
+        }
+        noise = averaging.noise_of_reading(self.values, self.output, order, ~starts)
+        uncertainty = averaging.uncertainty_of_means(self.values, order, begins, noise)
+        means |= {} if uncertainty is None else {UNCERTAINTY: uncertainty}
+        row = np.lexsort((means["time"], self.records.codes[order][begins]))
+        low, high, unit = int(counts.min()), int(counts.max()), self.unit(self.output)
+        sizes = str(high) if low == high else f"{low} to {high}"
+        flag = f"{self.file}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {sizes}"
+        if noise:
+            noise_text = f"{noise:.3g} {unit_label(unit or '')}".rstrip()
+            flag += f"; noise.white is that of a mean of {high}, {noise_text} that of one"
+        values, units = {name: v[row] for name, v in means.items()}, {UNCERTAINTY: unit, **units}
         return replace(self, values=values, units=units, flags=(*self.flags, flag))
 
     def write(self, path: str | Path) -> Path:
