@@ -249,7 +249,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         seed = seed_of(seed)
         sums = _evaluate_sums(readings, seed)
     readings, runs, unit = sums.readings, sums.runs, readings.unit("output") or ""
-    measured = allan.of_runs(readings, np.asarray(readings["output"], float), runs)
+    measured = allan.allan_deviation(readings, runs=runs)
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in sums.noises])
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))

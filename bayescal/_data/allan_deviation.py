@@ -121,24 +121,21 @@ class AllanDeviation:
 
 
 def allan_deviation(
-    readings: Measurements, values: Float[np.ndarray, "n"] | None = None
+    readings: Measurements,
+    values: Float[np.ndarray, "n"] | None = None,
+    runs: EvenRuns | None = None,
 ) -> AllanDeviation:
     """Compute the overlapping Allan deviation of the output, or of `values` (n,) in its unit, such as residuals.
 
     Averaging times are octaves from one step to a quarter of the longest run. Each run is taken by itself, and the
-    runs are combined by their numbers of differences.
+    runs are combined by their numbers of differences. `runs` as of `even_runs`, where they are known.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, or steps that differ by more than 5 %.
+        InputError: no column `time`, no run of 30 readings, steps that differ by more than 5 %, or values that do not
+            change.
     """
     values = np.asarray(readings["output"] if values is None else values, float)
-    return of_runs(readings, values, even_runs(readings))
-
-
-def of_runs(
-    readings: Measurements, values: Float[np.ndarray, "n"], runs: EvenRuns
-) -> AllanDeviation:
-    """Compute the Allan deviation of runs that are known to be even; raise InputError where values do not change."""
+    runs = even_runs(readings) if runs is None else runs
     variance, differences = overlapping(values, runs)
     if not np.all(variance > 0):
         raise InputError(
