@@ -36,7 +36,7 @@ from bayescal._data.read_options import (
 from bayescal._data.records import Records
 from bayescal._tables import cells as of_cells
 from bayescal._tables.cells import MAX_BAD, Cells, format_date
-from bayescal._tables.raw_table import Objection, Objections, Table, load_whole, option
+from bayescal._tables.raw_table import Objections, Table, load_whole, option
 
 _EMPTY = "holds no number (empty, NaN, - or the like)"
 _QUOTED = 3  # of a column
@@ -64,7 +64,7 @@ def convert_columns(
     _note_gravity(file, converted)
     _note_channels(file, extra, converted)
     if converted.missing and not problems:
-        _drop(file.table, converted, problems)
+        _drop(file.table, converted)
     problems.refuse()
     return converted
 
@@ -150,15 +150,10 @@ def _note_channels(
         )
 
 
-def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
-    """Drop the rows with a missing reading, with a flag; add a problem if no row would remain."""
+def _drop(table: Table, converted: ConvertedColumns) -> None:
+    """Drop the rows with a missing reading, with a flag; raise InputError if no row would remain."""
     missing = converted.missing
     gone = np.unique(np.concatenate(list(missing.values())))
-    if len(gone) == table.rows:
-        counts = ", ".join(f"{name} in {len(rows)}" for name, rows in missing.items())
-        came = f"has no row without a missing reading: {counts} of {table.rows} rows"
-        problems.append(Objection(table.file, came))
-        return
     converted.kept_rows = np.setdiff1d(np.arange(table.rows), gone)
     converted.tables = (table.take(converted.kept_rows),)
     converted.values = {name: v[converted.kept_rows] for name, v in converted.values.items()}

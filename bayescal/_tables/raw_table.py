@@ -217,7 +217,7 @@ class Table:
     def __post_init__(self) -> None:
         """Raise InputError for no readings, or one name for two columns."""
         if self.rows < 1:
-            cure = "give a file with at least one row of numbers"
+            cure = "give a file with at least one row, in which none is missing"
             raise unusable(self.file, "holds no readings", cure)
         counts = Counter(header.name for header in self.headers if header.name)
         for name, count in counts.items():
