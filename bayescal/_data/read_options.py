@@ -36,7 +36,6 @@ from bayescal._tables.raw_table import (
     readings_of,
 )
 
-MISSING_READINGS = ("refuse", "drop")
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
@@ -92,15 +91,13 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         """Raise InputError where `missing`, `decimal` or `date_order` is another word."""
-        if self.missing not in MISSING_READINGS:
-            raise InputError(f"missing={self.missing!r} (--missing) is not one of refuse, drop")
-        if self.decimal not in ("", ".", ","):
-            raise InputError(f"decimal={self.decimal!r} (--decimal) is neither a point nor a comma")
-        if self.date_order not in ("", *ORDERS):
-            raise InputError(
-                f"date_order={self.date_order!r} (--date-order) is not one of {', '.join(ORDERS)}: the order of month, "
-                "day and year, or of hours, minutes and seconds"
-            )
+        allowed = {"missing": ("refuse", "drop")}
+        allowed |= {"decimal": ("", ".", ","), "date_order": ("", *ORDERS)}
+        for name, words in allowed.items():
+            if (value := getattr(self, name)) not in words:
+                argument = f"{name}={value!r} (--{name.replace('_', '-')})"
+                choices = ", ".join(map(repr, filter(None, words)))
+                raise InputError(f"{argument} is none of {choices}")
 
     @classmethod
     def of(
