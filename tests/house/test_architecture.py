@@ -230,7 +230,7 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 CEILINGS = {
     "bayescal/_core": 2_065,
     "bayescal/_tables": 1_515,
-    "bayescal/_data": 4_179,
+    "bayescal/_data": 4_131,
     "bayescal/_model": 5_472,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
