@@ -16,7 +16,7 @@ from pathlib import Path
 from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import list_leftovers, sha256_of, write_advice
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.json_shape import read_json
+from bayescal._core.json_shape import as_type, read_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have a folder each
@@ -109,7 +109,7 @@ def files_of(folder: Path) -> dict[str, str]:
     if not manifest.is_file():
         return {}
     try:
-        hashes = dict[str, str](read_json(manifest)["files"])
+        hashes = as_type(read_json(manifest)["files"], dict[str, str])
         for name in hashes:
             if not is_inside(name):
                 raise ValueError(f"it lists {name!r}, which is no file of this folder")

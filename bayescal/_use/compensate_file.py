@@ -111,11 +111,9 @@ def compensate_file(
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
     ignored = ("ignore", "local_field")  # options without effect on compensation
     read_options = {n: value for n, value in how.items() if value is not None and n not in ignored}
-    read_options["remembered"] = compensator.calibration.readings.sources
-    read_options["epoch"] = about.epoch
-    options = ReadOptions.of(
-        expected, local_gravity=local_gravity, missing=missing, only=True, **read_options
-    )
+    read_options |= {"remembered": compensator.calibration.readings.sources, "epoch": about.epoch}
+    how = {"local_gravity": local_gravity, "missing": missing, "only": True, **read_options}
+    options = ReadOptions.of(expected, **how)
     with replacing_for_user(out) as partial:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)

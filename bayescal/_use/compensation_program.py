@@ -197,6 +197,12 @@ def _build_record(
     return build_frame(readings, holds)
 
 
+def limits(span: tuple[float, float]) -> tuple[float, float]:
+    """Widen the stimulus range by a margin to the limits beyond which a compensated value is flagged."""
+    low, high = span
+    return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Provenance of an export, and notes on its use."""
@@ -331,11 +337,7 @@ class CompensationProgram(CorrectionInUse):
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
-        """Return the limits beyond which a compensated value is flagged: the range, widened by a margin."""
-        if self.stimulus_range is None:
-            return None
-        low, high = self.stimulus_range
-        return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
+        return None if self.stimulus_range is None else limits(self.stimulus_range)
 
     @cached_property
     def graph(self) -> Graph:
