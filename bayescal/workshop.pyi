@@ -142,7 +142,7 @@ from ._inference.record import Record as Record
 from ._inference.sampling import around_mode as around_mode
 from ._inference.sampling import prior_share as prior_share
 from ._inference.sampling import propose as propose
-from ._inference.trust import unevenness as unevenness
+from ._inference.trust import check_weights as check_weights
 
 # a model on readings: its frame, its unknowns, the problem, and how a posterior is drawn
 from ._model.effect import with_forms as with_forms

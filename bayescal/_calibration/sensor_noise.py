@@ -43,7 +43,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._inference.newton import NOWHERE, ByValues, GaussianFit, climb, gaussian_fit
 from bayescal._inference.noise_nodes import EvenSpectrum
-from bayescal._inference.sampling import importance_draws
+from bayescal._inference.sampling import draw_by_importance
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import eigenvalues
 from bayescal._model.noise_terms import FLICKER_FLOOR, TERMS
@@ -444,7 +444,7 @@ def _sample_sums(
 
     def sample(terms: Terms) -> float:
         log_density = channel.log_density(terms)
-        v, weights, evidence = importance_draws(log_density, fits[terms], seed, DRAWS_PER_SUM)
+        v, weights, evidence = draw_by_importance(log_density, fits[terms], seed, DRAWS_PER_SUM)
         sampled[terms] = v, weights
         return evidence
 

@@ -42,7 +42,7 @@ _TEST_POINTS = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tested,
 
 
 class Factors(NamedTuple):
-    """Factors of an expansion's columns at a coordinate, with gradient and Hessian."""
+    """Factors of an expansion's columns at one coordinate of the shapes, with gradient and Hessian."""
 
     value: Float[np.ndarray, "r"]
     first: Float[np.ndarray, "d r"]
@@ -87,7 +87,7 @@ class Expansion:
         return Factors(value, first[None] / self.half, second[None, None] / self.half**2)
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
-        """Return the factors at several coordinates inside the box (b, r)."""
+        """Evaluate the r factors at b coordinates inside the expansion's box (b, r)."""
         if not self.half:
             return np.broadcast_to(_taylor_terms(v.shape[1], self.rank).value, (len(v), self.rank))
         return chebvander((v[:, 0] - self.middle[0]) / self.half, COUNT)[:, self.orders]
@@ -139,7 +139,7 @@ class Polynomials:
 
 
 class PolynomialColumns(Expansion):
-    """Columns as polynomials of the shapes, fitted where a Gaussian fit of φ has its draws, without derivatives."""
+    """Columns as polynomials of the shapes, fitted to draws of the Laplace approximation of φ; no derivatives."""
 
     def __init__(
         self,

@@ -107,17 +107,17 @@ def condition(
         log_marginal, squares = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr), float(gram.rtr)
         return Conditional(float(log_marginal), at, sd, np.zeros((0, 0)), sd, squares, squares)
     offset, prior_pull = prior.offset_from(at, gram.jtj.diagonal())
-    pulled = sd * (gram.jtr - gram.jtj @ offset) + prior_pull
+    pull = sd * (gram.jtr - gram.jtj @ offset) + prior_pull
     precision = sd[:, None] * gram.jtj * sd
     precision.flat[:: p + 1] += weight
     # LAPACK is column-major: the transpose of a symmetric C-ordered matrix is passed without a copy.
     chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         return None
-    t = dtrtrs(chol, dtrtrs(chol, pulled, lower=1)[0], lower=1, trans=1)[0]
+    t = dtrtrs(chol, dtrtrs(chol, pull, lower=1)[0], lower=1, trans=1)[0]
     # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move; zᵀWz is the prior's.
-    move, z = offset + sd * t, t - prior_pull
-    squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
+    displacement, z = offset + sd * t, t - prior_pull
+    squares = gram.rtr - displacement @ (2 * gram.jtr - gram.jtj @ displacement)
     penalised_rss = squares + weight @ (z * z)
     if not penalised_rss > 0:  # no digits left: noise far below any residual
         return None
@@ -128,7 +128,7 @@ def condition(
     if not math.isfinite(log_marginal):
         return None
     sums = float(penalised_rss), float(squares)
-    return Conditional(float(log_marginal), at + move, sd, chol, z, *sums)
+    return Conditional(float(log_marginal), at + displacement, sd, chol, z, *sums)
 
 
 class Drawn(NamedTuple):
@@ -151,16 +151,16 @@ def draw(
 ) -> Drawn:
     """Condition on many φ at once (b, …), and map standard normal numbers (b, p) to draws of x."""
     sd, weight = prior.sd, prior.weight
-    offset, far = prior.offset_from(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
-    pulled = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + far
+    offset, prior_pull = prior.offset_from(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
+    pull = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + prior_pull
     precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
     diagonal = np.arange(len(at))
     precision[:, diagonal, diagonal] += weight
     chol = cholesky(precision)
-    mean = solve_tri(chol, solve_tri(chol, pulled), upper=True)
-    move, z = offset + sd * mean, mean - far
-    jtj_move = np.einsum("bij,bj->bi", grams.jtj, move)
-    squares = grams.rtr - np.sum(move * (2 * grams.jtr - jtj_move), axis=1)
+    mean = solve_tri(chol, solve_tri(chol, pull), upper=True)
+    displacement, z = offset + sd * mean, mean - prior_pull
+    jtj_move = np.einsum("bij,bj->bi", grams.jtj, displacement)
+    squares = grams.rtr - np.sum(displacement * (2 * grams.jtr - jtj_move), axis=1)
     penalised_rss = squares + z**2 @ weight
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     half_log_det = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
@@ -170,7 +170,7 @@ def draw(
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
         np.where(np.isfinite(log_marginal) & (penalised_rss > 0), log_marginal, -np.inf),
-        at + move + sd * scatter,
+        at + displacement + sd * scatter,
         (z + scatter) ** 2 @ weight,
         log_sd - half_log_det,
     )
@@ -193,9 +193,9 @@ def solve_tri(
     # A loop over the few coefficients, vectorised over φ, is faster than one LAPACK call per φ.
     z, order = np.empty_like(right), range(right.shape[1])
     for i in reversed(order) if upper else order:
-        done = slice(i + 1, None) if upper else slice(i)
-        row = chol[:, done, i] if upper else chol[:, i, done]
-        z[:, i] = (right[:, i] - np.einsum("bj,bj->b", row, z[:, done])) / chol[:, i, i]
+        solved = slice(i + 1, None) if upper else slice(i)
+        row = chol[:, solved, i] if upper else chol[:, i, solved]
+        z[:, i] = (right[:, i] - np.einsum("bj,bj->b", row, z[:, solved])) / chol[:, i, i]
     return z
 
 

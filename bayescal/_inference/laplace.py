@@ -32,7 +32,7 @@ MIN_GAIN_NATS = 1e-8  # convergence: smallest increase of the log density per ro
 
 
 class Mode(NamedTuple):
-    """Mode φ̂ of the marginal density, x̂ given φ̂, and the Gaussian fit of φ's coordinates."""
+    """Mode φ̂ of the marginal density, x̂ given φ̂, and the Laplace approximation in φ's coordinates."""
 
     x: Any  # (p,)
     v: Any  # (d,)
@@ -64,7 +64,7 @@ def find_mode(
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         near: curvature of a similar density, as a first estimate of the Hessian.
     """
-    x, dim = _start(problem) if x is None else x, len(problem.hypers)
+    x, dim = _find_start(problem) if x is None else x, len(problem.hypers)
     flat = flat_scales(problem, x, np.zeros(dim))
     candidates = prior_draws(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # one hill
@@ -78,19 +78,19 @@ def find_mode(
     def climb_from(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
         return _climb(problem, starts, x, flat, xtol, coarse_below, near)
 
-    highest = partial(max, key=attrgetter("value"))
+    select_highest = partial(max, key=attrgetter("value"))
     top = climb_from(candidates if dim else candidates[:1], x)
     if starts is None:
         # The density of factors of a product a·b is symmetric under (a, b) → (−a, −b): try the mirrored mode too.
         promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
         if promoted.any():
-            top = highest(top, climb_from([np.where(promoted, -top.v, top.v)], x))
+            top = select_highest(top, climb_from([np.where(promoted, -top.v, top.v)], x))
         for grid in scan_ragged(problem, top.v):  # multimodal in these shapes
-            top = highest(top, climb_from([*grid], top.x))
+            top = select_highest(top, climb_from([*grid], top.x))
     return fit_at_mode(top.density, top.v, top.change, top.x, top.value > coarse_below)
 
 
-def _start(problem: Problem) -> Float[np.ndarray, "p"]:
+def _find_start(problem: Problem) -> Float[np.ndarray, "p"]:
     """Return the starting point of x̂: its prior mean, or for three axes a fit by `Vector.with_directions`."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
@@ -112,7 +112,7 @@ def flat_scales(
 
 
 class _Summit(NamedTuple):
-    """Result of one maximisation."""
+    """Result of one maximisation of the marginal density of φ."""
 
     value: float  # the log density there
     change: float  # in the last round
@@ -258,7 +258,7 @@ def fit_at_mode(
     x: Float[np.ndarray, "p"] | None = None,
     exact: bool = True,
 ) -> Mode:
-    """Return the Gaussian fit of φ at its mode, and the Laplace evidence.
+    """Return the Laplace approximation of φ at its mode, and the Laplace evidence.
 
     `change`: of the last round, standard deviations. `exact`: compute the Hessian, instead of a BFGS estimate.
     """

@@ -25,7 +25,7 @@ from bayescal._inference.gaussian import Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
-from bayescal._inference.problem import Problem, differences, overwrite
+from bayescal._inference.problem import Problem, differentiate, overwrite
 from bayescal._model import forward
 from bayescal._model.composition import Linearisation
 from bayescal._model.noise_law import sort_by_time
@@ -115,8 +115,8 @@ class QR(NamedTuple):
     """QR decomposition of a whitened table [A r]: R, Qᵀr, and the norm of r outside the range of A."""
 
     root: Float[np.ndarray, "q q"]
-    inside: Float[np.ndarray, "q"]
-    outside: float
+    projection: Float[np.ndarray, "q"]
+    residual_norm: float
 
     @property
     def is_full_rank(self) -> bool:
@@ -125,7 +125,7 @@ class QR(NamedTuple):
 
     @property
     def solution(self) -> Float[np.ndarray, "q"]:
-        return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
+        return dtrtrs(self.root, self.projection)[0] if self.projection.size else self.projection
 
     def solve_damped(self, damping: float) -> Float[np.ndarray, "q"]:
         """Return the step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
@@ -135,7 +135,7 @@ class QR(NamedTuple):
         # would square its condition (J. Moré, Lecture Notes in Mathematics 630 (1978) 105).
         weight = np.sqrt(np.sum(self.root**2, axis=0))
         rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
-        return qr(np.concatenate([np.column_stack([self.root, self.inside]), rows])).solution
+        return qr(np.concatenate([np.column_stack([self.root, self.projection]), rows])).solution
 
 
 def qr(table: Float[np.ndarray, "m q1"]) -> QR:
@@ -159,7 +159,7 @@ class _Conditional(NamedTuple):
     theta: Float[np.ndarray, "q"]
     root: Float[np.ndarray, "q q"]  # square root of the covariance, root·rootᵀ
     squares: float  # whitened residual sum of squares at the mean
-    spent: float  # effective number of parameters (degrees of freedom used)
+    dof_used: float  # effective number of parameters (degrees of freedom used)
 
 
 @on_one_thread
@@ -180,9 +180,9 @@ def refine(
         theta = fit.solve_by_optimistix(theta, v)
     for _ in range(MAX_ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
-        refitted = fit.fit_noise(theta, overwrite(theta[problem.size :], fit.places, v))
-        change = float(np.max(np.abs(refitted - v), initial=0.0))
-        v = refitted
+        new_v = fit.fit_noise(theta, overwrite(theta[problem.size :], fit.places, v))
+        change = float(np.max(np.abs(new_v - v), initial=0.0))
+        v = new_v
         if not change > ROUND_CHANGE:
             break
     conditional = fit.conditioner(theta, v)(v)
@@ -202,12 +202,12 @@ class _Refinement:
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
         # Homoscedastic: unweighted products suffice.
-        self.even = problem.noise.even(problem.record.frame) and not problem.noisy
+        self.is_homoscedastic = problem.noise.even(problem.record.frame) and not problem.noisy
         layout, self.gaussian = problem.layout, problem.noise.gaussian
         # Only a common noise standard deviation is re-estimated; with as many coefficients as readings it would be
         # determined by its prior alone.
-        stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
-        has_one_sd = self.gaussian and self.even and problem.record.size > stated
+        count = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
+        has_one_sd = self.gaussian and self.is_homoscedastic and problem.record.size > count
         noise = layout.phi_indices("noise") if has_one_sd else []
         self.noise_place = noise[0] if len(noise) == 1 else None
         self.places = layout.nonlinear_phi
@@ -229,19 +229,19 @@ class _Refinement:
         """
         problem, size = self.problem, self.problem.size
 
-        def linearised(at: np.ndarray) -> Linearisation:
+        def linearise_at(at: np.ndarray) -> Linearisation:
             return problem.linearise(at[:size], problem.hyper(overwrite(at[size:], self.places, v)))
 
-        line, x = linearised(theta), theta[:size]
-        shape_jac = differences(
-            lambda w: linearised(np.append(x, w)).mean, theta[size:], DIFFERENCE
+        line, x = linearise_at(theta), theta[:size]
+        shape_jac = differentiate(
+            lambda w: linearise_at(np.append(x, w)).mean, theta[size:], DIFFERENCE
         )
         residual, extra = problem.record.y - line.mean, problem.extra(line)
         table = np.column_stack([line.jacobian, *shape_jac, residual])
         if problem.noisy:
             total = variance(problem.noise, problem.hyper(v), problem.record) + extra
             steps = DIFFERENCE * self.prior(v).sd
-            extra_grad = differences(lambda at: problem.extra(linearised(at)), theta, steps)
+            extra_grad = differentiate(lambda at: problem.extra(linearise_at(at)), theta, steps)
             table[:, :-1] += 0.5 * (residual / total)[:, None] * extra_grad.T
         return table, extra
 
@@ -266,17 +266,17 @@ class _Refinement:
             stacked = np.concatenate([table * np.append(prior.sd, 1.0), rows])
             if not np.all(np.isfinite(stacked)):
                 return math.inf, qr(np.zeros_like(stacked))
-            offset_squares = white.beyond if isinstance(white, Independent) else 0.0
+            offset_squares = white.excess if isinstance(white, Independent) else 0.0
             return float(stacked[:, -1] @ stacked[:, -1]) + offset_squares, qr(stacked)
 
         cost, factor = evaluate(theta)
-        damping, best = 0.0, float(np.linalg.norm(factor.inside))
+        damping, best = 0.0, float(np.linalg.norm(factor.projection))
         for _ in range(ROUND_STEPS):
             if not factor.is_full_rank:
                 return theta, False
             trial = theta + prior.sd * factor.solve_damped(damping)
             trial_cost, trial_factor = evaluate(trial)
-            offset = float(np.linalg.norm(trial_factor.inside))
+            offset = float(np.linalg.norm(trial_factor.projection))
             # Relative offset: residuals in the tangent plane over all residuals, independent of units and step length
             # (D. Bates and D. Watts, Technometrics 23 (1981) 179).
             is_near = best <= OFFSET_TOLERANCE * math.sqrt(cost)
@@ -316,7 +316,7 @@ class _Refinement:
         """Return a function v → conditional posterior of θ, for the model linearised at θ, by QR."""
         table, extra = self.table(theta, v)
         # Homoscedastic: the table is replaced by its R factor, and whitening divides by σ.
-        even = self.even
+        even = self.is_homoscedastic
         reduced = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
         undefined = np.full((theta.size, theta.size), np.nan)
         failed = _Conditional(np.full(theta.size, np.nan), undefined, np.nan, np.nan)
@@ -340,11 +340,11 @@ class _Refinement:
             step = factor.solution
             z = step - prior_pull
             inverse = dtrtri(factor.root)[0] if z.size else factor.root
-            squares = factor.outside**2 - float(prior.weight @ z**2)
+            squares = factor.residual_norm**2 - float(prior.weight @ z**2)
             # Effective number of parameters: the trace of the hat matrix, q − tr(W·var z).
-            spent = z.size - float(prior.weight @ np.sum(inverse**2, axis=1))
+            dof_used = z.size - float(prior.weight @ np.sum(inverse**2, axis=1))
             mean = theta + offset + prior.sd * step
-            return _Conditional(mean, prior.sd[:, None] * inverse, squares, spent)
+            return _Conditional(mean, prior.sd[:, None] * inverse, squares, dof_used)
 
         return condition_at
 
@@ -358,10 +358,10 @@ class _Refinement:
         condition_at, place = self.conditioner(theta, v), self.noise_place
         y = self.problem.record.y
         floor = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # rounding error
-        # The maximum is σ² = squares/(n − spent), a fixed-point iteration since `spent` depends on σ.
+        # σ² = squares/(n − dof_used) is a fixed point: the effective number of parameters depends on σ.
         for _ in range(100):
             conditional = condition_at(v)
-            if not (dof := len(y) - conditional.spent) > 0:
+            if not (dof := len(y) - conditional.dof_used) > 0:
                 return v
             ratio = max(conditional.squares / dof, floor)  # of variances
             prior = self.problem.hypers[place].prior
@@ -389,7 +389,7 @@ class _Refinement:
             return root.T @ (tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1])
 
         # Differences in whitened coordinates: steps along single, strongly correlated coefficients would be too large.
-        rows = differences(slope, np.zeros_like(theta), 1e-3)
+        rows = differentiate(slope, np.zeros_like(theta), 1e-3)
         return root @ np.linalg.inv(0.5 * (rows + rows.T)) @ root.T
 
 

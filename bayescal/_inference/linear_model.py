@@ -22,7 +22,7 @@ from bayescal._inference.noise_on_record import (
     variance,
     whitening,
 )
-from bayescal._inference.problem import Problem, differences, overwrite
+from bayescal._inference.problem import Problem, differentiate, overwrite
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -224,7 +224,7 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         return problem.linearise(x, problem.hyper(overwrite(shapes, problem.moving, mode.v))).mean
 
     # To first order a shape is one more coefficient: its column is the derivative by its coordinate, of prior sd 1.
-    slopes = differences(mean, mode.v[problem.moving], STEP)
+    slopes = differentiate(mean, mode.v[problem.moving], STEP)
     nuisance = np.empty((len(residual), problem.size + len(slopes)))
     np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0

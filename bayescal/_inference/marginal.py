@@ -21,7 +21,7 @@ from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares, refine
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
 from bayescal._inference.problem import Problem
-from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
+from bayescal._inference.sampling import PROPOSALS, WeightedDraws, draw_weighted
 from bayescal._inference.trust import FEWEST_DRAWS, K_HAT
 
 TOO_NONLINEAR = "Nonlinearity too strong for the linearised posterior ({}): exact NUTS."
@@ -67,22 +67,22 @@ class Marginal(Method):
         with stage("finding the mode"), deadline.finishing():
             problem, notes, mode = sampled_products.promote_products(problem, self.promote, start)
             mode = find_mode(problem, start=start) if mode is None else mode
-        layout, best = problem.layout, partial(self.approximate, problem, mode, seed, notes)
+        layout, finish = problem.layout, partial(self.approximate, problem, mode, seed, notes)
         deadline.current().defer_interrupt()
         try:
             if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
                 return self._run_nuts(problem, mode, seed, notes)
             with stage("sampling"):
-                for judged in self._sample_until_sound(problem, mode, seed):
-                    why_not = judged.why_not
-                    best = partial(self._from_weights, layout, judged, notes, seed)
+                for weighted in self._sample_until_sound(problem, mode, seed):
+                    why_not = weighted.why_not
+                    finish = partial(self._from_weights, layout, weighted, notes, seed)
             if not (why_not and self.chains):
-                return best("chains=False" if why_not else "")
+                return finish("chains=False" if why_not else "")
             linear = UNEVEN if problem.affine else TOO_NONLINEAR
-            words = linear if problem.noise.gaussian else TOO_HEAVY
-            return self._run_nuts(problem, mode, seed, (*notes, words.format(why_not)))
+            reason = linear if problem.noise.gaussian else TOO_HEAVY
+            return self._run_nuts(problem, mode, seed, (*notes, reason.format(why_not)))
         except deadline.TimeIsUp as early:
-            return best(str(early))
+            return finish(str(early))
 
     def approximate(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
@@ -102,40 +102,40 @@ class Marginal(Method):
         Proposals are doubled up to the usual number, and beyond it while k̂ is sound. `heavy`: propose coefficients from
         a Student-t distribution, whose tails suffice for a nonlinear model.
         """
-        proposals, most = self.proposals, MOST_DRAWS
+        proposals, cap = self.proposals, MOST_DRAWS
         draws = None
         while True:
-            draws = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, draws)
+            draws = draw_weighted(problem, mode, seed, proposals, self.rounds, heavy, draws)
             weighted = _weigh_draws(draws, heavy)
-            tried = len(weighted.weights)
+            count = len(weighted.weights)
             limit = PROPOSALS if self.proposals is None else 0
-            expected = effective_size(weighted.weights) / tried * most
+            expected = effective_size(weighted.weights) / count * cap
             if weighted.k_hat <= weighted.limit and expected >= settings().effective_draws:
-                limit = max(limit, most)
+                limit = max(limit, cap)
             yield weighted
-            if not weighted.why_not or tried >= limit:
+            if not weighted.why_not or count >= limit:
                 break
-            proposals = min(2 * tried, limit) - tried  # in addition to the earlier ones
+            proposals = min(2 * count, limit) - count  # in addition to the earlier ones
         if not heavy and weighted.limit < weighted.k_hat <= K_HAT:
             yield from self._sample_until_sound(problem, mode, seed, heavy=True)
 
-    def _from_weights(self, layout, judged: _SmoothedDraws, notes, seed, why: str) -> Outcome:
+    def _from_weights(self, layout, weighted: _SmoothedDraws, notes, seed, why: str) -> Outcome:
         """Resample draws by their weights; `why`: the reason for accepting unsound ones, such as a deadline."""
-        weighted, weights, k_hat = judged.draws, judged.weights, judged.k_hat
+        draws, weights, k_hat = weighted.draws, weighted.weights, weighted.k_hat
         effective, reasons = effective_size(weights), ()
-        if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=FEWEST_DRAWS):
-            reasons = (NO_MORE.format(judged.why_not, why),)
+        if why and trust.check_weights(weights, k_hat, limit=weighted.limit, min_ess=FEWEST_DRAWS):
+            reasons = (NO_MORE.format(weighted.why_not, why),)
         elif why:
             notes = (*notes, FEW.format(effective, why))
         # At most as many draws as the effective sample size: repeated draws would look like information.
         count = CHAINS * max(1, int(min(self.draws, effective)) // CHAINS)
-        pick = resample(weights, count, seed)
-        evidence = (float(weighted.log_evidence), float(weighted.log_evidence_error))
+        indices = resample(weights, count, seed)
+        evidence = (float(draws.log_evidence), float(draws.log_evidence_error))
         return Outcome(
             layout=layout,
-            draws=Draws.of(weighted.x[pick], weighted.v[pick]),
-            mode=weighted.mode,
-            verdict=trust.weights_verdict(weights, k_hat, notes, weighted.mode, reasons),
+            draws=Draws.of(draws.x[indices], draws.v[indices]),
+            mode=draws.mode,
+            verdict=trust.weights_verdict(weights, k_hat, notes, draws.mode, reasons),
             log_evidence=None if layout.is_improper else evidence,
         )
 
@@ -147,15 +147,15 @@ class Marginal(Method):
         is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
             with deadline.until(None if is_unlimited else nuts_chains.PATIENCE, words=PATIENCE):
-                ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
-            place = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
-            x, v = place(ran.draws.reshape(-1, start.size))
+                chains = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
+            to_unknowns = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
+            x, v = to_unknowns(chains.draws.reshape(-1, start.size))
         has_evidence = not layout.is_improper and np.isfinite(mode.log_evidence)
         return Outcome(
             layout=layout,
             draws=Draws.of(x, v),
             mode=mode,
-            verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
+            verdict=trust.chain_verdict(chains, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if has_evidence else None,
         )
 
@@ -175,5 +175,5 @@ def _weigh_draws(draws: WeightedDraws, heavy: bool = False) -> _SmoothedDraws:
     weights_of_phi, _ = smoothed(draws.log_weight_phi)
     correction = draws.log_weight - draws.log_weight_phi
     limit = K_HAT if heavy else trust.largest_k_hat(correction, weights_of_phi)
-    why_not = trust.unevenness(weights, k_hat, limit=limit)
+    why_not = trust.check_weights(weights, k_hat, limit=limit)
     return _SmoothedDraws(draws, weights, k_hat, limit, why_not)

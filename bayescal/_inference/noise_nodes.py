@@ -91,11 +91,11 @@ class ColumnNodes(OneNode):
         low, high = float(np.min(z)), float(np.max(z))
         high = high if high > low else low + 1.0
         self.count = max(COLUMN_NODES, math.ceil(NODES_PER_UNIT * (high - low)))
-        self.nodes, self.share = lagrange_at_nodes(low, high, self.count, z)
-        self.rows = self.share.sum(axis=0)
+        self.nodes, self.lagrange = lagrange_at_nodes(low, high, self.count, z)
+        self.rows = self.lagrange.sum(axis=0)
 
     def products(self, a, b):
-        weighted = (self.share.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
+        weighted = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
         return (weighted @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
     def weights(self, law, values):
@@ -109,7 +109,7 @@ class Segment(NamedTuple):
 
     rows: slice
     places: Float[np.ndarray, "c"]  # frequency indices of the nodes, real
-    share: Float[np.ndarray, "k c"]  # Lagrange polynomials of the nodes at the frequencies
+    lagrange: Float[np.ndarray, "k c"]  # Lagrange polynomials of the nodes at the frequencies
 
 
 class DCTNodes(OneNode):
@@ -131,26 +131,26 @@ class DCTNodes(OneNode):
         super().__init__(sum(map(len, runs)))
         self.runs, self.step = list(runs), step
         lengths = [len(run) for run in runs]
-        self.times = {n: lengths.count(n) for n in sorted(set(lengths))}
-        self.segments, self.at, lam = dict[int, list[Segment]](), dict[int, slice](), []
-        for n in self.times:
+        self.run_counts = {n: lengths.count(n) for n in sorted(set(lengths))}
+        self.segments, self.node_slices, lam = dict[int, list[Segment]](), dict[int, slice](), []
+        for n in self.run_counts:
             first = sum(map(len, lam))
             self.segments[n] = [*(segments or _segments)(n)]
             lam += [eigenvalues(n, s.places) for s in self.segments[n]]
-            self.at[n] = slice(first, sum(map(len, lam)))
+            self.node_slices[n] = slice(first, sum(map(len, lam)))
         self.lam = np.concatenate(lam)
         self.count = len(self.lam)
         self.rows = np.zeros(self.count)
         self.end_squares = {}
-        for n, times in self.times.items():
-            self.rows[self.at[n]] = times * self._onto_nodes(n, np.ones((n, 1)))[:, 0]
+        for n, times in self.run_counts.items():
+            self.rows[self.node_slices[n]] = times * self._onto_nodes(n, np.ones((n, 1)))[:, 0]
             for sign in SIGNS:
                 squares = end_transform(n, sign)[:, None] ** 2
                 self.end_squares[n, sign] = self._onto_nodes(n, squares)[:, 0]
 
     def _onto_nodes(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
         """Return Σ_rows ℓ_c·values at the nodes of a run of n readings (i, k)."""
-        return np.concatenate([s.share.T @ values[s.rows] for s in self.segments[n]])
+        return np.concatenate([s.lagrange.T @ values[s.rows] for s in self.segments[n]])
 
     def transform(self, columns):
         return [np.asfortranarray(dct(columns[r], axis=0, norm="ortho")) for r in self.runs]
@@ -158,18 +158,18 @@ class DCTNodes(OneNode):
     def products(self, a, b):
         products = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
         for run, first, second in zip(self.runs, a, b, strict=True):
-            node = self.at[len(run)].start
-            for rows, places, share in self.segments[len(run)]:
+            node = self.node_slices[len(run)].start
+            for rows, places, lagrange in self.segments[len(run)]:
                 nodes, node = range(node, node + len(places)), node + len(places)
-                if share.shape[0] == share.shape[1]:  # each frequency is a node
+                if lagrange.shape[0] == lagrange.shape[1]:  # each frequency is a node
                     products[nodes.start : nodes.stop] += first[rows, :, None] * second[rows, None]
                     continue
                 count = max(1, CHUNK_NUMBERS // first[rows].size)  # nodes side by side
                 for c in range(0, len(nodes), count):
-                    ells = share[:, c : c + count].T
-                    weighted = (ells[:, None] * first[rows].T).reshape(-1, len(share))
-                    to = slice(nodes[c], nodes[c] + len(ells))
-                    products[to] += (weighted @ second[rows]).reshape(len(ells), first.shape[1], -1)
+                    ells = lagrange[:, c : c + count].T
+                    weighted = (ells[:, None] * first[rows].T).reshape(-1, len(lagrange))
+                    part = (weighted @ second[rows]).reshape(len(ells), first.shape[1], -1)
+                    products[nodes[c] : nodes[c] + len(ells)] += part
         return products
 
     def end_products(self, a):
@@ -193,12 +193,12 @@ class DCTNodes(OneNode):
         u = np.stack(functions, axis=1)  # (s, q, j)
         whitened = u * inverse[:, None]
         for (n, sign), squares in self.end_squares.items():
-            nodes = self.at[n]
+            nodes = self.node_slices[n]
             m = _block_diagonal([t.correction(n, sign) for t in terms], count)
             z = (whitened[:, :, nodes] * squares) @ u[:, :, nodes].transpose(0, 2, 1)
             core = np.eye(u.shape[1]) - m @ z
             positive, log_core = np.linalg.slogdet(core)
-            log_det = log_det + self.times[n] * np.where(positive > 0, log_core, np.inf)
+            log_det = log_det + self.run_counts[n] * np.where(positive > 0, log_core, np.inf)
             core = np.where(np.isfinite(core), core, np.eye(len(core[0])))
             inner[n, sign] = np.linalg.solve(core, m)
             ends[n, sign] = whitened[:, :, nodes]

@@ -52,7 +52,7 @@ class Independent(NamedTuple):
     """Whitening of independent readings: division by their standard deviations."""
 
     sd: Float[np.ndarray, "n"]
-    beyond: float = 0.0  # of a non-Gaussian law: −2·log density minus squares minus log|Σ|
+    excess: float = 0.0  # of a non-Gaussian law: −2·log density minus squares minus log|Σ|
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         return table / self.sd[:, None]
@@ -70,7 +70,7 @@ def whitening(
 ) -> Whitening | Independent:
     """Return the whitening of readings under a noise law at given parameters.
 
-    Under a non-Gaussian law each reading has the scale-mixture precision of its `residual`; None: by its variance.
+    Under a non-Gaussian law a reading has the scale-mixture precision at its `residual`; if None, inverse variance.
     """
     if not law.independent:
         return Whitening(law, values, record, extra)
@@ -82,7 +82,7 @@ def whitening(
     weight = np.maximum(terms.weight(residual), np.finfo(float).tiny)
     total = terms.squares + terms.logdet
     logdet = -float(np.sum(np.log(weight)))
-    # `beyond` makes squares + log|Σ| + beyond = −2·log density for these weights.
+    # `excess` makes squares + log|Σ| + excess = −2·log density for these weights.
     return Independent(1 / np.sqrt(weight), total - logdet - float(residual @ (weight * residual)))
 
 
@@ -150,13 +150,13 @@ def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.n
     # Batches of one or of `SMALL_BATCH`: two programs to compile.
     padding = SMALL_BATCH - len(part) if len(part) > 1 else 0
     law, pairs = white.law, part + part[-1:] * padding
-    is_one = all(table is first for _, table in part)
-    tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_one else pairs)]
+    is_shared = all(table is first for _, table in part)
+    tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_shared else pairs)]
     extras = [np.asarray(w.extra, float) for w, _ in pairs]
     if np.ndim(white.extra):
         extras = [record.pad(_to_law_order(law, record, extra, 0)) for extra in extras]
     values = {n: np.array([float(w.values[n]) for w, _ in pairs]) for n in law.parameters()}
-    args = tables[0] if is_one else np.stack(tables), np.stack(extras), values
+    args = tables[0] if is_shared else np.stack(tables), np.stack(extras), values
     whitened, log_sd = map(np.asarray, _whitened(*record.prepare_for_law(law), *args))
     for (_, table), result, each_sd in zip(part, whitened, log_sd, strict=False):
         yield result[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))

@@ -51,21 +51,22 @@ class NUTS(Method):
         with deadline.finishing():
             mode = find_mode(problem, start=start)
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
-        kernel = plan.kernel(program(layout, frame), init_strategy=beginning(problem, mode))
+        init = init_near_mode(problem, mode)
+        kernel = plan.kernel(build_program(layout, frame), init_strategy=init)
         deadline.current().defer_interrupt()
         try:
             with stage("NUTS on every unknown"):
-                ran = run_kernel(kernel, jax.random.key(seed), (y,), None, plan)
+                chains = run_kernel(kernel, jax.random.key(seed), (y,), None, plan)
         except deadline.TimeIsUp as early:
             return Marginal().approximate(problem, mode, seed, (), str(early))
-        sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(ran.draws)
+        sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(chains.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
-        ran = ran._replace(draws=np.concatenate([x, v], axis=2))
-        verdict = trust.chain_verdict(ran, "NUTS", ())
+        chains = chains._replace(draws=np.concatenate([x, v], axis=2))
+        verdict = trust.chain_verdict(chains, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
-def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
+def init_near_mode(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
     """Return NumPyro's strategy for where chains begin: about the mode, a standard deviation to either side.
 
     From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
@@ -96,7 +97,7 @@ def beginning(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
     return partial(begin)
 
 
-def law_of(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
+def to_numpyro_distribution(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
     """Return a prior of φ, of the value in its own unit, as a NumPyro distribution."""
     import numpyro.distributions as dist  # NumPyro only where its program is asked for
 
@@ -128,10 +129,10 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
     """
     model.require(readings)
     record = record_of(model.instrument, readings, reference_of(readings))
-    return program(bind(fill_amplitudes(model, readings, record), readings)[0], record.frame)
+    return build_program(bind(fill_amplitudes(model, readings, record), readings)[0], record.frame)
 
 
-def program(layout: Layout, frame: Frame) -> Callable:
+def build_program(layout: Layout, frame: Frame) -> Callable:
     """Return the model as a NumPyro program of the output, non-centred where a spread is learned.
 
     Its sites are every unknown by name in its reported unit (group coefficients as `name.standard`, in units
@@ -143,7 +144,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
     def model(y: Array) -> None:
         values, v = {}, []
         for h in layout.hypers:
-            values[h.name] = numpyro.sample(h.name, law_of(h.prior))
+            values[h.name] = numpyro.sample(h.name, to_numpyro_distribution(h.prior))
             # The engine's coordinate of the value: draws are handed on in these, whatever NumPyro samples in.
             v.append(h.prior.coordinate(jnp.asarray(values[h.name])))
         v = jnp.stack(v) if v else jnp.zeros(0)

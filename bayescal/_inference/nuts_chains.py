@@ -42,11 +42,11 @@ class Plan(NamedTuple):
     chains: int = 4
     dense: bool = True
 
-    def kernel(self, *model: Any, **how: Any) -> Any:
+    def kernel(self, *model: Any, **options: Any) -> Any:
         """Build NumPyro's NUTS kernel of a program or a `potential_fn`."""
         import numpyro.infer as infer  # half a second that only chains need
 
-        return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **how)
+        return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **options)
 
 
 def run(
@@ -72,10 +72,10 @@ def run(
     return chains._replace(draws=start + chains.draws @ chol.T)
 
 
-def run_kernel(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
+def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Plan) -> Chains:
     """Run a NumPyro kernel, all chains vectorised, in blocks of a few iterations.
 
-    The run time is estimated from the first block, and chains that would exceed the deadline are stopped. `begin` None:
+    The run time is estimated from the first block; chains that would exceed the deadline are stopped. `starts` None:
     the kernel chooses starting points.
 
     Raises:
@@ -86,28 +86,28 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan
         state = kernel.sample(state, arguments, {})
         return state, (state.z, state.diverging, state.num_steps)
 
-    end, count = deadline.current(), plan.warmup + plan.draws
-    end.ask()
+    limit, count = deadline.current(), plan.warmup + plan.draws
+    limit.ask()
     keys = jax.random.split(key, plan.chains)
-    state = kernel.init(keys, plan.warmup, begin, model_args=arguments, model_kwargs={})
+    state = kernel.init(keys, plan.warmup, starts, model_args=arguments, model_kwargs={})
     block = jax.jit(
         lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=supported(ALWAYS)
     )
     block = block.lower(state).compile()  # excluded from the timing
     by_block = []
     for iteration in range(0, count, BLOCK):
-        end.ask()
+        limit.ask()
         started = time.monotonic()
-        state, drawn = jax.block_until_ready(block(state))
-        by_block.append(jax.tree.map(np.asarray, drawn))
+        state, samples = jax.block_until_ready(block(state))
+        by_block.append(jax.tree.map(np.asarray, samples))
         if iteration == 0:
             # A lower bound, by shallow trees, so that no chain is stopped that would have finished.
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(by_block[0][2]), axis=-1))))
             elapsed = time.monotonic() - started
             needed = elapsed / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
-            if time.monotonic() + needed > end.ends_at:
+            if time.monotonic() + needed > limit.ends_at:
                 duration = f"{needed:.0f} s" if needed < 100 else f"{needed / 60:.0f} minutes"
-                raise deadline.TimeIsUp(f"{end.why}, where chains take {duration} or more")
+                raise deadline.TimeIsUp(f"{limit.why}, where chains take {duration} or more")
     z, diverging, steps = jax.tree.map(
         lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *by_block
     )

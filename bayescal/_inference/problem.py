@@ -288,7 +288,7 @@ class Problem:
         return mean, np.broadcast_to(sum(added), mean.shape)
 
 
-def differences(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
+def differentiate(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
     """Return the derivatives of f by each coordinate, by central differences with one step or one per coordinate."""
     shifts = np.diag(np.broadcast_to(step, point.shape))
     return np.array([(f(point + s) - f(point - s)) / (2 * s.sum()) for s in shifts])

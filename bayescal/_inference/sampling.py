@@ -158,10 +158,10 @@ class BatchedDensity:
         if tabulated is not None and np.all(np.isfinite(mode.covariance)):
             self.table = tabulated.fit_polynomials(mode.v, mode.covariance, mode.flat)
         self.exact = problem.noise.gaussian
-        self.together = max(16, MAX_NUMBERS // (problem.size + 1) ** 2)
+        self.batch_size = max(16, MAX_NUMBERS // (problem.size + 1) ** 2)
         if self.table is None:  # small batches, between which the deadline is checked
-            self.together = min(self.together, max(16, IN_CACHE // self.size))
-        self.highest, self.top = float(mode.log_density), mode.v
+            self.batch_size = min(self.batch_size, max(16, IN_CACHE // self.size))
+        self.highest, self.highest_v = float(mode.log_density), mode.v
         self.random = np.random.default_rng(0)
         self.far_share = min(1.0, FAR_NUMBERS / (PRIOR * PROPOSALS * self.size))
 
@@ -185,13 +185,13 @@ class BatchedDensity:
         is_finite = np.isfinite(total) & (drawn.log_marginal > NOWHERE)
         total = np.where(is_finite, total, NOWHERE)
         if len(v) and total[best := int(np.argmax(total))] > self.highest:
-            self.highest, self.top = float(total[best]), v[best]
+            self.highest, self.highest_v = float(total[best]), v[best]
         total[is_computed] -= math.log(self.far_share)
         return total, drawn
 
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         size, parts = self.problem.size, []
-        for part in np.array_split(v, -(-len(v) // self.together)):
+        for part in np.array_split(v, -(-len(v) // self.batch_size)):
             deadline.current().ask()
             parts.append(self.draw_at(part, np.zeros((len(part), size)))[0])
         return np.concatenate(parts)
@@ -212,7 +212,7 @@ def adapt_proposal(
     random: np.random.Generator,
     proposals: int,
     rounds: int,
-    higher: float,
+    limit: float,
 ) -> Mixture:
     """Adapt a proposal to a density that is cheap to evaluate.
 
@@ -229,12 +229,12 @@ def adapt_proposal(
     """
     # First the Laplace approximation, then kernels about the weighted draws of all rounds (population Monte Carlo:
     # O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
-    mixture, pool = around_mode(mode.v, mode.covariance), Rounds(prior)
+    mixture, pool = propose_around_mode(mode.v, mode.covariance), Rounds(prior)
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = propose(mixture, prior, random, proposals)
         log_density = values(v)
         log_weight = log_density - log_proposal
-        if np.max(log_density) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
+        if np.max(log_density) > limit or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
         sample = _Sample(v, log_density, np.zeros((len(v), 0)), log_density)
         pool.add(mixture, v, log_proposal, sample)
@@ -252,7 +252,7 @@ class Rounds:
     """
 
     def __init__(self, prior: PriorShare | None) -> None:
-        self.prior, self.judged = prior, Corrections()
+        self.prior, self.corrections = prior, Corrections()
         self.mixtures = list[Mixture]()
         self.proposed = np.zeros((0, 0))  # each mixture's density of all draws
         self.counts, self.parts = list[int](), list[_Sample]()
@@ -286,9 +286,9 @@ class Rounds:
         """Return all draws with their weights, and the evidence."""
         v, _, x, corrections = self.all
         log_weight_phi = self.log_weight
-        counting = corrections > NOWHERE
+        is_counted = corrections > NOWHERE
         log_weight = np.where(
-            counting, log_weight_phi + np.where(counting, corrections, 0.0), NOWHERE
+            is_counted, log_weight_phi + np.where(is_counted, corrections, 0.0), NOWHERE
         )
         # The mean of the unnormalised weights estimates the evidence, with the relative standard error of a mean.
         evidence = logsumexp(log_weight) - math.log(len(v))  # pyright: ignore[reportOperatorIssue]
@@ -307,7 +307,7 @@ class _Sample(NamedTuple):
 
 
 @on_one_thread
-def weighted_draws(
+def draw_weighted(
     problem: Problem,
     mode: Mode,
     seed: int,
@@ -315,7 +315,7 @@ def weighted_draws(
     rounds: int,
     heavy: bool = False,
     earlier: WeightedDraws | None = None,
-    part: float = 1.0,
+    probability: float = 1.0,
 ) -> WeightedDraws:
     """Adapt a proposal, then draw a weighted sample. Deterministic for a seed.
 
@@ -333,24 +333,24 @@ def weighted_draws(
     # Further draws need a different random sequence.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     density, margin = BatchedDensity(problem, mode), HIGHER_NATS
-    share = prior_share([h.prior for h in problem.hypers], problem.log_priors)
+    share = build_prior_share([h.prior for h in problem.hypers], problem.log_priors)
     if share is not None and density.table is None:
         share = share._replace(share=COSTLY_PRIOR)
     heavy = heavy or not problem.noise.gaussian
     earlier_rounds = None if earlier is None else earlier.rounds
     while True:
         min_count = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]
-        count = proposals or max(min_count, round(part * proposal_count(density)))
+        count = proposals or max(min_count, round(probability * count_proposals(density)))
         threshold = float(density.mode.log_density) + margin
         pool = Rounds(share) if earlier_rounds is None else earlier_rounds
-        target = proposals or count // 2, part * settings().effective_draws
-        adapted = 0 if density.table is None and part < LARGE_SHARE else rounds
+        target = proposals or count // 2, probability * settings().effective_draws
+        adapted = 0 if density.table is None and probability < LARGE_SHARE else rounds
         _fill_pool(pool, density, random, count, adapted, heavy, target, threshold)
-        draws, start = None, density.top
+        draws, start = None, density.highest_v
         if density.highest <= threshold:
             draws = pool.weigh_draws(density.mode)
             # For an improbable structure another search for the mode is not worth its cost.
-            if part < LARGE_SHARE or not smoothed(draws.log_weight)[1] > K_HAT:
+            if probability < LARGE_SHARE or not smoothed(draws.log_weight)[1] > K_HAT:
                 return draws
             start = draws.v[int(np.argmax(draws.log_weight_phi))]
         # A draw above the mode, or with a dominating weight, indicates another mode: search again from there.
@@ -387,12 +387,12 @@ def _fill_pool(
     count: int,
     rounds: int,
     heavy: bool,
-    enough: tuple[int, float],
-    higher: float,
+    targets: tuple[int, float],
+    limit: float,
 ) -> None:
     """Add `count` draws to a pool; if costly, in batches until the weights are sound.
 
-    `enough`: sufficient number of draws and effective sample size. Stops early if a draw is above `higher`.
+    `targets`: sufficient number of draws and effective sample size. Stops early if a draw is above `limit`.
     """
     mode, prior, is_first = density.mode, pool.prior, not pool.mixtures
     is_costly = density.table is None and len(mode.v) > 0
@@ -401,27 +401,27 @@ def _fill_pool(
     elif is_costly:
         mixture = _axis_mixture(density)
     else:
-        args = density.values, prior, random, count // 2, rounds, higher
+        args = density.values, prior, random, count // 2, rounds, limit
         mixture = adapt_proposal(mode, *args)
     steps = COSTLY_STEPS if is_costly else 1
     # Draws of adaptation rounds are kept.
     max_rounds = max(steps, 2 * rounds if is_costly and is_first else 0)
     for k in range(1, max_rounds + 1):
-        if density.highest > higher:
+        if density.highest > limit:
             break
         v, log_proposal = propose(mixture, prior, random, -(-count // steps))
-        sample = _draw_coefficients(density, pool.judged, v, log_proposal, heavy, random)
+        sample = _draw_coefficients(density, pool.corrections, v, log_proposal, heavy, random)
         pool.add(mixture, v, log_proposal, sample)
-        if k == max_rounds or len(pool.all.v) < enough[0]:
+        if k == max_rounds or len(pool.all.v) < targets[0]:
             continue
         weights, k_hat = smoothed(log_weight := pool.log_weight)
-        if k_hat <= K_HAT and effective_size(weights) >= enough[1]:
+        if k_hat <= K_HAT and effective_size(weights) >= targets[1]:
             break
         if k >= steps:
             mixture = _update_mixture(pool.mixtures[0], mode, pool.all.v, log_weight)
 
 
-def proposal_count(density: BatchedDensity) -> int:
+def count_proposals(density: BatchedDensity) -> int:
     """Return the number of proposals: fewer if each costs a pass over many readings."""
     problem, is_costly = density.problem, density.table is None
     is_long = problem.record.size > COSTLY_READINGS
@@ -434,7 +434,7 @@ def proposal_count(density: BatchedDensity) -> int:
 
 def _draw_coefficients(
     density: BatchedDensity,
-    judged: Corrections,
+    seen_corrections: Corrections,
     v: Float[np.ndarray, "s d"],
     log_proposal: Float[np.ndarray, "s"],
     heavy: bool,
@@ -445,34 +445,34 @@ def _draw_coefficients(
     count, size = len(v), density.problem.record.size
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
     log_density, corrections, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
-    batch_size = max(32, min(density.together, IN_CACHE // size))
-    is_nonlinear = density.exact and not density.problem.affine and not judged.alike
+    batch_size = max(32, min(density.batch_size, IN_CACHE // size))
+    is_nonlinear = density.exact and not density.problem.affine and not seen_corrections.alike
     first_count = FIRST_DRAWS if is_nonlinear and count > FIRST_DRAWS else 0
     parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
     for rows in ([np.arange(first_count)] if first_count else []) + parts:
         deadline.current().ask()
         normal = draw_normals(density.problem.size, len(rows), heavy, random)
         log_density[rows], drawn = density.draw_at(v[rows], normal)
-        of_phi = log_density[rows] - log_proposal[rows]
-        highest = max(highest, float(np.max(of_phi)))
+        log_weight_phi = log_density[rows] - log_proposal[rows]
+        highest = max(highest, float(np.max(log_weight_phi)))
         # Weights below e⁻⁴⁰ = 4·10⁻¹⁸ of the largest vanish in rounding: no x is needed.
-        counting = (log_density[rows] > NOWHERE) & (of_phi > highest - NEGLIGIBLE)
-        if not counting.any():
+        is_counted = (log_density[rows] > NOWHERE) & (log_weight_phi > highest - NEGLIGIBLE)
+        if not is_counted.any():
             continue
-        counted, drawn, normal = rows[counting], drawn.select(counting), normal[counting]
-        if density.exact and judged.alike:  # a constant correction
-            log_ratio = np.full(len(counted), judged.mean)
+        counted_rows, drawn, normal = rows[is_counted], drawn.select(is_counted), normal[is_counted]
+        if density.exact and seen_corrections.alike:  # a constant correction
+            log_ratio = np.full(len(counted_rows), seen_corrections.mean)
         else:
-            hyper = density.problem.hyper(v[counted].T)
+            hyper = density.problem.hyper(v[counted_rows].T)
             log_ratio = log_correction(density.problem, drawn, normal, hyper, density.exact, heavy)
             if density.exact:
-                judged.add(of_phi[counting], log_ratio)
+                seen_corrections.add(log_weight_phi[is_counted], log_ratio)
         is_finite = np.isfinite(log_ratio)
-        x[counted[is_finite]] = drawn.x[is_finite]
-        corrections[counted[is_finite]] = log_ratio[is_finite]
+        x[counted_rows[is_finite]] = drawn.x[is_finite]
+        corrections[counted_rows[is_finite]] = log_ratio[is_finite]
     # The constant for the first draws too: their scatter would look like a heavy tail.
-    if judged.alike and density.exact:
-        corrections = np.where(corrections > NOWHERE, judged.mean, NOWHERE)
+    if seen_corrections.alike and density.exact:
+        corrections = np.where(corrections > NOWHERE, seen_corrections.mean, NOWHERE)
     return _Sample(v, log_density, x, corrections)
 
 
@@ -498,7 +498,7 @@ def _log_proposal(
     return np.logaddexp(math.log1p(-share) + near, math.log(share) + prior.log_density(v))
 
 
-def prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
+def build_prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
     """Return the prior as a defensive proposal; None if it is improper or there are no coordinates."""
     if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
         return None
@@ -517,13 +517,13 @@ def draw_prior(prior, random: np.random.Generator, count: int) -> Float[np.ndarr
     return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
 
 
-def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
-    """Return the first proposal: Student-t components of the Gaussian fit at a mode, and of 1.7 times its width."""
+def propose_around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
+    """Return the first proposal: Student-t kernels of the Laplace approximation, and of 1.7 times its width."""
     chol = np.linalg.cholesky(covariance) if len(v) else covariance
     return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
-def _update_mixture(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
+def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     """Return the next mixture: kernels around resampled draws, their covariance shrunk to the Laplace approximation.
 
     The defensive component stays; for costly proposals its weight is larger the fewer draws are effective.
@@ -541,12 +541,12 @@ def _update_mixture(before: Mixture, mode: Mode, v: np.ndarray, log_weight: np.n
     kernels = MIN_KERNELS if v.shape[1] <= 3 else KERNELS
     # Systematic resampling without its random offset: equal steps of the cumulative weights.
     quantiles = (np.arange(kernels) + 0.5) / kernels
-    pick = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), weight.size - 1)
-    share = max(0.1, 1 - confidence) if before.freedom > FREEDOM else 0.1
-    return before._replace(centre=v[pick], chol=chol, share=share)
+    indices = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), weight.size - 1)
+    share = max(0.1, 1 - confidence) if mixture.freedom > FREEDOM else 0.1
+    return mixture._replace(centre=v[indices], chol=chol, share=share)
 
 
-def importance_draws(
+def draw_by_importance(
     values: Values, fit: GaussianFit, seed: int, count: int
 ) -> tuple[Float[np.ndarray, "s d"], Float[np.ndarray, "s"], float]:
     """Draw from a density by adaptive importance sampling; return draws (s, d), normalised smoothed weights, evidence.

@@ -160,17 +160,17 @@ class Tabulated:
         for part in self.parts:
             expansion = part.expansion_at(v, False)
             inside = part.owners < problem.size
-            amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
+            coefficients = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
             if (number := self._block(part, expansion)) in explained:
-                explained[number] = amounts
+                explained[number] = coefficients
             else:
                 share = expansion.factors(v[part.free]).value
-                residual += self._columns(part, expansion) @ np.kron(amounts, share)
+                residual += self._columns(part, expansion) @ np.kron(coefficients, share)
         self.table.removed = explained
         return self.table
 
     def _choose_origin(self) -> Float[np.ndarray, "p"]:
-        """Return the origin of x (p,): the least-squares amounts that the table removed, or prior means."""
+        """Return the origin of x (p,): the least-squares coefficients that the table removed, or prior means."""
         problem = self.problem
         origin, weight = problem.mean_of_x.copy(), problem.weight_of_x
         sd = problem.sizes.fixed_sd.copy()
@@ -179,11 +179,11 @@ class Tabulated:
         for members in problem.sizes.learned_sd_masks.values():
             sd[members > 0] = np.inf
         for key, part in self._static_parts.items():
-            if (amounts := self.table.removed.get(key)) is not None:
+            if (coefficients := self.table.removed.get(key)) is not None:
                 inside = part.owners < problem.size
-                places, amounts = part.owners[inside], amounts[inside]
-                near = np.abs(amounts - origin[places]) < FAR_SD * sd[places]
-                origin[places] = np.where(near, amounts, origin[places])
+                places, coefficients = part.owners[inside], coefficients[inside]
+                near = np.abs(coefficients - origin[places]) < FAR_SD * sd[places]
+                origin[places] = np.where(near, coefficients, origin[places])
         return origin
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
@@ -343,7 +343,7 @@ class Tabulated:
         covariance: Float[np.ndarray, "d d"],
         flat: Float[np.ndarray, "p"],
     ) -> PolynomialTable | None:
-        """Fit columns by polynomials in the region of a Gaussian fit of φ; None if inaccurate or too expensive."""
+        """Fit columns by polynomials around the Laplace approximation of φ; None if inaccurate or too expensive."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for part in self.parts:
@@ -405,14 +405,14 @@ class Tabulated:
 
 
 class PolynomialTable:
-    """Table of a structure with polynomial columns, valid in the region of a Gaussian fit of φ."""
+    """Table of a structure with polynomial columns, valid in the region of the Laplace approximation of φ."""
 
-    def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
-        self.whole, self.origin = whole, whole.origin
-        self.rows = _StructureRows(whole, expansions)
-        for part, expansion in zip(whole.parts, expansions, strict=True):
+    def __init__(self, tabulated: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+        self.whole, self.origin = tabulated, tabulated.origin
+        self.rows = _StructureRows(tabulated, expansions)
+        for part, expansion in zip(tabulated.parts, expansions, strict=True):
             if part.free:  # columns of this table alone
-                whole.table.discard((part.key, expansion.number))
+                tabulated.table.discard((part.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
@@ -430,13 +430,13 @@ class PolynomialTable:
 class _StructureRows:
     """Rows of Φ·D for a combination of expansions: table column, owner in x and constant factor of each row."""
 
-    def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
-        self.expansions, self.parts = expansions, whole.parts
-        p, table, keys = whole.problem.size, whole.table, list[int]()
+    def __init__(self, tabulated: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+        self.expansions, self.parts = expansions, tabulated.parts
+        p, table, keys = tabulated.problem.size, tabulated.table, list[int]()
         column, owner, factors, self.slices = [], [], [], []
         start = 0
-        for part, expansion in zip(whole.parts, expansions, strict=True):
-            key = whole._block(part, expansion)
+        for part, expansion in zip(tabulated.parts, expansions, strict=True):
+            key = tabulated._block(part, expansion)
             keys.append(key)
             r = expansion.rank
             columns = start + np.arange(len(part.owners) * r)
@@ -446,15 +446,14 @@ class _StructureRows:
             factors.append(np.repeat(part.amounts, r))
             # Add back what was subtracted from the residual, relative to the origin of x.
             is_in_x = part.owners < p
-            gap = np.where(
-                is_in_x, -whole.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0
-            )
-            gap += table.removed.get(key, 0.0)
-            gap = np.repeat(gap, r)
-            shifted = np.flatnonzero(gap)
+            origin = tabulated.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0
+            offset = np.where(is_in_x, -origin, 0.0)
+            offset += table.removed.get(key, 0.0)
+            offset = np.repeat(offset, r)
+            shifted = np.flatnonzero(offset)
             column.append(columns[shifted])
             owner.append(np.full(len(shifted), p))
-            factors.append(gap[shifted])
+            factors.append(offset[shifted])
             start += len(columns)
         for key in table.removed.keys() - set(keys):
             width = table.removed[key].size
@@ -470,7 +469,7 @@ class _StructureRows:
         self.owned = np.zeros((len(self.owner), p + 1))
         self.owned[np.arange(len(self.owner)), self.owner] = 1.0
         self.is_identity = np.array_equal(self.column, np.arange(self.width))
-        self.products: Products = table.products(whole.nodes, [*keys, RESIDUAL])
+        self.products: Products = table.products(tabulated.nodes, [*keys, RESIDUAL])
 
     def select(self, gram: Float[np.ndarray, "w w"]) -> Float[np.ndarray, "R R"]:
         """Select the products of rows (R, R) from those of table columns (w, w)."""
@@ -502,7 +501,7 @@ class _StructureRows:
         return factors
 
     def factors(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
-        """Return each row's factor; and of each φ-dependent part rows, indices in φ, first and second derivatives."""
+        """Return each row's factor, and per φ-dependent part: rows, indices in φ, first and second derivatives."""
         factors, slopes = self.amounts.copy(), []
         for i, at, which in self._dynamic_rows:
             free = self.parts[i].free

@@ -36,20 +36,20 @@ NOT_CONVERGED = "Levenberg–Marquardt stopped before its tolerance was met."
 SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
 
 
-def unevenness(
+def check_weights(
     weights: Float[np.ndarray, "s"],
     k_hat: float,
     *,
     limit: float | None = None,
-    enough: float | None = None,
+    min_ess: float | None = None,
 ) -> str:
     """Return k̂ and effective sample size as text if weighted draws are unreliable; empty if they are reliable.
 
-    `limit`: largest k̂; `enough`: smallest effective sample size; defaults from the settings.
+    `limit`: largest k̂; `min_ess`: smallest effective sample size; defaults from the settings.
     """
     effective = effective_size(weights)
-    limit, enough = K_HAT if limit is None else limit, enough or settings().effective_draws
-    if k_hat <= limit and effective >= enough:
+    limit, min_ess = K_HAT if limit is None else limit, min_ess or settings().effective_draws
+    if k_hat <= limit and effective >= min_ess:
         return ""
     return f"k̂ = {k_hat:.2f}, {effective:.0f} effective draws"
 
@@ -78,11 +78,11 @@ def weights_verdict(
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=size)
 
 
-def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
+def chain_verdict(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
     """Return the verdict on chains by R-hat, effective size and divergences."""
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
-    draws = np.moveaxis(np.asarray(ran.draws), -1, 0)
+    draws = np.moveaxis(np.asarray(chains.draws), -1, 0)
     # The worst coordinate decides.
     r_hat = max(float(np.asarray(array_stats.rhat(d, chain_axis=0, draw_axis=1))) for d in draws)
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
@@ -91,7 +91,7 @@ def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
         reasons.append(f"Chains disagree (R-hat {r_hat:.3f}): run longer, or give tighter priors.")
     if ess < CHAIN_DRAWS:
         reasons.append(f"Only {ess:.0f} effective draws: run longer.")
-    if ran.divergences > DIVERGENT_SHARE * draws[0].size:
-        reasons.append(f"{ran.divergences} divergent transitions: the posterior has a corner.")
-    numbers: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": ran.divergences}
+    if chains.divergences > DIVERGENT_SHARE * draws[0].size:
+        reasons.append(f"{chains.divergences} divergent transitions: the posterior has a corner.")
+    numbers: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": chains.divergences}
     return Verdict(not reasons, tuple(reasons), notes, sampler, **numbers)

@@ -26,7 +26,7 @@ from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.problem import ABSENT
-from bayescal._inference.sampling import weighted_draws
+from bayescal._inference.sampling import draw_weighted
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
@@ -214,7 +214,7 @@ def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare
 def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, seed: int) -> _Values:
     """Draw from a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as a single one would: the sampling error is about the same.
-    sample = weighted_draws(fit.problem, fit.mode, seed, None, MAX_ROUNDS, part=probability)
+    sample = draw_weighted(fit.problem, fit.mode, seed, None, MAX_ROUNDS, probability=probability)
     weights, _ = smoothed(sample.log_weight)
     indices = resample(weights, count, seed)
     return _draws_by_name(fit.problem.layout, sample.x[indices], sample.v[indices])

@@ -23,7 +23,7 @@ from bayescal._inference import sampled_products
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._inference.sampling import WeightedDraws, draw_weighted
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, Levels, bind
 from bayescal._model.unknowns import Unknowns
@@ -113,7 +113,7 @@ def drawn_once(
     record = Record(model.instrument, frame, readings["output"])
     layout = sampled_products.promote_products(Problem(layout, record), method.promote)[0].layout
     problem = Problem(layout, record)
-    drawn = weighted_draws(problem, find_mode(problem), seed, method.proposals, method.rounds)
+    drawn = draw_weighted(problem, find_mode(problem), seed, method.proposals, method.rounds)
     return drawn, (layout, levels)
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Array
 from scipy import stats
 
 import bayescal as bc
-from bayescal._inference.nuts import law_of
+from bayescal._inference.nuts import to_numpyro_distribution
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
@@ -41,8 +41,9 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
         raise ValueError("a flat prior cannot be sampled: give a proper prior to simulate from it")
     # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)
-    indexed_priors = enumerate(h.prior for h in layout.hypers)
-    v = jnp.array([p.coordinate(law_of(p).sample(keys[i])) for i, p in indexed_priors], dtype=float)
+    pairs = zip((h.prior for h in layout.hypers), keys, strict=False)
+    v = [p.coordinate(to_numpyro_distribution(p).sample(key)) for p, key in pairs]
+    v = jnp.array(v, dtype=float)
     sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
     return forward.prior_mean(layout) + sd * jax.random.normal(keys[-1], (layout.size,)), v
 

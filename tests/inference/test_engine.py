@@ -25,7 +25,7 @@ from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import BatchedDensity, Mixture, weighted_draws
+from bayescal._inference.sampling import BatchedDensity, Mixture, draw_weighted
 from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import build_ornstein_uhlenbeck
@@ -350,7 +350,7 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     top, at = find_mode(a), [h.name for h in a.hypers].index("unknown(time, jump).place")
     low = find_mode(a, [np.where(np.arange(len(top.v)) == at, top.v - 0.5, top.v)])
     assert low.log_density < top.log_density - 5
-    drawn, right = (weighted_draws(a, mode, 0, 4096, 12) for mode in (low, top))
+    drawn, right = (draw_weighted(a, mode, 0, 4096, 12) for mode in (low, top))
     np.testing.assert_allclose(drawn.mode.v, top.v, atol=0.02)
     error = float(np.hypot(drawn.log_evidence_error, right.log_evidence_error))
     assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
@@ -453,7 +453,7 @@ def test_numpyro_program_has_the_same_density(model) -> None:
         x = jnp.concatenate(x)
         ours += forward.log_prior_x(layout, x, hyper)
         ours += jnp.sum(forward.log_likelihood(layout, frame, y, x, hyper))
-        theirs, trace = log_density(nuts.program(layout, frame), (y,), {}, sites)
+        theirs, trace = log_density(nuts.build_program(layout, frame), (y,), {}, sites)
         np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
         np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)
         differences.append(float(theirs - ours))

@@ -22,7 +22,7 @@ from bayescal._inference import sampled_products
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import weighted_draws
+from bayescal._inference.sampling import draw_weighted
 from bayescal._model import forward
 from bayescal._model.model import why_untestable
 from bayescal._model.parameters import Layout, bind
@@ -142,7 +142,7 @@ class Case:
         layout = layout.promote(*self.promoted)
         frame, y = frame_of(readings), jnp.asarray(readings["output"])
         problem = Problem(layout, Record(model.instrument, frame, np.asarray(y)))
-        weighted_draws(problem, find_mode(problem), 0, None, bc.Marginal().rounds)
+        draw_weighted(problem, find_mode(problem), 0, None, bc.Marginal().rounds)
 
     @cached_property
     def promoted(self) -> tuple[str, ...]:

@@ -220,7 +220,7 @@ def learn(
             "unit": [c.unit for c, _ in named.values()],
         }
     )
-    why = ws.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
+    why = ws.check_weights(weights, k_hat, min_ess=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     population = Population(table, not why, reason, count, k_hat)
     return population, (about + first + pooled.centre) * size, second * np.outer(size, size)
