@@ -139,9 +139,9 @@ from ._inference.newton import climb as climb
 from ._inference.newton import gaussian_fit as gaussian_fit
 from ._inference.problem import Problem as Problem
 from ._inference.record import Record as Record
-from ._inference.sampling import around_mode as around_mode
-from ._inference.sampling import prior_share as prior_share
 from ._inference.sampling import propose as propose
+from ._inference.sampling import propose_at_mode as propose_at_mode
+from ._inference.sampling import share_prior as share_prior
 from ._inference.trust import check_weights as check_weights
 
 # a model on readings: its frame, its unknowns, the problem, and how a posterior is drawn

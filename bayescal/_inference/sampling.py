@@ -34,7 +34,7 @@ from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 HIGHER_NATS = 1.0
 
 USUAL_ROUNDS = 3  # rounds of adaptation; more only if the latest weights are unsound
-MAX_CHEAP_ROUNDS = 4  # of `importance_draws`
+MAX_CHEAP_ROUNDS = 4  # of `draw_by_importance`
 KERNELS = 256  # mixture components, around resampled draws
 MIN_KERNELS = 128  # in up to three dimensions
 KERNEL = 0.7  # width of a component, in standard deviations of φ: the mixture has heavier tails than the target
@@ -229,7 +229,7 @@ def adapt_proposal(
     """
     # First the Laplace approximation, then kernels about the weighted draws of all rounds (population Monte Carlo:
     # O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907).
-    mixture, pool = propose_around_mode(mode.v, mode.covariance), Rounds(prior)
+    mixture, pool = propose_at_mode(mode.v, mode.covariance), Rounds(prior)
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = propose(mixture, prior, random, proposals)
         log_density = values(v)
@@ -333,7 +333,7 @@ def draw_weighted(
     # Further draws need a different random sequence.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     density, margin = BatchedDensity(problem, mode), HIGHER_NATS
-    share = build_prior_share([h.prior for h in problem.hypers], problem.log_priors)
+    share = share_prior([h.prior for h in problem.hypers], problem.log_priors)
     if share is not None and density.table is None:
         share = share._replace(share=COSTLY_PRIOR)
     heavy = heavy or not problem.noise.gaussian
@@ -498,7 +498,7 @@ def _log_proposal(
     return np.logaddexp(math.log1p(-share) + near, math.log(share) + prior.log_density(v))
 
 
-def build_prior_share(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
+def share_prior(priors: Sequence[Any], log_density: Values) -> PriorShare | None:
     """Return the prior as a defensive proposal; None if it is improper or there are no coordinates."""
     if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
         return None
@@ -517,7 +517,7 @@ def draw_prior(prior, random: np.random.Generator, count: int) -> Float[np.ndarr
     return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
 
 
-def propose_around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
+def propose_at_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
     """Return the first proposal: Student-t kernels of the Laplace approximation, and of 1.7 times its width."""
     chol = np.linalg.cholesky(covariance) if len(v) else covariance
     return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)

@@ -20,7 +20,7 @@ from jaxtyping import Array
 from scipy import stats
 
 import bayescal as bc
-from bayescal._inference.nuts import to_numpyro_distribution
+from bayescal._inference.nuts import to_numpyro_distribution as law
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
@@ -42,8 +42,7 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
     # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)
     pairs = zip((h.prior for h in layout.hypers), keys, strict=False)
-    v = [p.coordinate(to_numpyro_distribution(p).sample(key)) for p, key in pairs]
-    v = jnp.array(v, dtype=float)
+    v = jnp.array([p.coordinate(law(p).sample(key)) for p, key in pairs], dtype=float)
     sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
     return forward.prior_mean(layout) + sd * jax.random.normal(keys[-1], (layout.size,)), v
 

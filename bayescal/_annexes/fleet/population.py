@@ -173,8 +173,8 @@ class Pooled:
         best = ws.climb(density, starts[int(np.argmax(self.values(np.array(starts))))])
         covariance = ws.gaussian_fit(density, best).covariance
         count = int(np.clip(CELLS // len(self.estimate), 200, DRAWS))
-        prior, random = ws.prior_share(self.priors, self.log_prior), np.random.default_rng(seed)
-        v, log_proposal = ws.propose(ws.around_mode(best, covariance), prior, random, count)
+        prior, random = ws.share_prior(self.priors, self.log_prior), np.random.default_rng(seed)
+        v, log_proposal = ws.propose(ws.propose_at_mode(best, covariance), prior, random, count)
         log_density = self.values(v)
         log_weight = np.where(np.isfinite(log_density), log_density, -1e300) - log_proposal
         return v, *ws.smoothed(log_weight)
