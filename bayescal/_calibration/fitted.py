@@ -224,7 +224,7 @@ class Fitted:
             return ()
         probe = self._probe_frame
         delay = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
-        delayed = probe.moved({"time": delay})
+        delayed = probe.shift_columns({"time": delay})
         time_effects = (e for e in self.model.effects if "time" in e.columns)
         pairs = ((e.name, self._basis(e, probe), self._basis(e, delayed)) for e in time_effects)
         return tuple(name for name, a, b in pairs if not np.array_equal(a, b))
@@ -454,7 +454,7 @@ def _group_by_structure(
 ) -> Iterator[tuple[np.ndarray, Problem, Vectors]]:
     """Group draws by the presence of effects with known coefficients: yield indices, problem, draws in its layout."""
     layout = problem.layout
-    fixed_blocks = [b for b in layout.x_blocks if b.index in b.effect.held]
+    fixed_blocks = [b for b in layout.x_blocks if b.index in b.effect.constant_indices]
     if not fixed_blocks:
         yield np.arange(len(draws.x)), problem, draws
         return

@@ -201,7 +201,7 @@ def description(calibration: Fitted) -> dict[str, Any]:
         # Changed prior standard deviations of catalogue effects.
         "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, listed)},
         # Averaged effects without coefficients, whose inclusion the draws do not show.
-        "averaged": [e.name for e in model.effects if e.held and e == e.averaged],
+        "averaged": [e.name for e in model.effects if e.constant_indices and e == e.averaged],
         "fixed": dict(model.fixed),
         "noise": _noise_fields(model.noise),
         "promoted": list(calibration.layout.promoted),
@@ -297,7 +297,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
             f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
             f"that defines it: {EFFECT_FIX}"
         )
-    chosen = [catalogue[n].ranging(ranges.get(n, {})) for n in names]
+    chosen = [catalogue[n].with_ranges(ranges.get(n, {})) for n in names]
     chosen = [e.averaged if e.name in metadata["averaged"] else e for e in chosen]
     model = Model(instrument, tuple(chosen), _restore_noise(path, metadata["noise"]), ())
     for n, size in metadata["sizes"].items():

@@ -199,7 +199,7 @@ def _missing_lines(path: SearchPath) -> list[str]:
     lines, questions = list[str](), dict[Claim, None]()
     model, threshold = path.final.calibration.model, settings().found_probability
     added_alone = {
-        (model.effect(n).reported,) for n, p in path.added.items() if (p or 0.0) >= threshold
+        (model.effect(n).family_name,) for n, p in path.added.items() if (p or 0.0) >= threshold
     }
     for i, step in enumerate(path.steps):
         if (discovery := step.discovery) is None:

@@ -72,7 +72,7 @@ def open_channels(
     for name, record in readings.items():
         tailored = instrument.for_readings(record)
         models[name] = compose(tailored, request, own_effects(request, tailored, record))
-        flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.of_reference)
+        flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.is_reference_error)
         readings[name] = replace(record, flags=(*record.flags, *flags))
     request.keep()
     return instrument, models, readings

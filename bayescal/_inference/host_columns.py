@@ -97,6 +97,6 @@ class HostColumns:
         shifts: Mapping[str, Any],
         batch: tuple[int, ...] = (),
     ) -> Any:
-        frame = self.frame.moved(shifts)
+        frame = self.frame.shift_columns(shifts)
         with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
             return evaluate_basis(*basis, frame, shapes, (*batch, *frame.order.shape[:-1]))

@@ -276,7 +276,7 @@ def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Mod
             )
     reduced = replace(model, effects=tuple(e for e in model.effects if not e.open))
     low_high = amplitude_range(reduced, readings, record)
-    effects = tuple(e.sized(*low_high) if e.open else e for e in model.effects)
+    effects = tuple(e.with_open_ranges(*low_high) if e.open else e for e in model.effects)
     return replace(model, effects=effects)
 
 

@@ -118,4 +118,4 @@ def differentiate_many(
 
 def _respond(response: Callable[..., Any], frame: Frame, arguments: tuple[ByName, ByName]) -> Array:
     slots, shifts = arguments
-    return jnp.broadcast_to(response(slots, frame.moved(shifts)), (frame.size,))
+    return jnp.broadcast_to(response(slots, frame.shift_columns(shifts)), (frame.size,))

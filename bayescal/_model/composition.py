@@ -108,15 +108,15 @@ def compose(
     grads: list[Mapping[str, Any]] = [{}] * len(terms)
     shifts: dict[str, Any] = {}
     slots: dict[str, Any] = {}
-    correcting = [i for i, t in enumerate(terms) if t.slot not in source.slots]
-    adding = [i for i, t in enumerate(terms) if t.slot in source.slots]
-    for indices, totals in ((correcting, shifts), (adding, slots)):
-        applied = {} if totals is shifts else shifts
+    correction_indices = [i for i, t in enumerate(terms) if t.slot not in source.slots]
+    slot_indices = [i for i, t in enumerate(terms) if t.slot in source.slots]
+    for indices, totals in ((correction_indices, shifts), (slot_indices, slots)):
+        column_shifts = {} if totals is shifts else shifts
         for _, group in groupby(indices, lambda i: terms[i].effect.name):
             members = list(group)
             first_term = terms[members[0]]
             shapes = [hyper[name] for name in first_term.shape_names]
-            basis, basis_grads = source.columns(first_term, shapes, applied, with_grad)
+            basis, basis_grads = source.columns(first_term, shapes, column_shifts, with_grad)
             for i in members:
                 t = terms[i]
                 columns[i] = basis[..., t.index] * t.factor
@@ -247,7 +247,7 @@ class TracedColumns:
 
         def evaluate(shifts: dict) -> Any:
             moves = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
-            return self.matrix(spec.basis, self.frame.moved(moves), basis_shapes)
+            return self.matrix(spec.basis, self.frame.shift_columns(moves), basis_shapes)
 
         if not (shifts and with_grad):
             return evaluate(shifts), {}
@@ -260,7 +260,7 @@ class TracedColumns:
 
     def response(self, slots: dict, shifts: dict) -> Any:
         slots = self._broadcast(slots, self.slots)
-        output = self.instrument.response(slots, self.frame.moved(shifts))
+        output = self.instrument.response(slots, self.frame.shift_columns(shifts))
         return jnp.broadcast_to(output, (self.size,))
 
     def differentiate_output(self, slots: dict, shifts: dict) -> tuple[Any, dict[str, Any]]:

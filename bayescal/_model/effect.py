@@ -19,6 +19,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number
 from bayescal._core.jit import by_value
 from bayescal._core.lazy_jax import Array
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import ResultTable, as_html, plain_table
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
@@ -138,8 +139,8 @@ class Shape:
             low, high = prior.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
             scale = "linear" if isinstance(prior, Normal) else "log"
             set_fields(self, own_prior=prior, low=low, high=high, scale=scale)
-        positive = self.low > 0 or self.open
-        if not self.low < self.high or (self.scale != "linear" and not positive):
+        is_positive = self.low > 0 or self.open
+        if not self.low < self.high or (self.scale != "linear" and not is_positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and low > 0 unless linear")
 
     @property
@@ -165,6 +166,8 @@ class Shape:
         return Normal((self.low + self.high) / 2, (self.high - self.low) / (2 * CENTRAL_95))
 
 
+@renamed(held="constant_indices", ranging="with_ranges", sized="with_open_ranges")
+@renamed(reported="family_name", of_reference="is_reference_error", spread_names="group_sd_names")
 @static
 class Effect:
     """One named physical term of a measurement equation.
@@ -231,12 +234,11 @@ class Effect:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
         parts = [c.part for c in self.coefficients]
         if len(set(parts)) != len(parts):
-            why = f"effect {self.name!r}: its coefficients need different parts, not {parts}"
-            raise ModelError(why)
+            raise ModelError(f"effect {self.name!r}: coefficient parts must differ, not {parts}")
         params = inspect.signature(self.basis).parameters
         shapes = {s.name for s in self.shapes} - set(self.weight_shapes)
-        needed = {n for n, p in params.items() if p.default is p.empty}  # not `lambda r, k=k: …`
-        if not shapes <= set(params) or len(needed - shapes) != 1:
+        required = {n for n, p in params.items() if p.default is p.empty}  # not `lambda r, k=k: …`
+        if not shapes <= set(params) or len(required - shapes) != 1:
             raise ModelError(
                 f"effect {self.name!r}: its basis must take the readings and then its shapes "
                 f"{sorted(shapes)} by name; it takes {list(params)}"
@@ -250,7 +252,7 @@ class Effect:
         return as_html([effects_table([self])])
 
     @property
-    def reported(self) -> str:
+    def family_name(self) -> str:
         """Return the name in a search's report: of the effect, or of the family of which it is a form."""
         return self.family or self.name
 
@@ -265,7 +267,7 @@ class Effect:
         return self.measure is not None
 
     @property
-    def of_reference(self) -> bool:
+    def is_reference_error(self) -> bool:
         """Return whether this is the error of a reference standard by its certificate, which does not act in use."""
         return self.name == f"{self.slot}.certificate"
 
@@ -285,7 +287,7 @@ class Effect:
         return any(s.open for s in self.shapes)
 
     @property
-    def held(self) -> tuple[int, ...]:
+    def constant_indices(self) -> tuple[int, ...]:
         """Return the indices of the coefficients that are constants by definition."""
         return tuple(i for i, c in enumerate(self.coefficients) if isinstance(c.prior, Known))
 
@@ -293,31 +295,30 @@ class Effect:
     def averaged(self) -> Effect:
         """Return the effect for a model average, where its known coefficients are zero in models without it."""
         parts = list(self.coefficients)
-        for i in self.held:
+        for i in self.constant_indices:
             parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))
-        return replace(self, coefficients=tuple(parts)) if self.held else self
+        return replace(self, coefficients=tuple(parts)) if self.constant_indices else self
 
-    def sized(self, low: float, high: float) -> Effect:
+    def with_open_ranges(self, low: float, high: float) -> Effect:
         """Replace the range of shapes whose range is open by (low, high), in the shape's unit."""
-        return self.ranging({s.name: (low, high) for s in self.shapes if s.open})
+        return self.with_ranges({s.name: (low, high) for s in self.shapes if s.open})
 
     @cached_property
     def weight_shapes(self) -> tuple[str, ...]:
-        """Return the names of the shapes that scale the prior deviations and are no arguments of the basis."""
+        """Return the names of the shapes that scale the prior standard deviations and are no arguments of the basis."""
         return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
 
     @cached_property
     def column_shapes(self) -> tuple[Shape, ...]:
         """Return the shapes that are arguments of the basis."""
-        weight_shapes = self.weight_shapes
-        return tuple(s for s in self.shapes if s.name not in weight_shapes)
+        return tuple(s for s in self.shapes if s.name not in self.weight_shapes)
 
     @property
     def shared_shape(self) -> Shape | None:
         """Return the shape that all channels of a device share; None if each channel has its own."""
         return next((s for s in self.column_shapes if s.shared), None)
 
-    def ranging(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
+    def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
         """Replace plausible ranges of shapes, name → (low, high)."""
         limits = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
         shapes = ((s, *limits[s.name]) for s in self.shapes)
@@ -339,16 +340,16 @@ class Effect:
         return f"{self.name}.{self.measure}" if self.measure else ""
 
     @property
-    def spread_names(self) -> tuple[str, ...]:
+    def group_sd_names(self) -> tuple[str, ...]:
         """Return the names of the learned standard deviations between group members."""
-        learned = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
-        return tuple(map(self.group_sd_name, learned))
+        learned_indices = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
+        return tuple(map(self.group_sd_name, learned_indices))
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
         """Return the names of its coefficients, learned standard deviations and shapes."""
         names = (self.coefficient_name(i) for i in range(len(self.coefficients)))
-        return (*names, *self.spread_names, *map(self.shape_name, self.shapes))
+        return (*names, *self.group_sd_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
         """Evaluate the basis as a matrix (n, p), a column per coefficient; ModelError if it has another number."""

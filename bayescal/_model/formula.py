@@ -35,7 +35,7 @@ TINY = float(np.finfo(float).tiny)  # smallest normal number
 RANGE_FACTOR = 10.0  # of a shape given by one value: plausible from a tenth to ten times the value
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # units without readings
-_ATOM = re.compile(
+_TOKEN = re.compile(
     r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<function>[^\W\d]\w*(?=\s*\())|(?P<name>[^\W\d]\w*)"
     r"|`(?P<quoted>[^`]+)`|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S)"
 )
@@ -201,19 +201,19 @@ class _TypedLine:
             self.first_index.setdefault(word, at)
         # Name in the formula → column and its fixed unit; the unit is empty if not known without readings.
         self.columns = self._match_columns()
-        if unused := sorted(set(self.stated) - set(self.first_index)):
+        if unused_names := sorted(set(self.stated) - set(self.first_index)):
             raise InputError(
-                f"effect {self.name!r}: {', '.join(unused)} is defined but not used in {self.text!r}"
+                f"effect {self.name!r}: {', '.join(unused_names)} is defined but not used in {self.text!r}"
             )
         unknowns = set(self.first_index) - set(self.columns)
-        nonlinear = {name for _, name in self.find_names(*_nonlinear_nodes(tree))} & unknowns
-        self.shapes = {n: self._parse_shape(n, tree) for n in sorted(nonlinear)}
+        nonlinear_names = {name for _, name in self.find_names(*_nonlinear_nodes(tree))} & unknowns
+        self.shapes = {n: self._parse_shape(n, tree) for n in sorted(nonlinear_names)}
         self.units = {n: parse(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: parse(s.unit) for n, s in self.shapes.items()}
         self.coefficients = self.to_linear(tree)
         if "" in self.coefficients:
-            near = "" if unknowns else ": write one in front, as s * (…)"
-            why = f"this term has no coefficient to be estimated{near}"
+            advice = "" if unknowns else ": write one in front, as s * (…)"
+            why = f"this term has no coefficient to be estimated{advice}"
             raise self.error_at(self.coefficients[""].at, why)
 
     def error_at(self, at: int, why: str) -> InputError:
@@ -225,7 +225,7 @@ class _TypedLine:
             raise InputError(f"formula of {len(self.text)} characters: the limit is {MAX_LENGTH}")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
         self.names, self.positions, source = dict[str, str](), list[int](), ""
-        for token in _ATOM.finditer(self.text):
+        for token in _TOKEN.finditer(self.text):
             kind = str(token.lastgroup)
             word, at = token[kind], token.start(kind)
             if kind == "other":
@@ -323,13 +323,13 @@ class _TypedLine:
         if set(a) == {""}:
             return {n: self._multiply(sign, a[""], part) for n, part in b.items()}
         coefficients = sorted({*a, *b} - {""})
-        undefined = [n for n in coefficients if n not in self.stated]
+        undefined_names = [n for n in coefficients if n not in self.stated]
         at = next(iter(a.values())).at
-        if self.readings is not None and len(undefined) == 1 < len(coefficients):
-            raise self.error_at(at, self._missing_text(undefined[0]))
+        if self.readings is not None and len(undefined_names) == 1 < len(coefficients):
+            raise self.error_at(at, self._missing_text(undefined_names[0]))
         why = f"{' and '.join(coefficients)} multiply each other: only their product is identified"
-        if self.readings is not None and undefined:
-            why += f". {' and '.join(map(self._missing_text, undefined))}"
+        if self.readings is not None and undefined_names:
+            why += f". {' and '.join(map(self._missing_text, undefined_names))}"
         raise self.error_at(at, why)
 
     def _compare(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
@@ -480,9 +480,9 @@ class _TypedLine:
         )
 
     def _build_formula(self, text: str) -> Formula:
-        used = tuple((n, c, parse(u or "1").factor) for n, (c, u) in self.columns.items())
+        columns = tuple((n, c, parse(u or "1").factor) for n, (c, u) in self.columns.items())
         parts = tuple(part.tree for part in self.coefficients.values())
-        return Formula(text, parts, used, tuple(self.shapes))
+        return Formula(text, parts, columns, tuple(self.shapes))
 
     def _resolve_slot(self) -> tuple[str, str | None, str]:
         """Return the slot, its unit (None if unknown), and the cause."""

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
 from bayescal._core.lazy_jax import Array, jax, when_imported
+from bayescal._core.renamed import renamed
 from bayescal._core.xp import is_traced, xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
@@ -30,6 +31,7 @@ PATH = " path"  # suffix of a column replaced as a whole time series, as tempera
 Reference = dict[str, float | dict[str, float]]
 
 
+@renamed(only="select_columns", moved="shift_columns")
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Readings as the argument of basis functions, all columns in the instrument's fixed units.
@@ -119,11 +121,10 @@ class Frame:
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """Return T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
-        T is interpolated linearly between readings, or, if it is set in steps (its reference constant "…_held" is 1),
-        held from each reading to the next; the recursion below is exact for both. Across a gap longer than `silence`,
-        such as the soak before a tumble, T is taken to have jumped at its start: a ramp over the whole gap would leave
-        the body behind T by its rate times τ, which a soak does not. T̃ follows the recorded column: a correction of
-        the column (an error of the thermometer) changes T at its own reading, not the body's history.
+        T is linear between readings, or constant from each to the next if set in steps (reference constant "…_held"
+        is 1); the recursion is exact for both. Over a gap longer than `silence` (the soak before a tumble) T jumps at
+        the gap's start: after a ramp over the gap, T̃ would lag by the rate times τ; after a soak it does not. T̃
+        follows the recorded column: a correction (the thermometer's error) changes T at its reading only.
         """
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
@@ -133,11 +134,11 @@ class Frame:
         change = xp.diff(values, prepend=values[:1])
         is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
         step, index = (self.step, None) if is_traced(self.step) else self._distinct_steps
-        first, no_step = step < 0, step == 0
-        h = xp.where(first | no_step, 1.0, step / tau)
-        decay = xp.where(first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
-        linear = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
-        gain = xp.where(first, 0.0, xp.where(no_step | is_held, -1.0, linear))
+        is_first, no_step = step < 0, step == 0
+        h = xp.where(is_first | no_step, 1.0, step / tau)
+        decay = xp.where(is_first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
+        linear_gain = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
+        gain = xp.where(is_first, 0.0, xp.where(no_step | is_held, -1.0, linear_gain))
         if index is not None:
             decay, gain = (xp.take(a, index, axis=-1) for a in (decay, gain))
         return xp.placed(self.order, run_recursion(decay, change * gain))
@@ -157,14 +158,14 @@ class Frame:
         independent of the rate of change. Its input is the recorded column, or a lagging body's temperature.
         Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
         """
-        values, first = self.path.get(name, self.record[name])[..., self.order], self.step < 0
-        change = xp.where(first, 0.0, xp.diff(values, prepend=values[..., :1]))
-        decay = xp.where(first, 0.0, xp.exp(-xp.abs(change) / width))
-        direction = run_recursion(decay, xp.where(first, 0.0, (1.0 - decay) * xp.sign(change)))
-        initial_state_decay = run_recursion(decay, xp.where(first, 1.0, 0.0))
+        values, is_first = self.path.get(name, self.record[name])[..., self.order], self.step < 0
+        change = xp.where(is_first, 0.0, xp.diff(values, prepend=values[..., :1]))
+        decay = xp.where(is_first, 0.0, xp.exp(-xp.abs(change) / width))
+        direction = run_recursion(decay, xp.where(is_first, 0.0, (1.0 - decay) * xp.sign(change)))
+        initial_state_decay = run_recursion(decay, xp.where(is_first, 1.0, 0.0))
         return xp.placed(self.order, direction), xp.placed(self.order, initial_state_decay)
 
-    def only(self, names: Sequence[str]) -> Frame:
+    def select_columns(self, names: Sequence[str]) -> Frame:
         """Select columns with their rates and reference constants; "time" includes "elapsed", uncertainty is kept."""
         columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
         constants = {*map(reference_name, columns), *map(hold_flag_name, columns)}
@@ -191,7 +192,7 @@ class Frame:
         identity = xp.arange(self.size, dtype=order.dtype)
         return self.reordered(order, identity, self.step)
 
-    def moved(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+    def shift_columns(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
         """Add corrections to measured columns (rates stay those of the record)."""
         columns, path = dict(self.columns), dict(self.path)
         for name, shift in moves.items():
@@ -276,8 +277,8 @@ def _round_mean(values: np.ndarray) -> float:
     """Round a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
     low, high, limit = values.min(), values.max(), 0.1 * values.std()
     mean = np.clip(values.mean(), low, high)
-    rounded = (np.round(mean, places) for places in range(16))
-    return float(next((r for r in rounded if abs(r - mean) <= limit and low <= r <= high), mean))
+    candidates = (np.round(mean, places) for places in range(16))
+    return float(next((r for r in candidates if abs(r - mean) <= limit and low <= r <= high), mean))
 
 
 def build_frame(

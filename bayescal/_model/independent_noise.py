@@ -145,14 +145,14 @@ def columns_for(column: str) -> tuple[str, ...]:
     """Return the columns of the readings that a covariate is computed from: a column, "elapsed" or a rate."""
     if column == "elapsed":
         return ("time",)
-    plain = strip_rate(column)
-    return (plain,) if plain == column else (plain, "time")
+    base_column = strip_rate(column)
+    return (base_column,) if base_column == column else (base_column, "time")
 
 
 def scatter_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
     """Return each reading's white variance under the log-linear law of `Heteroscedastic`, output unit squared."""
-    growth = relative_scatter(parameters, scale_covariate(frame, column))
-    return white_variance({WHITE: parameters[WHITE] * growth}, frame)
+    relative_sd = relative_scatter(parameters, scale_covariate(frame, column))
+    return white_variance({WHITE: parameters[WHITE] * relative_sd}, frame)
 
 
 def scale_covariate(frame: Frame, column: str) -> Float[Array, "n"]:

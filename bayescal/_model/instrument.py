@@ -147,8 +147,8 @@ class Instrument:
                 if self.settings and value.tailor is not None:
                     return _unpickle, (module, name, None, dict(self.settings))
                 fields, defaults = vars(self), vars(value)
-                differing = {f: fields[f] for f in fields if fields[f] is not defaults[f]}
-                return _unpickle, (module, name, differing, {})
+                changed_fields = {f: fields[f] for f in fields if fields[f] is not defaults[f]}
+                return _unpickle, (module, name, changed_fields, {})
         return object.__reduce_ex__(self, protocol)
 
     def __repr__(self) -> str:
@@ -284,13 +284,13 @@ class Instrument:
 
 
 def _unpickle(
-    module: str, name: str, differing: dict[str, Any] | None, settings: dict[str, Any]
+    module: str, name: str, changed_fields: dict[str, Any] | None, settings: dict[str, Any]
 ) -> Instrument:
     """Restore a pickled instrument from its module's definition, tailored again or with changed fields."""
     instrument: Any = getattr(import_module(module), name)
     if settings:
         return instrument.tailor(None, **settings)
-    return replace(instrument, **differing) if differing else instrument
+    return replace(instrument, **changed_fields) if changed_fields else instrument
 
 
 def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) -> float:

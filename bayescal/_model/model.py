@@ -73,8 +73,8 @@ class Model(Printed):
     @property
     def groups(self) -> tuple[str, ...]:
         """Return the groups that have one coefficient per member, except "reading"."""
-        named = (c.per for effect in self.effects for c in effect.coefficients if c.per)
-        return tuple(dict.fromkeys(per for per in named if per != READING))
+        group_names = (c.per for effect in self.effects for c in effect.coefficients if c.per)
+        return tuple(dict.fromkeys(per for per in group_names if per != READING))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -113,8 +113,8 @@ class Model(Printed):
 
     def with_nuisances(self, readings: Measurements) -> Model:
         """Add the instrument's nuisance effects that these readings can test."""
-        absent = (e for e in self.instrument.nuisances if e.name not in self.names)
-        return self + [e for e in absent if why_untestable(e, readings) is None]
+        missing_effects = (e for e in self.instrument.nuisances if e.name not in self.names)
+        return self + [e for e in missing_effects if why_untestable(e, readings) is None]
 
     def effect(self, name: str) -> Effect:
         for effect in self.effects:
@@ -135,10 +135,10 @@ class Model(Printed):
             ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
         """
         self._require_unknowns(values)
-        noise = self.noise.parameters().items()
-        scales = {n for n, prior in noise if not isinstance(prior, Normal)}
+        scales = {n for n, p in self.noise.parameters().items() if not isinstance(p, Normal)}
         for e in self.effects:
-            scales |= {*e.spread_names, *(e.shape_name(s) for s in e.shapes if s.scale != "linear")}
+            scales.update(e.group_sd_names)
+            scales |= {e.shape_name(s) for s in e.shapes if s.scale != "linear"}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
@@ -278,12 +278,12 @@ def why_untestable(effect: Effect, readings: Measurements) -> str | None:
         if (values == values[0]).all():
             return f"needs {column} to vary; it is {values[0]:g} throughout"
     # One member gives no standard deviation between members; an effect with other coefficients can still be fitted.
-    deviations = all(c.group_sd is not None for c in effect.coefficients)
+    has_only_deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
         is_label_group = coefficient.per not in (None, READING, *GROUPS)
         if is_label_group and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
-        if deviations and coefficient.per is not None:
+        if has_only_deviations and coefficient.per is not None:
             _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

@@ -303,13 +303,13 @@ def _check_noise_class(kind: type[Noise]) -> None:
     for base in kind.__mro__[1:]:
         if "law" in vars(base):
             raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
-    attrs = vars(kind)
-    if missing := [n for n in ("law", "gaussian") if n not in attrs]:
+    attributes = vars(kind)
+    if missing := [n for n in ("law", "gaussian") if n not in attributes]:
         raise TypeError(f'{name}: a noise law needs {" and ".join(missing)}, as in law = "my_law"')
-    needed = [] if attrs["gaussian"] else ["log_density", "sample"]
-    needed += [] if attrs.get("independent", True) else ["whiten", "sample"]
-    if missing := [n for n in dict.fromkeys(needed) if getattr(kind, n) is getattr(Noise, n)]:
-        why = "has correlated readings" if attrs["gaussian"] else "is not Gaussian"
+    required = [] if attributes["gaussian"] else ["log_density", "sample"]
+    required += [] if attributes.get("independent", True) else ["whiten", "sample"]
+    if missing := [n for n in dict.fromkeys(required) if getattr(kind, n) is getattr(Noise, n)]:
+        why = "has correlated readings" if attributes["gaussian"] else "is not Gaussian"
         raise TypeError(f"{name} {why}: it must define the method {' and '.join(missing)}")
     for other in Noise.registry.values():
         built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__

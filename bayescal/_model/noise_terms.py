@@ -343,16 +343,16 @@ class ToneTerm(NoiseTerm):
         power = _relative_power(residuals[rows], window, is_moving=z is not None)
         positions = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * SLOPE_COUNT + 1) if z is not None else np.zeros(1)
-        count, best = ZERO_PADDING * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
-        bins = np.arange(1, count // 2)
+        bin_count, best = ZERO_PADDING * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
+        bins = np.arange(1, bin_count // 2)
         # Two periods of the discrete spectrum, whose upper half mirrors the lower, so that aliased shifts stay inside.
         spectra = np.minimum(np.hstack([power, power[:, -2:0:-1]] * 2), MAX_RELATIVE_POWER)
         offsets = bins[:, None] + spectra.shape[1] * np.arange(len(rows))
         # The frequency is nearly constant within a window: its bin is that at the window's mean z.
         for a, b in itertools.product(slopes, slopes[::2] / 2):
-            shifts = np.rint(count * (a * positions + b * positions**2)).astype(int) % count
+            shifts = np.rint(bin_count * (a * positions + b * positions**2)).astype(int) % bin_count
             means = np.mean(spectra.ravel()[offsets + shifts], axis=1)
-            best = max(best, (float(means.max()), float(bins[np.argmax(means)] / count), a, b))
+            best = max(best, (float(means.max()), float(bins[np.argmax(means)] / bin_count), a, b))
         peak, frequency, a, b = best
         # Differences of neighbours have √2 times the standard deviation; the median |difference| is 0.6745 of that.
         sd = float(np.median(np.abs(np.diff(residuals)[is_even[1:]]))) / (0.6745 * math.sqrt(2))
@@ -380,11 +380,11 @@ def _relative_power(
     ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
     detrended = residuals - residuals @ ramp @ np.linalg.pinv(ramp)
     power = np.abs(np.fft.rfft(detrended * window, ZERO_PADDING * len(window), axis=1)) ** 2
-    typical = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
+    median_power = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
     if not is_moving:
-        neighbours = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(typical.size)]
-        typical = np.array([np.median(typical[part]) for part in neighbours])
-    return power / typical
+        neighbours = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(median_power.size)]
+        median_power = np.array([np.median(median_power[part]) for part in neighbours])
+    return power / median_power
 
 
 class ErrorsTerm(NoiseTerm):
@@ -462,8 +462,8 @@ def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
     a·(2m² + 1)/(3m). IEEE 952 has the limits of continuous averages. For an oscillating correlation a is complex, and
     the real part of the result is the variance.
     """
-    rho, decay, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
-    exact = ((1 + rho) / gap - rho * decay * (2 + decay) / (m * gap**2)) / m
+    rho, decay, one_minus_rho = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
+    exact = ((1 + rho) / one_minus_rho - rho * decay * (2 + decay) / (m * one_minus_rho**2)) / m
     return np.where(np.abs(m * a) < WALK_LIMIT, a * (2 * m**2 + 1) / (3 * m), exact)
 
 

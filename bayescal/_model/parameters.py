@@ -115,7 +115,7 @@ class Unknown:
     @property
     def held(self) -> bool:
         """Return whether the unknown is a constant by definition."""
-        return self.block is not None and self.block.index in self.block.effect.held
+        return self.block is not None and self.block.index in self.block.effect.constant_indices
 
     @property
     def prior_sd(self) -> float | None:
@@ -204,10 +204,10 @@ class Layout:
             if block.place == "phi":
                 row = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
                 rows += [(name, *row) for name in block.member_names()]
-        free = (row for row in rows if row[0] not in fixed)
+        free_rows = (row for row in rows if row[0] not in fixed)
         return tuple(
             Unknown(name, name, unit, effect, kind, prior, v=i)
-            for i, (name, unit, prior, kind, effect) in enumerate(free)
+            for i, (name, unit, prior, kind, effect) in enumerate(free_rows)
         )
 
     @cached_property

@@ -219,13 +219,13 @@ def convert(prior: Any, of_shape: bool = False) -> Any:
             name, names = "TruncatedNormal", names | {"loc", "scale"}
         try:
             values = {n: float(getattr(prior, n, getattr(base, n, None))) for n in sorted(names)}
-            lowest, reason = float(prior.icdf(_EDGE)), "it may be negative"
+            lower_bound, reason = float(prior.icdf(_EDGE)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
-            lowest, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
+            lower_bound, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
         allowed_types = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
         if values and (kind := next((k for k in allowed_types if k.__name__ == name), None)):
             return kind(*values.values())
-        if lowest >= 0:
+        if lower_bound >= 0:
             return NumpyroPrior(name, tuple(values.items()))
     takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
     raise ModelError(f"prior {name}: {reason}. {takes} Normal or a positive distribution with icdf")

@@ -65,8 +65,8 @@ def draw_states(key: Array, states: States) -> Float[Array, "n"]:
 
     def advance(state, row):
         carry, noise = row
-        advanced = carry @ state + noise
-        return advanced, advanced @ jnp.asarray(states.observation)
+        next_state = carry @ state + noise
+        return next_state, next_state @ jnp.asarray(states.observation)
 
     rows = states.carry, jnp.einsum("nij,nj->ni", eigenvectors, normal)
     return jax.lax.scan(advance, jnp.zeros(len(states.observation)), rows)[1]

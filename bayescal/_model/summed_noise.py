@@ -96,8 +96,8 @@ class SumOfTerms(Noise, interface=True):
     def in_words(self) -> str:
         counts = Counter(p.words for p in self.parts)
         white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
-        counted = (f"{c} {w}" if c > 1 else w for w, c in counts.items())
-        return self.words or " + ".join((white, *counted))
+        term_texts = (f"{c} {w}" if c > 1 else w for w, c in counts.items())
+        return self.words or " + ".join((white, *term_texts))
 
     @property
     def stationary(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -130,10 +130,10 @@ class SumOfTerms(Noise, interface=True):
         return part.unit(name, output)
 
     def derived(self, values: Parameters) -> dict[str, Any]:
-        host = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
+        arrays = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
         quantities: dict[str, Any] = {}
         for part in self.parts:
-            quantities |= part.derived(host, self.bounds)
+            quantities |= part.derived(arrays, self.bounds)
         return quantities
 
     def slow_variance(self, values: Parameters) -> Any:
@@ -313,10 +313,10 @@ def _build_terms(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
 def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
     """Estimate slope and curvature by least squares on log squared differences of adjacent residuals."""
     steps = np.diff(r)
-    usable = (np.asarray(frame.step)[1:] >= 0) & (steps != 0)
-    z = np.asarray(scale_covariate(frame, column))[1:][usable]
+    is_usable = (np.asarray(frame.step)[1:] >= 0) & (steps != 0)
+    z = np.asarray(scale_covariate(frame, column))[1:][is_usable]
     design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
-    _, slope, curvature = np.linalg.lstsq(design, np.log(steps[usable] ** 2), rcond=None)[0]
+    _, slope, curvature = np.linalg.lstsq(design, np.log(steps[is_usable] ** 2), rcond=None)[0]
     return {SLOPE: float(slope), CURVATURE: float(curvature)}
 
 

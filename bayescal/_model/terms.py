@@ -88,17 +88,17 @@ def terms_of(
     its slot is that column's `PATH`. `size_factors` multiplies prior standard deviations, by effect.
     """
     correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
-    corrected = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
-    correcting = {b.effect.name for b in correcting_blocks}
+    corrected_columns = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
+    correcting_effects = {b.effect.name for b in correcting_blocks}
     corrections: tuple[Correction, ...] = ()
     all_fixed = all(b.place == "fixed" and b.coefficient.per is None for b in correcting_blocks)
-    if correcting_blocks and all_fixed and source.response_columns.isdisjoint(corrected):
-        corrections, corrected = tuple(map(Correction.from_block, correcting_blocks)), ()
+    if correcting_blocks and all_fixed and source.response_columns.isdisjoint(corrected_columns):
+        corrections, corrected_columns = tuple(map(Correction.from_block, correcting_blocks)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
     columns: dict[str, tuple[ColumnSpec, tuple[str, ...]]] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        allowed = () if effect.name in correcting else corrections
-        needed = [c for c in allowed if c.column in effect.columns]
+        usable_corrections = () if effect.name in correcting_effects else corrections
+        needed = [c for c in usable_corrections if c.column in effect.columns]
         names = [*map(effect.shape_name, effect.column_shapes)]
         names += [name for c in needed for name in c.shape_names]
         spec = ColumnSpec.from_effect(effect).with_corrections(needed)
@@ -108,11 +108,11 @@ def terms_of(
     def make_term(b: CoefficientBlock) -> Term:
         spec, names = columns[b.effect.name]
         prior_sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
-        corrects_path = b.slot in corrected and isinstance(b.coefficient.prior, Known)
+        corrects_path = b.slot in corrected_columns and isinstance(b.coefficient.prior, Known)
         slot = b.slot + PATH if corrects_path else b.slot
         return Term(**{**vars(b), "slot": slot}, columns=spec, shape_names=names, prior_sd=prior_sd)
 
-    return tuple(map(make_term, blocks)), corrected
+    return tuple(map(make_term, blocks)), corrected_columns
 
 
 class _ShapeWeights(NamedTuple):

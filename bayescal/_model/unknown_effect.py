@@ -110,9 +110,9 @@ def unknown(
         name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
-    measured = strip_rate(covariate)
-    derived = covariate in ("elapsed", f"{measured} rate")
-    columns = ("time",) if covariate == "elapsed" else (measured,)
+    column = strip_rate(covariate)
+    is_derived = covariate in ("elapsed", f"{column} rate")
+    columns = ("time",) if covariate == "elapsed" else (column,)
     return Effect(
         name or f"unknown({covariate})",
         slot,
@@ -121,8 +121,8 @@ def unknown(
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
         weights=value_partial(process_sizes, terms),
         measure="amplitude",
-        columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
-        varies=() if covariate == "elapsed" else (measured,),
+        columns=columns + (("time",) if is_derived and covariate != "elapsed" else ()),
+        varies=() if covariate == "elapsed" else (column,),
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
         along=covariate,
@@ -231,16 +231,16 @@ def _why_untestable(covariate: str, readings: Measurements) -> str | None:
 
 
 _X = "x the position in the range of {covariate}"
-_LINES = "A slot's value is proportional to a column."
-_STEPS = "A slot's value steps by a at one time, or near one value of a column, and stays."
-_BENDS = "A slot's slope along a column changes near one value of the column, by a over its range."
-_PEAKS = "A slot's value has a peak of height a at one value of a column, as of a resonance."
-_TURNS = "A slot's value is sinusoidal in time."
-line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _line_basis, _LINES)
-jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _step_basis, _STEPS)
-kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _kink_basis, _BENDS)
-peak: Form = _make_factory("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _peak_basis, _PEAKS)
-cycle: Form = _make_factory("cycle", "a·sin(2π·cycles·t + φ)", _cycle_basis, _TURNS)
+_LINE_DOC = "A slot's value is proportional to a column."
+_STEP_DOC = "A slot's value steps by a at one time, or near one value of a column, and stays."
+_KINK_DOC = "A slot's slope along a column changes near one value of it, by a over its range."
+_PEAK_DOC = "A slot's value has a peak of height a at one value of a column, as of a resonance."
+_CYCLE_DOC = "A slot's value is sinusoidal in time."
+line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _line_basis, _LINE_DOC)
+jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _step_basis, _STEP_DOC)
+kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _kink_basis, _KINK_DOC)
+peak: Form = _make_factory("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _peak_basis, _PEAK_DOC)
+cycle: Form = _make_factory("cycle", "a·sin(2π·cycles·t + φ)", _cycle_basis, _CYCLE_DOC)
 
 TIME_FORMS = ("time, jump", "time, cycle")
 FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

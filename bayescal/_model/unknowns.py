@@ -80,5 +80,5 @@ class Unknowns:
     def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
         """Select one unknown (…), or all members of a group by their key (…, members)."""
         members = self.by_key.get(name)
-        grouped = members is not None and self.rows[members.start].group is not None
-        return values[..., members if grouped else self.index[name]]
+        is_grouped = members is not None and self.rows[members.start].group is not None
+        return values[..., members if is_grouped else self.index[name]]

@@ -83,8 +83,8 @@ class Vector:
         projections = jnp.stack([frame[name] for name in ACROSS], axis=1)
         direction = jnp.stack([frame[name] for name in DIRECTION], axis=1)
         expected_outputs = outputs(magnitudes[:, None] * direction)
-        projected = jnp.any(projections != 0, axis=1)
-        return jnp.where(projected, jnp.sum(projections * expected_outputs, axis=1), expected)
+        is_projection = jnp.any(projections != 0, axis=1)
+        return jnp.where(is_projection, jnp.sum(projections * expected_outputs, axis=1), expected)
 
     def with_directions(
         self, frame: Frame, y: Float[np.ndarray, "n"]

@@ -162,7 +162,7 @@ def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None
     hyper = problem.hyper(calibration.mode.v)
     catalogue = calibration.model.instrument.known
     for e in calibration.model.effects:
-        if column in e.varies and catalogue.get(e.reported, e).kind == "lag":
+        if column in e.varies and catalogue.get(e.family_name, e).kind == "lag":
             shapes = tuple(float(hyper[e.shape_name(s)]) for s in e.shapes)
             columns = np.asarray(e.basis(calibration.frame, *shapes))
             values = calibration.readings[column] + columns[:, int(e.slot == column)]

@@ -265,7 +265,7 @@ def _additions(chapter: Chapter) -> str:
         if inclusion is not None and inclusion < settings().found_probability:
             qualifier = f"probably ({inclusion:.2f}) "
         averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
-        name = format_forms(effect.name, effect.reported, averaged)
+        name = format_forms(effect.name, effect.family_name, averaged)
         texts.append(qualifier + _describe_effect(chapter.used, effect, name))
     stated = " (± standard uncertainty)" * any("±" in text for text in texts)
     return f"Found in addition to the first model{stated}: {'; '.join(texts)}."
@@ -290,7 +290,7 @@ PHYSICS = {  # description of an effect by the form of its dependence
 
 def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
     """Describe an effect by name and by the range of a curve or its unknowns, conditional on inclusion."""
-    base = c.model.instrument.known.get(effect.reported, effect)  # forms share their family's text
+    base = c.model.instrument.known.get(effect.family_name, effect)  # forms share its text
     along = effect.covariate if effect.is_placeholder else base.columns[-1] if base.columns else ""
     text = f"{PHYSICS[base.kind]} {along.replace('_', ' ')}, " if base.kind in PHYSICS else ""
     if (per := effect.coefficients[0].per) and not effect.shapes:

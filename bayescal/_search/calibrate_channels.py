@@ -303,7 +303,7 @@ class _Channel:
         for name in shapes:
             # The cavity range, from the other channels alone, is the next prior: a channel's own evidence counts once.
             range_ = {self.shared[name].name: (priors[name].low, priors[name].high)}
-            candidates[name] = candidates[name].ranging(range_)
+            candidates[name] = candidates[name].with_ranges(range_)
         odds = {n: prior.log_odds for n, prior in priors.items()}
         return replace(before, candidates=candidates, stated_log_odds=odds, visited={}, scores={})
 

@@ -138,7 +138,7 @@ def _fitted_size(effect, fit: EvaluatedStructure) -> dict:
     problem, mode = fit.problem, fit.mode
     hyper = problem.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
-    if effect.held:  # a body's temperature: its size is its time constant
+    if effect.constant_indices:  # a body's temperature: its size is its time constant
         first_shape = effect.shapes[0]
         size, sd = problem.value_and_sd(effect.shape_name(first_shape), mode.v, mode.covariance)
         return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
@@ -182,8 +182,8 @@ def _group_spread(
     values, squares = np.maximum(values, 0.0), (vectors.T @ score) ** 2
     variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale
     # Along an eigenvector of the members' information K, eigenvalue λ, the score has variance λ + λ²τ² under spread τ.
-    logs = squares * variance / (1 + values * variance) - np.log1p(values * variance)
-    log_factors = 0.5 * np.sum(logs, axis=1)
+    log_terms = squares * variance / (1 + values * variance) - np.log1p(values * variance)
+    log_factors = 0.5 * np.sum(log_terms, axis=1)
     log_factors += np.log(size) - 0.5 * (size / prior) ** 2  # log prior density of log τ
     weights = np.exp(log_factors - logsumexp(log_factors))
     mean = float(weights @ size)
@@ -262,8 +262,8 @@ def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
         fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, score)
         columns.append(rows.whiten(p.scorer.columns(rows, [p.point])) @ fitted)
         projections.append(p.projection @ fitted)
-    names, whitened, projected = list(points), np.array(columns), np.array(projections)
-    gram = whitened @ whitened.T - projected @ projected.T
+    names, whitened, projected_columns = list(points), np.array(columns), np.array(projections)
+    gram = whitened @ whitened.T - projected_columns @ projected_columns.T
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosine = np.abs(gram / np.outer(norms, norms))
     parallel = (cosine > PARALLEL_COSINE) & ~np.eye(len(names), dtype=bool)
@@ -280,10 +280,10 @@ def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | No
     if effect is None or (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
         return candidate
     scales = (s.high for s in effect.shapes if s.name == effect.measure)
-    plausible = next(scales, effect.coefficients[0].size)
+    plausible_size = next(scales, effect.coefficients[0].size)
     # Visible: ten plausible sizes would be found; one, where nuisances take all but a hundredth of the information.
     is_hidden = (candidate.visibility or 0.0) < UNDECIDED_SHARE
-    max_size, detectable = MAX_DETECTABLE_SIZES * plausible, candidate.minimum_detectable
-    if detectable is None or detectable > (plausible if is_hidden else max_size):
+    max_size, detectable = MAX_DETECTABLE_SIZES * plausible_size, candidate.minimum_detectable
+    if detectable is None or detectable > (plausible_size if is_hidden else max_size):
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

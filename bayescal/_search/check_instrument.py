@@ -157,9 +157,9 @@ def _fit_simulated(
     key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
     check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
-    if bad := int((~np.isfinite(output)).sum()):
+    if count := int((~np.isfinite(output)).sum()):
         cause = "is a logarithm, root or quotient outside its domain?"
-        raise ModelError(f"the output is not finite in {bad} of {output.size} readings: {cause}")
+        raise ModelError(f"the output is not finite in {count} of {output.size} readings: {cause}")
     options: dict[str, Any] = {"seed": seed, "reference": reference, "strict": False}
     fitted = fit(model, readings.with_column("output", output), LeastSquares(draws=300), **options)
     slopes = np.abs(forward.linearise(layout, frame, x, hyper).jacobian)

@@ -261,8 +261,8 @@ def structures_over(
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
-        unknown = (c for c in effect.coefficients if not c.known)
-        if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
+        coefficients = (c for c in effect.coefficients if not c.known)
+        if any((c.slot or effect.slot) not in slots or c.per == READING for c in coefficients):
             return "corrects a column or single readings, which no search evaluates: add it to the model"
         ignored = sorted(readings.no_causes.intersection(effect.columns))
         if ignored and effect.name not in given_names:
@@ -270,19 +270,19 @@ def structures_over(
         return why_untestable(effect, readings)
 
     # A family that the model has in one form is not missing in another.
-    base_families = {e.reported for e in model.effects}
-    reasons = {n: untestable(e) for n, e in by_name.items() if e.reported not in base_families}
+    base_families = {e.family_name for e in model.effects}
+    reasons = {n: untestable(e) for n, e in by_name.items() if e.family_name not in base_families}
     testable = {n: by_name[n] for n, reason in reasons.items() if reason is None}
-    families, untested = {by_name[n].reported for n in testable}, dict[str, Candidate]()
+    families, untested = {by_name[n].family_name for n in testable}, dict[str, Candidate]()
     for name, reason in reasons.items():
-        family = by_name[name].reported
+        family = by_name[name].family_name
         if reason and not by_name[name].is_placeholder and family not in families:
             untested.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
     frame = record.frame
     model = fill_amplitudes(model, readings, record)
     amplitudes = amplitude_range(model, readings, record)
-    testable = {n: e.sized(*amplitudes) for n, e in testable.items()}
+    testable = {n: e.with_open_ranges(*amplitudes) for n, e in testable.items()}
     record.require_finite((*testable.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, testable.values(), reference)[0]
@@ -300,14 +300,14 @@ def restrict_causes(
     covariates: Collection[str] | None,
 ) -> Measurements:
     """Exclude the columns to ignore as causes; if covariates are given, all other undeclared columns, too."""
-    if both := sorted({*ignore}.intersection(covariates or ())):
-        raise InputError(f"{', '.join(both)}: both ignored and a covariate: give one of the two")
+    if common := sorted({*ignore}.intersection(covariates or ())):
+        raise InputError(f"{', '.join(common)}: both ignored and a covariate: give one of the two")
     if covariates is not None:
         for name in covariates:
             readings[name]
-        of_instrument = {c.name for c in instrument.columns} | {"output_uncertainty"}
-        further = {n for n in readings.columns if readings.unit(n) is not None} - of_instrument
-        readings = readings.without_causes(further - {*covariates}, others=False)
+        declared = {c.name for c in instrument.columns} | {"output_uncertainty"}
+        undeclared = {n for n in readings.columns if readings.unit(n) is not None} - declared
+        readings = readings.without_causes(undeclared - {*covariates}, others=False)
     return readings.without_causes(ignore)
 
 
@@ -346,7 +346,7 @@ def summarise_discovery(
     points = select_forms(structures, points)
     parallel = find_indistinguishable(points) if points else {}
     findings = posterior.findings
-    in_sets = {name: set(f.effects) for f in findings for name in f.effects}
+    findings_by_name = {name: set(f.effects) for f in findings for name in f.effects}
     unscored = structures.unscored_candidates if scored else structures.candidates
     tested = []
     for name in (*points, *sorted(posterior.space.families(unscored) - families)):
@@ -358,7 +358,7 @@ def summarise_discovery(
         refit = structures.visited.get(structure.with_effects(form))
         candidate = summarise_candidate(library, name, form, scores, evaluated, refit)
         # Confounded candidates have parallel fitted contributions, or share a finding.
-        confounded = parallel.get(name, set()).union(in_sets.get(name, ())) - {name}
+        confounded = parallel.get(name, set()).union(findings_by_name.get(name, ())) - {name}
         candidate = replace(
             candidate,
             # None: no score, and no structure with it was evaluated before the search ended early.
@@ -366,16 +366,16 @@ def summarise_discovery(
             indistinguishable_from=tuple(sorted(confounded)),
         )
         effect = structures.candidates[scores[0].effect] if scores else None
-        tested.append(classify_candidate(candidate, name in in_sets, effect))
+        tested.append(classify_candidate(candidate, name in findings_by_name, effect))
     ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     final = posterior.best if stopped else posterior.median_structure
     added, model = final.effects - structure.effects, structures.evaluate(final).sized_model
     best = [model.effect(name) for name in structures.candidates if name in added]
     is_stated = scored and not stopped
     # Effects that another experiment should tell apart, the most probable first.
-    first_set = list(findings[0].effects) if findings else []
-    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_set) < 2 else []
-    rivals = list(dict.fromkeys(first_set + leads))[:MAX_RIVALS]
+    first_finding = list(findings[0].effects) if findings else []
+    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_finding) < 2 else []
+    rivals = list(dict.fromkeys(first_finding + leads))[:MAX_RIVALS]
     laws = {"": structures.base.noise, **structures.noise_laws} if structures.noise_laws else {}
     pairs = ((law, posterior.law_probability(name)) for name, law in laws.items())
     law_rows = [LawProbability(law.name, law.in_words, p) for law, p in pairs]

@@ -32,8 +32,8 @@ def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
     """Return the reasons why the last model is not fit for use, those of earlier checks first."""
     last = steps[-1]
     claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
-    earlier = (w for w in last.calibration.verdict.against if w not in claims)
-    return (*dict.fromkeys(map(as_claim, earlier)), *claims)
+    earlier_claims = (w for w in last.calibration.verdict.against if w not in claims)
+    return (*dict.fromkeys(map(as_claim, earlier_claims)), *claims)
 
 
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
@@ -41,11 +41,11 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     subject_fields: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
     subject_fields |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
     subject = judgement.Subject(last.calibration, **subject_fields, first_model=first)
-    replaced = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
+    replaced_claims = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
     return [
         *(*last.outlying_groups, *judgement.residual_claims(subject)),
         *(*undecided_claims(steps), *equivalent_claims(steps, "doubt")),
-        *(*judgement.thermometer_anomalies(subject), *replaced, *worsened_claims(steps)),
+        *(*judgement.thermometer_anomalies(subject), *replaced_claims, *worsened_claims(steps)),
         *(
             *judgement.outlying_groups(subject),
             *unlike_run_claims(steps),
@@ -59,8 +59,8 @@ def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     last, outcome = steps[-1], assess_last(steps)
     notes = [*list_profile_claims(last.calibration)]
     if last.calibration.verdict.ok:
-        measured = (term for term in _compare_terms(steps) if term.is_measured)
-        notes += [term.claim for term in measured if term.is_confounded]
+        measured_terms = (term for term in _compare_terms(steps) if term.is_measured)
+        notes += [term.claim for term in measured_terms if term.is_confounded]
     notes += [*thermometer_claims(steps), *equivalent_claims(steps, "note")]
     notes += two_level_claims(steps)
     if notes:
@@ -96,13 +96,13 @@ def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     like a warm-up or another effect in time.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
-    thermal = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
+    columns = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
     added = {*model.names} - {*steps[0].calibration.model.names}
     time_effects = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
-    warm = {e.name for e in time_effects if e.along == "elapsed" or {*thermal} & {*e.columns}}
+    warm = {e.name for e in time_effects if e.along == "elapsed" or {*columns} & {*e.columns}}
     in_time = [e.name for e in time_effects if e.name in warm | added]
-    if thermal and in_time:
-        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(thermal))
+    if columns and in_time:
+        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(columns))
 
 
 def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:

@@ -147,8 +147,8 @@ class Library:
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
         # Chain rule: derivative of the output by the slot, times that of the slot by the coefficient.
         by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
-        needed, cached = self._relevant_corrections(name, corrections), self._columns.get(name, {})
-        if entry := cached.get(bool(needed)):
+        needed, entries = self._relevant_corrections(name, corrections), self._columns.get(name, {})
+        if entry := entries.get(bool(needed)):
             is_same = entry[0] is record and entry[1] == needed
             if is_same and np.array_equal(entry[2], by_slot):
                 return entry[3][[p.index for p in points]]
@@ -164,8 +164,8 @@ class Library:
         for i, c in enumerate(effect.coefficients):
             slope = by_slot[i] * factor_of(instrument, effect, c)
             codes, members = None if c.per is None else record.codes[c.per], slice(*ends[i : i + 2])
-            spread = expand_members(slope * bases[..., i], codes, members.stop - members.start)
-            columns[:, members] = np.moveaxis(spread, -1, 1)
+            per_member = expand_members(slope * bases[..., i], codes, members.stop - members.start)
+            columns[:, members] = np.moveaxis(per_member, -1, 1)
         if not is_small:
             return columns
         self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
@@ -222,8 +222,8 @@ def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
     factors = {1.0: 1.0} if is_spread.all() else SIZE_FACTORS
     for z, (factor, p) in itertools.product(spreads, factors.items()):
         start = {effect.group_sd_name(i): math.log(z) for i in learned}
-        scaled, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
-        prior_scales.append(PriorScale(scaled, start, {}, log_weight))
+        scaled_sd, log_weight = sd * np.where(is_spread, z, factor), math.log(p / len(spreads))
+        prior_scales.append(PriorScale(scaled_sd, start, {}, log_weight))
     return prior_scales
 
 

@@ -106,8 +106,8 @@ def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list
         return [{**start, **point} for point in ({}, *others)]
     starts = list[dict[str, float]]()
     for values in _initial_values(law, record):
-        fixed = {n: [priors[n].coordinate(v)] for n, v in values.items()}
-        levels = (fixed.get(n, STARTING_LEVELS) for n in priors)
+        fixed_levels = {n: [priors[n].coordinate(v)] for n, v in values.items()}
+        levels = (fixed_levels.get(n, STARTING_LEVELS) for n in priors)
         starts += [dict(zip(priors, point, strict=True)) for point in itertools.product(*levels)]
     return starts
 
@@ -121,7 +121,7 @@ def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
         scales = (scale, 1.5 * float(np.median(np.abs(residuals))))
         return [{next(iter(law.parameters())): s} for s in scales if s > 0]
     # Slow noise hardly changes between neighbouring readings: their differences are mainly those of the white part.
-    in_time = residuals[record.in_time[0]]
-    white_sd = float(np.median(np.abs(np.diff(in_time)))) or scale
-    starts = law.starts(record.frame.in_time(), in_time) if white_sd > 0 else []
+    sorted_residuals = residuals[record.in_time[0]]
+    white_sd = float(np.median(np.abs(np.diff(sorted_residuals)))) or scale
+    starts = law.starts(record.frame.in_time(), sorted_residuals) if white_sd > 0 else []
     return [{WHITE: white_sd, **values} for values in starts]

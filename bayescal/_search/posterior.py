@@ -86,9 +86,9 @@ class Posterior:
 
         A structure is incomplete where an unnamed effect, given, added or of the noise, is not negligible.
         """
-        space, conditioned = self.space, Structure(self.condition)
-        further = {*unseen, *space.latent_effects(conditioned)}
-        reported = space.reported_families(conditioned) | space.families(further)
+        space, base_structure = self.space, Structure(self.condition)
+        further_effects = {*unseen, *space.latent_effects(base_structure)}
+        reported = space.reported_families(base_structure) | space.families(further_effects)
         triples = zip(self.structures, self.reported_families, self.needs_description, strict=True)
         named = [not needs and f - space.unnamed_effects(s) <= reported for s, f, needs in triples]
         fits = map(self.evaluated.get, self.structures)
@@ -99,12 +99,12 @@ class Posterior:
     def needs_description(self) -> list[bool]:
         """Return, for each structure, whether it has an unnamed effect that is not negligible."""
 
-        def needed(s: Structure, probability: float) -> bool:
+        def is_needed(s: Structure, probability: float) -> bool:
             fit, unnamed = self.evaluated.get(s), bool(self.space.unnamed_effects(s))
-            unknown = fit is None or probability < NEGLIGIBLE_PROBABILITY
-            return unnamed and (unknown or bool(self.space.substantial_unnamed(fit)))
+            is_unknown = fit is None or probability < NEGLIGIBLE_PROBABILITY
+            return unnamed and (is_unknown or bool(self.space.substantial_unnamed(fit)))
 
-        return [needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
+        return [is_needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
 
     def law_probability(self, name: str) -> float:
         """Return the probability of a noise law."""

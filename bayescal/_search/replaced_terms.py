@@ -97,9 +97,9 @@ def find_replaced_terms(
 
 def _own_columns(effect: Effect) -> set[str]:
     """Return numeric columns that an effect depends on, without the time of lags and rates."""
-    named = set(effect.varies) | (set(effect.columns) - {"time"})
+    columns = set(effect.varies) | (set(effect.columns) - {"time"})
     along = strip_rate(effect.along or "")
-    return named | ({along} if along not in ("", "elapsed") else set())
+    return columns | ({along} if along not in ("", "elapsed") else set())
 
 
 def _compare_term(
@@ -134,11 +134,11 @@ def has_repeated_profile(readings: Measurements, column: str) -> bool:
     profiles = ((clock[r] - clock[r[0]], values_of[r]) for r in readings.records.in_time)
     ((first, first_values), *others), correlation = profiles, limit("profile.one", "correlation")
     for time, values in others:
-        inside = time <= first[-1]
-        if inside.sum() < 3 or np.ptp(values[inside]) == 0:
+        is_inside = time <= first[-1]
+        if is_inside.sum() < 3 or np.ptp(values[is_inside]) == 0:
             return False
-        other = np.interp(time[inside], first, first_values)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < correlation:
+        other = np.interp(time[is_inside], first, first_values)
+        if np.ptp(other) == 0 or np.corrcoef(other, values[is_inside])[0, 1] < correlation:
             return False
     return True
 
@@ -162,6 +162,6 @@ def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
         return f"Vary {' and '.join(columns)} in another way in another run."
     values = calibration.readings[column]
     start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
-    ends = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
-    farther, nearer = (number(float(end), 3) for end in ends)
+    limits = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
+    farther, nearer = (number(float(end), 3) for end in limits)
     return f"A run of another profile would tell: from {farther} to {nearer} °C and back."

@@ -160,19 +160,19 @@ class ReducedModel(NamedTuple):
             factors = self._score_columns(name) if is_single else self._score_blocks(name)
             means, best = np.logaddexp.reduce(factors, axis=1), np.argmax(factors, axis=1)
             scales = self.scorer.library.prior_scales[name]
-            scored = by_name[name] = list[ScoredPoint]()
+            scored_points = by_name[name] = list[ScoredPoint]()
             for i in np.argsort(-means, kind="stable"):
                 p, scale = points[i], scales[best[i]]
                 parts = self.projection[:, p.block], self.scores[p.block]
-                scored.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *parts))
+                scored_points.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *parts))
         return by_name
 
     def _score_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """Return log Bayes factors of a candidate with one column, at each point and prior scale."""
         points, scales = self.scorer.library.points[name], self.scorer.library.prior_scales[name]
         columns = slice(points[0].block.start, points[-1].block.stop)
-        projected = np.sum(self.projection[:, columns] ** 2, axis=0)
-        information = self.scorer.gram[name][:, 0, 0] - projected
+        projected_squares = np.sum(self.projection[:, columns] ** 2, axis=0)
+        information = self.scorer.gram[name][:, 0, 0] - projected_squares
         square = np.array([s.sd[0] ** 2 for s in scales])
         log_weight = np.array([s.log_weight for s in scales])
         # A coefficient of prior sd s, score u and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K) at

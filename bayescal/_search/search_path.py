@@ -204,7 +204,7 @@ class SearchPath(Printed):
         heads |= {0.5: "more probable than not", 0.0: "in the model shown, one of several"}
         texts = dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
-            family = self.final.calibration.model.effect(name).reported
+            family = self.final.calibration.model.effect(name).family_name
             text = f"{format_forms(name, family, shares)}, probability {probability(p)}"
             texts.setdefault(next(h for least, h in heads.items() if p >= least), []).append(text)
         return lines + [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
@@ -221,8 +221,8 @@ class SearchPath(Printed):
         first, last = self.steps[0], self.final.calibration.model
         names, discovery = set(first.calibration.model.names), first.discovery
         names |= {*self.final.discovery.latent} if self.final.discovery else set()
-        probabilities = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
-        return {e.name: probabilities.get(e.reported) for e in last.effects if e.name not in names}
+        by_family = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
+        return {e.name: by_family.get(e.family_name) for e in last.effects if e.name not in names}
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)

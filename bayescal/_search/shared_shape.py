@@ -52,15 +52,15 @@ class ShapeEvidence(NamedTuple):
     def update(self, others: CavityPrior, shape: Shape) -> ChannelPosterior:
         """Return the channel's posterior of the effect under a cavity prior."""
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
-        middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
-        v = _distinct(np.concatenate([self.v, middle + sd * FINE_GRID_SD]))
+        centre, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
+        v = _distinct(np.concatenate([self.v, centre + sd * FINE_GRID_SD]))
         # Cavity prior mass times the channel's own ratio, on a grid refined where the prior lies.
-        joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
-        log_ratio = float(np.logaddexp.reduce(joint))
-        weight = np.exp(joint - log_ratio)
+        log_joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, centre, sd)
+        log_ratio = float(np.logaddexp.reduce(log_joint))
+        weight = np.exp(log_joint - log_ratio)
         mean = float(weight @ v)
-        spread = math.sqrt(float(weight @ (v - mean) ** 2))
-        return ChannelPosterior(float(expit(others.log_odds + log_ratio)), mean, spread)
+        sd_post = math.sqrt(float(weight @ (v - mean) ** 2))
+        return ChannelPosterior(float(expit(others.log_odds + log_ratio)), mean, sd_post)
 
 
 class ChannelPosterior(NamedTuple):
@@ -187,20 +187,20 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
 
 
 def _shape_coordinates(
-    shape: Shape, local: Shape, best: Sequence[EvaluatedStructure], name: str
+    shape: Shape, local_shape: Shape, best_fits: Sequence[EvaluatedStructure], name: str
 ) -> np.ndarray:
     """Return a grid of shape coordinates: even over both prior ranges, and finer about the channel's mode."""
     steps = RAGGED_STEP_SD if shape.ragged else GRID_STEP_SD, GRID_STEP_SD
-    even, coarse = (np.arange(-GRID_LIMIT_SD, GRID_LIMIT_SD, step) for step in steps)
-    values = [local.prior.value(coarse)]
-    for fit in best:
+    even_grid, coarse_grid = (np.arange(-GRID_LIMIT_SD, GRID_LIMIT_SD, step) for step in steps)
+    values = [local_shape.prior.value(coarse_grid)]
+    for fit in best_fits:
         index = fit.problem.layout.index_in_phi[name]
         sd = math.sqrt(fit.mode.covariance[index, index])
         # At the channel's mode the evidence may have a peak narrower than the even step.
-        fine = fit.mode.v[index] + np.clip(sd, MIN_SD, 1.0) * FINE_GRID_SD
-        values.append(fit.problem.hypers[index].prior.value(fine))
+        fine_grid = fit.mode.v[index] + np.clip(sd, MIN_SD, 1.0) * FINE_GRID_SD
+        values.append(fit.problem.hypers[index].prior.value(fine_grid))
     coordinates = [shape.prior.coordinate(float(value)) for value in np.concatenate(values)]
-    return _distinct(np.concatenate([even, coordinates]))
+    return _distinct(np.concatenate([even_grid, coordinates]))
 
 
 def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

@@ -261,7 +261,7 @@ def _combine_draws(
         for b in layout.x_blocks:
             if b.name in part:
                 x[rows, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
-            elif b.index in b.effect.held and b.effect.name in member.names:
+            elif b.index in b.effect.constant_indices and b.effect.name in member.names:
                 x[rows, b.start] = b.coefficient.mean
         for i, h in enumerate(layout.hypers):
             if h.name in part:

@@ -165,13 +165,13 @@ class Structures:
         """Return the candidates of each family, by the name under which it is reported."""
         forms: dict[str, tuple[str, ...]] = {}
         for name, effect in self.candidates.items():
-            forms[effect.reported] = (*forms.get(effect.reported, ()), name)
+            forms[effect.family_name] = (*forms.get(effect.family_name, ()), name)
         return forms
 
     def family(self, name: str) -> str:
         """Return the name under which a candidate, or an effect of the base, is reported."""
         effect = self.candidates.get(name)
-        return name if effect is None else effect.reported
+        return name if effect is None else effect.family_name
 
     def families(self, names: Iterable[str]) -> frozenset[str]:
         """Return the names under which effects are reported."""

@@ -50,9 +50,9 @@ class AddedPose:
         pairs = zip(AXES, self.direction, strict=True)
         parts = [f"{'−' if d < 0 else ''}{axis}" for axis, d in pairs if d]
         words = ("along ", "at 45° between ", "along the diagonal of ")[len(parts) - 1]
-        where = words + (" and " if len(parts) == 2 else ", ").join(parts)
-        where = where if self.rate is None else f"{self.rate:g} about the axis {where}"
-        return where if self.temperature is None else f"{where}, at {self.temperature:.4g} °C"
+        text = words + (" and " if len(parts) == 2 else ", ").join(parts)
+        text = text if self.rate is None else f"{self.rate:g} about the axis {text}"
+        return text if self.temperature is None else f"{text}, at {self.temperature:.4g} °C"
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,11 +102,11 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         record = Record(model.instrument, frame, np.asarray(rows["output"]))
         return linearise_at_priors(Problem(layout, record))
 
-    planned, vector = linear(readings), model.instrument.vector
+    planned_model, vector = linear(readings), model.instrument.vector
     is_log = readings.has(TURNED[0])  # a log of moves: it needs further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not is_log else 1)
-    directions = null_vectors(planned, with_exact=False)[1] if layout.size else []
-    claims = unidentified_claims(planned, levels, with_exact=False)
+    directions = null_vectors(planned_model, with_exact=False)[1] if layout.size else []
+    claims = unidentified_claims(planned_model, levels, with_exact=False)
     combinations = tuple(claims[: len(directions)])  # none of a rig's errors
     if vector is None or not directions or is_log:
         return Undetermined(count, combinations)
@@ -126,11 +126,11 @@ def _list_poses(
     if any("temperature" in effect.columns for effect in model.effects):
         low, high = float(readings["temperature"].min()), float(readings["temperature"].max())
         ends = [low, high if high > low else low + TEMPERATURE_STEP]
-    per_pose, first, rate = 1, 0, None
+    per_pose, template_row, rate = 1, 0, None
     if vector.acting is not None:
         per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or DEFAULT_RATE
     elif readings.has(ACROSS[0]):  # a magnitude: what an unknown direction leaves
-        first = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
+        template_row = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
     poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in ends for d in DIRECTIONS.tolist()]
     units = np.array([p.direction for p in poses])
     units = units / np.linalg.norm(units, axis=1)[:, None]
@@ -144,7 +144,7 @@ def _list_poses(
         size = float(magnitude(readings)[0])
         columns |= {"output": np.full(len(poses), size)}
         columns |= {name: size * units[:, i] for i, name in enumerate(vector.outputs)}
-    rows = readings.select(np.tile(first + np.arange(per_pose), len(poses)))
+    rows = readings.select(np.tile(template_row + np.arange(per_pose), len(poses)))
     for name, values in columns.items():
         rows = rows.with_column(name, np.repeat(values, per_pose))
     return poses, rows
@@ -160,12 +160,12 @@ def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tup
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        remaining = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
-        inner = remaining @ remaining.transpose(0, 2, 1)
+        undetermined = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
+        inner = undetermined @ undetermined.transpose(0, 2, 1)
         log_volumes = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
         log_volumes[chosen] = 0.0
         if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
-            return chosen, remaining.shape[2]
+            return chosen, undetermined.shape[2]
         near_best = np.flatnonzero(log_volumes > SIMPLER_SHARE * log_volumes.max()).tolist()
         chosen.append(min(near_best, key=lambda i: (effort[i], i)))
         information = information + columns[chosen[-1]].T @ columns[chosen[-1]]

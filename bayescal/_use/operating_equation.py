@@ -168,7 +168,7 @@ class OperatingEquation:
         slots = [s.name for s in self.layout.model.instrument.slots]
         slots_in_use = self.use.slots or tuple(slots)
         blocks = (b for b in self.layout.blocks if b.slot in slots_in_use or b.slot not in slots)
-        return tuple(b for b in blocks if not b.effect.of_reference)
+        return tuple(b for b in blocks if not b.effect.is_reference_error)
 
     @cached_property
     def unknowns(self) -> tuple[UnknownInUse, ...]:
@@ -236,7 +236,7 @@ class OperatingEquation:
         composed = compose(terms, terms_of(blocks)[0], values, shapes)
         zero = self.graph.symbols([0.0])
         slots = {name: composed.slots.get(name, zero) for name in terms.slots}
-        return terms.frame.moved(composed.shifts), slots
+        return terms.frame.shift_columns(composed.shifts), slots
 
     @cached_property
     def expected(self) -> int:

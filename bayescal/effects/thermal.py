@@ -144,7 +144,7 @@ def hysteresis(
         shapes=(Shape("width", widths[2], *widths[:2]),),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_why_one_way, column, widths),
+        untestable=partial(_why_monotonic, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
         kind="hysteresis",
@@ -311,7 +311,7 @@ def _product_basis(column: str, r: Frame, tau: Any) -> Any:
     return r.centred(column) * r.lag(tau, column)
 
 
-def _why_one_way(column: str, widths: Any, readings: Measurements) -> str | None:
+def _why_monotonic(column: str, widths: Any, readings: Measurements) -> str | None:
     """Return a message if a column does not change in both directions, as a test of hysteresis needs; else None."""
     frame = build_frame(readings, reference_of(readings))
     direction = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])

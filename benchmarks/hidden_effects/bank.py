@@ -95,7 +95,7 @@ def plan(instrument: bc.Instrument) -> list[Case]:
 def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> Iterator[Case]:
     """Campaigns of one kind; what is drawn of them does not depend on how many there are."""
     size = {e.name: e.coefficients[0].size for e in effects}
-    family = {e.name: e.reported for e in effects}
+    family = {e.name: e.family_name for e in effects}
     names, count, first = list(size), COUNTS[kind], FIRST_SEED[kind]
     rng = np.random.default_rng([20261121, first])
     if kind == "single":

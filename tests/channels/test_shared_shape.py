@@ -111,7 +111,7 @@ def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     peak = v[int(np.argmax(log_ratio))]
     held = []
     for value in map(float, prior.value(np.array([peak - 0.3, peak, peak + 0.3]))):
-        narrow = effect.ranging({"tau": (0.999 * value, 1.001 * value)})
+        narrow = effect.with_ranges({"tau": (0.999 * value, 1.001 * value)})
         fixed = Structures(
             made.base, made.layout, made.record, {**made.candidates, LAG: narrow}, made.noise_laws
         )

@@ -115,7 +115,7 @@ def test_a_file_is_the_same_whatever_instrument_reads_it(hidden: dict[str, float
         readings = bc.Measurements.from_arrays(instrument, units={"output": "deg/s"}, **columns)
         line = bc.fit(instrument.for_readings(readings).baseline(), readings, bc.LeastSquares())
         found = bc.discover(line)
-        assert {e.reported for e in found.best} == {*hidden}, instrument.name
+        assert {e.family_name for e in found.best} == {*hidden}, instrument.name
         assert {s.effects for s in found.findings} == {(name,) for name in hidden}, instrument.name
 
 

@@ -162,7 +162,7 @@ def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
     used = trail.calibration
     mean = bc.predict(used, draws=400).mean
     assert np.sqrt(np.mean((used.readings["output"] - mean) ** 2)) < 1.2 * NOISE + DRIFT
-    assert all(e.held == () or e.name in used.model.names for e in used.model.effects)
+    assert all(e.constant_indices == () or e.name in used.model.names for e in used.model.effects)
 
 
 def test_firmware_holds_one_state_for_a_body(tmp_path: Any) -> None:

@@ -65,8 +65,8 @@ def hidden_and_found(name: str, seed: int) -> None:
     )
     if factor < DETECTABLE:
         return  # too small to be seen here: only harm is forbidden
-    final = [e.reported for e in trail.final.calibration.model.effects]
-    family = INSTRUMENT.effect(name).reported  # a rate is the short end of a lag
+    final = [e.family_name for e in trail.final.calibration.model.effects]
+    family = INSTRUMENT.effect(name).family_name  # a rate is the short end of a lag
     assert family in final, f"{name} = {size:g} (oracle {factor:.1f}): added {added or 'nothing'}"
     assert after <= 1.05 * true_error
     if name not in trail.final.calibration.model.names:

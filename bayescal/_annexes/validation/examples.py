@@ -22,12 +22,12 @@ def pick(value: Any, path: str) -> Any:
     """Return the value at a path of attributes, keys and indices, such as "corrected.value.0"."""
     if isinstance(value, Mapping) and path in value:
         return value[path]
-    part, _, remainder = path.partition(".")
+    part, _, tail = path.partition(".")
     if isinstance(value, Mapping) or part.isdigit():
         value = value[part if isinstance(value, Mapping) else int(part)]
     else:
         value = getattr(value, part)
-    return pick(value, remainder) if remainder else value
+    return pick(value, tail) if tail else value
 
 
 def resolve(value: Any) -> Any:
@@ -64,11 +64,11 @@ def regression(
         method, prior: method of the fit; mean and standard deviation of a normal prior of the coefficients.
     """
     columns = {"x0": np.ones(len(y))} | ({} if x is None else {"x1": np.asarray(x) - centre})
-    uncertain = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
+    errors = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
     fitter = bc.Marginal(draws=20_000) if method == "Marginal" else bc.LeastSquares(draws=DRAWS)
     stimulus = "value" if output is None else "x1"
     priors = bc.Normal(*prior) if prior else bc.Flat()
-    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=uncertain, method=fitter)
+    fitted = fit(y, columns, u=u, prior=priors, stimulus=stimulus, further=errors, method=fitter)
     draws = np.array([fitted.samples(f"line.b[{name}]") for name in columns])
     covariance = np.atleast_2d(np.cov(draws))
     sd, cross_covariance = np.sqrt(np.diag(covariance)), covariance[0, -1]

@@ -82,9 +82,9 @@ def _fit_linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
             matrix[: k + 1, k] = powers.coef
     c = fit(y, {f"x{i}": column for i, column in enumerate(regressors.T)})
     draws = c.draws()[0] @ matrix.T
-    best = matrix @ (c.mode.x + c.layout.x_origins)  # the mean of draws except for rounding
+    mean = matrix @ (c.mode.x + c.layout.x_origins)  # the mean of draws except for rounding
     certified = [np.array(entry[f"{key}_exact"], float) for key in ("beta", "sd", "residual_sd")]
-    return [_estimate(c, best, draws, certified, design * certified[0])]
+    return [_estimate(c, mean, draws, certified, design * certified[0])]
 
 
 def _fit_nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:

@@ -112,14 +112,14 @@ class ValidationRecord:
         yield Section("Installation", [summary], ["", ""], [*self.installation.items()], [0.2, 0.8])
         for standard in content()["standards"]:
             rows = self.rows_of(standard["name"])
-            before = [None, *(row.tested for row in rows)]
-            same = [row.tested == other for row, other in zip(rows, before, strict=False)]
+            texts = [None, *(row.tested for row in rows)]
+            same = [row.tested == other for row, other in zip(rows, texts, strict=False)]
             cells = [
                 ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, same, strict=True)
             ]
-            missing = [f"Not answered: {text}." for text in standard["not_answered"]]
+            unanswered = [f"Not answered: {text}." for text in standard["not_answered"]]
             if rows:
-                yield Section(standard["title"], missing, HEAD, cells, WIDTHS)
+                yield Section(standard["title"], unanswered, HEAD, cells, WIDTHS)
         sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
         for row in self.rows_of(NIST):
             sets[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]

@@ -280,7 +280,7 @@ class Session:
             return named
         library, best = self.current.model.instrument.effect, [e for e in look.best if not e.open]
         forms = {c.effect: named.get(c.form) or library(c.form) for c in look.candidates if c.form}
-        return {**named, **forms, **{e.reported: e for e in best}, **{e.name: e for e in best}}
+        return {**named, **forms, **{e.family_name: e for e in best}, **{e.name: e for e in best}}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
