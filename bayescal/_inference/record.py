@@ -72,7 +72,7 @@ class Record:
     def prepare_for_law(self, law: Noise) -> tuple[Noise, Frame]:
         """Return a noise law without priors and the padded columns that it needs, sorted, as arguments of programs."""
         if law not in self._for_laws:
-            frame = self.frame.only(law.needs)
+            frame = self.frame.select_columns(law.needs)
             frame = programs.pad_frame(frame if law.independent else frame.in_time())
             self._for_laws[law] = law.plain, frame
         return self._for_laws[law]
@@ -227,7 +227,7 @@ class Record:
     def _respond(self, slots: Arrays, shifts: Arrays) -> Any:
         """Evaluate the response by NumPy at slot values and column shifts."""
         all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-        output = self.instrument.response(all_slots, self.frame.moved(shifts))
+        output = self.instrument.response(all_slots, self.frame.shift_columns(shifts))
         return np.broadcast_to(output, np.broadcast_shapes(np.shape(output), (self.size,)))
 
     def _expand(

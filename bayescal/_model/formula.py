@@ -1,8 +1,7 @@
 """Parser of an effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
 The line is parsed by Python's `ast`; only names, numbers and the functions in `_FUNCTIONS` are accepted. One recursive
-pass converts each subexpression to a linear form Σ coefficient × factor with units; unknowns in nonlinear positions are
-shapes.
+pass converts each subexpression to a linear form Σ coefficient × factor with units; nonlinear unknowns are shapes.
 """
 
 from __future__ import annotations

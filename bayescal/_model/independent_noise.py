@@ -186,8 +186,7 @@ class StudentT(Noise):
 
     Attributes:
         scale: prior of the scale, output unit.
-        freedom: prior of the degrees of freedom; below 2 the variance does not exist: variances are computed
-            with at least 2.1.
+        freedom: prior of the degrees of freedom; variances, which do not exist below 2, are computed with at least 2.1.
     """
 
     scale: Positive = HalfCauchy(1.0)

@@ -219,8 +219,7 @@ class SummedNoise(SumOfTerms):
 
     Terms are, by name: "correlated" (Ornstein–Uhlenbeck; up to three, ordered by their times), "smooth" (Matérn-3/2),
     "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q), "averaging" (by the sensor itself). White noise
-    is always among them. Readings are whitened by the Kalman filter, in time linear in their number, whatever their
-    spacing.
+    is always among them. A Kalman filter whitens readings of any spacing, in time linear in their number.
 
         bc.SummedNoise(step, span, ("walk", "correlated"))
 

@@ -105,8 +105,7 @@ def unknown(
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
-        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN` estimates them
-            from the readings.
+        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN`: from the readings.
         name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
