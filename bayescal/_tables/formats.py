@@ -119,19 +119,13 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
     """Return the rows of a sheet that are not empty, whatever size it states: number → column → cell."""
-    from openpyxl.worksheet._reader import WorkSheetParser
-
-    book, table, cells = sheet.parent, dict[int, dict[int, str]](), 0
-    options = {n: getattr(book, f"_{n}") for n in ("date_formats", "timedelta_formats")}
-    with sheet._get_source() as source:
-        parser = WorkSheetParser(
-            source, sheet._shared_strings, data_only=True, epoch=book.epoch, **options
-        )
-        for number, row_cells in parser.parse():
-            row = {c["column"]: text for c in row_cells if (text := format_cell(c["value"]))}
-            table |= {number: row} if row else {}
-            cells += len(row)
-            refuse_large(file, cells, 1, max_bytes)
+    table, count = dict[int, dict[int, str]](), 0
+    sheet.reset_dimensions()
+    for number, values in enumerate(sheet.iter_rows(values_only=True), 1):
+        row = {i: text for i, value in enumerate(values, 1) if (text := format_cell(value))}
+        table |= {number: row} if row else {}
+        count += len(row)
+        refuse_large(file, count, 1, max_bytes)
     return table
 
 
