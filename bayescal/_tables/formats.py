@@ -103,40 +103,29 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
         with ZipFile(path) as archive:
-            total = sum(
-                entry.file_size for entry in archive.infolist()
-            )  # which limits its unpacking
+            total = sum(entry.file_size for entry in archive.infolist())  # a limit of unpacking
         unpacked.refuse_unpacked(file, path.stat().st_size, total, unpacked.SHEET)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
-            filled = ((s, rows) for s in sheets if (rows := _rows_of(s, file, max_bytes)))
-            sheet, rows = next(filled, (None, {}))
+            filled = ((s, t) for s in sheets if (t := _text_of(s, file, max_bytes)).strip())
+            sheet, text = next(filled, (None, b""))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
     note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
-    return parse_text(_as_text(rows), file).table(*[note] * (len(sheets) > 1))
+    return parse_text(text, file).table(*[note] * (len(sheets) > 1))
 
 
-def _rows_of(sheet: Any, file: str, max_bytes: int) -> dict[int, dict[int, str]]:
-    """Return the rows of a sheet that are not empty, whatever size it states: number → column → cell."""
-    table, count = dict[int, dict[int, str]](), 0
+def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
+    """Format a sheet, whatever size it states, as a line of tab-separated cells for each row; empty for no cell."""
+    rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
-    for number, values in enumerate(sheet.iter_rows(values_only=True), 1):
-        row = {i: text for i, value in enumerate(values, 1) if (text := format_cell(value))}
-        table |= {number: row} if row else {}
-        count += len(row)
+    for values in sheet.iter_rows(values_only=True):
+        rows.append([in_one_line(format_cell(value)).replace('"', '""') for value in values])
+        count += sum(map(bool, rows[-1]))
         refuse_large(file, count, 1, max_bytes)
-    return table
-
-
-def _as_text(rows: Mapping[int, Mapping[int, str]]) -> bytes:
-    """Format rows as lines of tab-separated text, each in the line of its number."""
-    width = max(max(cells) for cells in rows.values())
-    lines = [""] * max(rows)
-    for number, cells in rows.items():
-        texts = (in_one_line(cells.get(i + 1, "")).replace('"', '""') for i in range(width))
-        lines[number - 1] = "\t".join(f'"{cell}"' for cell in texts)
-    return "\n".join([*lines, ""]).encode()
+    width = max((i + 1 for row in rows for i, cell in enumerate(row) if cell), default=0)
+    padded = ([*row, *[""] * width][:width] if any(row) else [] for row in rows)
+    return "".join("\t".join(f'"{cell}"' for cell in row) + "\n" for row in padded).encode()
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
