@@ -3,14 +3,11 @@
 # pyright: reportPrivateImportUsage=false
 from __future__ import annotations
 
-from functools import partialmethod
 from typing import Any
 
 import numpy as np
 import pytest
-from arviz_plots import plot_forest, plot_ppc_pit
 from arviz_stats import loo, summary
-from matplotlib import pyplot
 from scipy import stats
 
 import bayescal as bc
@@ -87,29 +84,6 @@ def test_arviz_leaves_one_reading_out(found) -> None:
     exact = stats.norm.logpdf(predicted.residual, 0, predicted.sd).sum()
     assert result.elpd == pytest.approx(exact, abs=2 + result.se)
     assert "log_likelihood" not in found.tree.children
-
-
-def test_arviz_draws_the_tree(found) -> None:
-    for draw in (plot_forest, plot_ppc_pit):
-        made = draw(found.tree).viz["figure"].item()
-        assert made.axes
-        pyplot.close(made)
-
-
-def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeypatch) -> None:
-    count = found.joint.x.shape[0] * 500 * len(found.readings)
-    monkeypatch.setattr(
-        type(found), "log_likelihood", partialmethod(bc.Calibration.log_likelihood, count)
-    )
-    tree = found.with_log_likelihood()
-    kept = tree["log_likelihood"]["draw"].values
-    assert len(kept) <= 500
-    np.testing.assert_array_equal(tree["posterior"]["draw"], kept)
-    whole = found.tree["posterior"]["bias.constant"].values
-    np.testing.assert_array_equal(tree["posterior"]["bias.constant"], whole[:, kept])
-    thinned: Any = loo(tree)
-    every: Any = loo(found.with_log_likelihood())
-    assert thinned.elpd == pytest.approx(every.elpd, abs=every.se)
 
 
 @pytest.mark.slow

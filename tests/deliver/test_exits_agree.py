@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -179,24 +178,6 @@ def test_python_fed_row_by_row(case) -> None:
             record.update(*now, dt=dt)
             found.append(record.correct(output)[:3])
     agree(np.array(found), wanted)
-
-
-def test_json_has_the_operations_that_are_evaluated(case, tmp_path: Path) -> None:
-    compensator, readings, wanted = case
-    path = compensator.export(tmp_path / "compensator.json")
-    data, program = json.loads(path.read_text("utf-8")), compensator.program
-    assert (data["schema"], data["version"]) == ("bayescal.compensator", 3)
-    assert data["equation"]["operations"] == program.graph.data()
-    covariance = np.array(data["covariance"])
-    np.testing.assert_array_equal(covariance, program.covariance)
-    np.testing.assert_allclose(
-        program.factor @ program.factor.T, covariance, atol=1e-12 * covariance.max()
-    )
-    np.testing.assert_array_equal(np.triu(program.factor, 1), 0.0)
-    whole, own = (
-        compensator(readings, method="first order", noise=noise) for noise in (True, False)
-    )
-    agree(np.column_stack([whole.value, own.uncertainty, whole.uncertainty]), wanted)
 
 
 def test_a_file(case, tmp_path: Path) -> None:

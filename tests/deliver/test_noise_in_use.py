@@ -80,12 +80,6 @@ CASES = {
         "temperature 20..50 °C",
         {"temperature": 50.0},
     ),
-    "falls with temperature": Case(
-        bc.Heteroscedastic("temperature"),
-        _grows("temperature", 10.0, 60.0, -0.8),
-        "temperature 20..50 °C",
-        {"temperature": 20.0},
-    ),
     "what is measured": Case(
         bc.Heteroscedastic("pressure"),
         _grows("pressure", 0.0, 200.0),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
+from tests.support.export_check import needs_compiler, run_c
 from tests.support.made_up import bent_sensor
 
 UNITS = {"accelerometer_triad": "g", "gyro_triad": "deg/s", "magnetometer_triad": "uT"}
@@ -127,27 +126,3 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
         value = one(output=y[0], method="first order", warn=False, **inputs).value[0]
         assert found[21 + k] == pytest.approx(value, rel=exact)
     assert found[24] == 0
-
-
-@needs_compiler
-def test_a_plain_matrix_without_covariance_is_twelve_numbers(tmp_path: Path) -> None:
-    assert COMPILER is not None
-    sizes = {}
-    for uncertainty in (True, False):
-        path = bc.export_vector(
-            triad("accelerometer_triad"), tmp_path / "s.h", name="s", uncertainty=uncertainty
-        )
-        more = ", double n, double c[3][3]" if uncertainty else ""
-        given = "t, n, f, c" if uncertainty else "t, f"
-        head = f"int go(const double y[3], double t, double f[3]{more})"
-        (tmp_path / "s.c").write_text(
-            f'#include "{path.name}"\n{head};\n{head} {{ return s_correct(y, {given}); }}\n'
-        )
-        subprocess.run(
-            [COMPILER, *FLAGS, "-Os", "-c", "s.c", "-o", "s.o"], cwd=tmp_path, check=True
-        )
-        told = subprocess.run(
-            ["size", "s.o"], cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-        sizes[uncertainty] = int(told.stdout.splitlines()[1].split()[3])
-    assert sizes[False] < 400 < 1500 < sizes[True]

@@ -309,21 +309,6 @@ def test_a_tone_between_readings_is_where_its_column_puts_it(rng) -> None:
     np.testing.assert_allclose(variance, expected, rtol=1e-7)
 
 
-def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
-    frame, _, _ = two_runs()
-    alone, one = law_of(ALONE), law_of(("correlated",))
-    columns = jnp.asarray(rng.standard_normal((60, 2)))
-    for a, b in zip(
-        alone.whiten(columns, 0.0, in_jax(alone), frame),
-        one.whiten(columns, 0.0, in_jax(one), frame),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(a, b)
-    assert list(alone.parameters()) == ["noise.white", "noise.diffusion", "noise.correlated.time"]
-    assert [*alone.parameters().values()] == [*one.parameters().values()]
-    assert set(alone.derived(VALUES)) == {"noise.correlated"}
-
-
 @pytest.mark.parametrize(
     "terms",
     [

@@ -99,18 +99,6 @@ def test_names_of_files_models_and_effects_are_escaped(results) -> None:
     assert "&lt;b&gt;c&lt;/b&gt; &amp; d" in found
 
 
-def test_a_table_in_html_has_its_cells_in_their_columns(results) -> None:
-    found, numbers = results["trail"]._repr_html_(), results["trail"].to_pandas()
-    head, *rows = re.findall(r"<tr>(.*?)</tr>", found.partition("</table>")[0], re.DOTALL)
-    names = re.findall(r"<th[^>]*>(.*?)</th>", head)
-    cells = [dict(zip(names, re.findall(r"<td[^>]*>(.*?)</td>", r), strict=True)) for r in rows]
-    assert [cell["step"].split(" ", 1)[1] for cell in cells] == list(numbers.index)
-    for cell, value in zip(cells, numbers["as fitted"], strict=True):
-        assert float(
-            next(v for n, v in cell.items() if n.startswith("as fitted"))
-        ) == pytest.approx(value, rel=0.01)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_come_as_pandas_and_xarray(results, name) -> None:
     frame, dataset = results[name].to_pandas(), results[name].to_xarray()

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_good_file_is_read_in_its_order_and_units(put):
@@ -25,18 +20,6 @@ def test_a_good_file_is_read_in_its_order_and_units(put):
     assert m["rate_input"].tolist() == [0, 0, 0]  # its default
     assert m.sources[0].sha256 == hashlib.sha256(GOOD.encode()).hexdigest()
     assert m.sources[0].rows == 3
-
-
-def test_reading_a_csv_file_or_arrays_loads_no_library_of_tables(put):
-    code = (
-        "import sys, bayescal as bc; from tests.support.gyro_files import GYRO; "
-        f"m = bc.read({str(put(GOOD))!r}, GYRO); "
-        "bc.Measurements.from_arrays(GYRO, **m.values).groups('run'); "
-        "heavy = ('pandas', 'xarray', 'pyarrow', 'scipy', 'jax', 'jaxtyping', 'matplotlib'); "
-        "print([m for m in heavy if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.stdout == "[]\n", done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("order", ["in stretches", "alternating"])
