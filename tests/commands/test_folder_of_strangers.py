@@ -48,7 +48,7 @@ GIVEN = {
     "decide": "{result} --limit|" + LIMIT,
     "validate": "--standard|JCGM 106|--out {out}/validation.pdf",
     "report": "{result} --out {out}/report.html",
-    "batch": "{data}/lot.csv --instrument mems_gyro --workers 2 --out {out}/lot",
+    "batch": "{data}/lot.csv --instrument mems_gyro --workers 2 --out {out}/lot.parquet",
 }
 
 

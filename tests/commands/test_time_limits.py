@@ -139,7 +139,7 @@ def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
     model = mems_gyro.INSTRUMENT.baseline()
     found = bc.fit_batch(model, devices, time_limit=NO_TIME)
     assert {*found.devices} == {*devices} and not found.missing
-    assert all(ok or why for ok, why in zip(found.ok, found.reasons, strict=True))
+    assert all(fit.ok or fit.reason for fit in found)
 
 
 def shown(structure: dict) -> str:

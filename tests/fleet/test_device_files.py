@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -37,7 +36,7 @@ def same(found: bc.BatchResult, expected: bc.BatchResult, rtol: float = 1e-10) -
 
 @pytest.mark.slow
 def test_parts_give_what_one_process_gives(lot_folder, result, tmp_path) -> None:
-    found = fitted(lot_folder, out=tmp_path / "out")
+    found = fitted(lot_folder, out=tmp_path / "out.parquet")
     same(found, result)
     assert (len(found), found.fitted, found.missing) == (24, 24, {})
     mean = result.table().query("coefficient == 'bias.temperature'")["mean"]
@@ -46,20 +45,8 @@ def test_parts_give_what_one_process_gives(lot_folder, result, tmp_path) -> None
     assert row["between devices"] == pytest.approx(mean.std(ddof=1), rel=1e-9)
     with pytest.raises(bc.InputError):
         found["D99"]
-    back = bc.load_batch(tmp_path / "out")
+    back = bc.load_batch(tmp_path / "out.parquet")
     assert str(back) == str(found) and back.data() == found.data()
-
-
-@pytest.mark.slow
-def test_a_population_over_parts_is_that_of_one_process(lot_folder, tmp_path) -> None:
-    one = bc.fit_batch(MODEL, sorted(lot_folder.glob("*.parquet")), population=True)
-    found = fitted(lot_folder, population=True)
-    assert one.population is not None and found.population is not None
-    numbers = ["mean", "mean_sd", "group_sd", "group_sd_sd"]
-    np.testing.assert_allclose(
-        found.population.table[numbers], one.population.table[numbers], rtol=1e-10
-    )
-    same(found, one)
 
 
 @pytest.mark.slow
@@ -89,14 +76,14 @@ def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path, capsys) -> N
     (folder / "gone.csv").symlink_to(tmp_path / "nowhere.csv")
     (folder / "link").symlink_to(outside, target_is_directory=True)
     os.mkfifo(folder / "pipe.csv")
-    found = fitted(folder, out=tmp_path / "out")
+    found = fitted(folder, out=tmp_path / "out.parquet")
     expected = {"d7.log2", "d8.csv.gz", "_d7.csv", ".d9.csv", "README", "below/_kept"}
     expected |= {"gone.csv", "link", "pipe.csv"}
     assert found.left_out.keys() == expected
     said = capsys.readouterr().err
     assert all(name in said and name in str(found) for name in expected)
     same(found, result)
-    assert bc.load_batch(tmp_path / "out").left_out == found.left_out
+    assert bc.load_batch(tmp_path / "out.parquet").left_out == found.left_out
     for path in (folder / "below").glob("*.csv"):
         path.unlink()
     with pytest.raises(bc.InputError, match=r"_d7\.csv"):
@@ -153,7 +140,7 @@ def test_a_folder_of_one_s_own_headers_is_asked_about_once(tmp_path) -> None:
             columns = dict(zip(("t/s", "T/°C", "w/(rad/s)"), columns.values(), strict=True))
             columns["w/(rad/s)"] = np.deg2rad(rate)
         pd.DataFrame(columns).to_csv(folder / f"N{i}.csv", index=False)
-    command = ("batch", folder, *GYRO, "--out", tmp_path / "out")
+    command = ("batch", folder, *GYRO, "--out", tmp_path / "out.parquet")
     refused = run(*command)
     assert refused.status == 2 and refused.err.count("Oven (C) looks like it") == 1
     usual = ("--columns", "temperature=Oven (C)", "--columns", "output=Gyro (dps)")
@@ -161,19 +148,17 @@ def test_a_folder_of_one_s_own_headers_is_asked_about_once(tmp_path) -> None:
     assert most.data["fitted"] == 7 and "N5.csv" in most.data["missing"]
     every = run(*command, *usual, "--columns", "temperature=T/°C", "--columns", "output=w/(rad/s)")
     assert every.status == 1  # README.txt
-    table = bc.load_batch(tmp_path / "out").table()
+    table = bc.load_batch(tmp_path / "out.parquet").table()
     slopes = table[table["coefficient"] == "bias.temperature"]["mean"]
     assert len(slopes) == 8 and np.allclose(slopes, 0.01, atol=1e-3)
 
 
 @needs_installation
 def test_the_command_takes_a_folder(lot_folder, result, tmp_path) -> None:
-    out = tmp_path / "out"
+    out = tmp_path / "out.parquet"
     ran = run("batch", lot_folder, *GYRO, "-o", out)
     assert ran.status == 0, ran.err
     same(bc.load_batch(out), result)
-    summary = json.loads((out / "fleet.json").read_text())
-    assert (summary["schema"], summary["fitted"]) == ("bayescal.batch/1", 24)
     ran = run("batch", lot_folder / "none", *GYRO, "-o", out)
     assert ran.status == 2
     broken = tmp_path / "in"

@@ -28,7 +28,7 @@ def fleet(tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
-    found = bc.fit_batch(MODEL, fleet, find=True, population=True)
+    found = bc.fit_batch(MODEL, fleet, find=True)
     table = found.effects.set_index("effect")
     assert table.devices["bias.thermal_lag"] == len(WITH)
     assert table.devices.sum() == len(WITH)  # nothing else in any
@@ -39,8 +39,7 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     # in whichever form of the lag each device got
     delay = rows[rows.coefficient.str.match(r"bias\.thermal_lag.*\.tau$")]
     assert sorted(delay.device) == [f"unit-{i}" for i in WITH]
-    assert found.population is not None and found.population.devices == DEVICES
-    back = bc.load_batch(found.save(tmp_path / "out"))
+    back = bc.load_batch(found.save(tmp_path / "out.parquet"))
     pd.testing.assert_frame_equal(back.effects, found.effects)
 
 
@@ -50,7 +49,7 @@ def test_a_time_limit_names_the_files_that_were_not_reached(fleet) -> None:
     assert 0 < found.fitted < DEVICES and len(found) + len(found.missing) == DEVICES
 
 
-def test_a_device_beside_a_population_is_named(tmp_path) -> None:
+def test_a_device_unlike_the_others_is_named(tmp_path) -> None:
     rng, rows = np.random.default_rng(3), []
     for d in range(40):
         temperature = rng.uniform(-40, 85, 30)
@@ -59,5 +58,5 @@ def test_a_device_beside_a_population_is_named(tmp_path) -> None:
         named = {"device": f"D{d:02d}", "temperature [degC]": temperature}
         rows.append(pd.DataFrame({**named, "output [deg/s]": output}))
     pd.concat(rows).to_parquet(tmp_path / "lot.parquet")
-    found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", population=["bias.constant"])
+    found = bc.fit_batch(MODEL, tmp_path / "lot.parquet")
     assert list(found.odd) == ["D17"] and "bias.constant" in found.odd["D17"][0]

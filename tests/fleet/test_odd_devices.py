@@ -119,3 +119,17 @@ def test_of_searched_devices_what_one_lacks_and_what_one_has_is_odd(tmp_path: Pa
     lot.to_parquet(tmp_path / "lot.parquet")
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", find=True)
     assert set(found.odd) == {name for name, kind in kinds.items() if kind}
+
+
+def test_the_sd_in_the_population_is_without_what_readings_leave_open() -> None:
+    """200 constants of sd 0.05 °/s, known to 0.2 °/s/√4 each."""
+    rng, lot = np.random.default_rng(2), {}
+    for d in range(200):
+        output = 2.0 + rng.normal(0, 0.05) + rng.normal(0, NOISE, 4)
+        temperature = np.array([10.0, 18.0, 22.0, 30.0])
+        columns = {"temperature": temperature, "output": output}
+        lot[f"D{d}"] = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
+    model = MODEL.fix({"noise.white": NOISE})
+    row = bc.fit_batch(model, lot).coefficients().set_index("coefficient").loc["bias.constant"]
+    assert row["population sd"] == pytest.approx(0.05, abs=0.03)
+    assert row["between devices"] == pytest.approx(np.hypot(0.05, 0.1), rel=0.15)

@@ -32,7 +32,7 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
     columns = {"columns": {"output": "gyro_x"}}
     found = bc.fit_batch(
         GENERAL.baseline(), tmp_path, reference={"T0": 0.0},
-        columns=columns, population=True,
+        columns=columns,
     )  # fmt: skip
     assert len(found) == found.fitted == 4
     rows = found.table().set_index(["device", "coefficient"])
@@ -40,6 +40,5 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
         for name, value in (("bias.constant", constant), ("bias.temperature", slope)):
             one = rows.loc[str(100 + i), name]
             assert abs(one["mean"] - np.degrees(value)) < 4 * one["sd"]
-    assert found.population is not None
-    mean = found.population.table.set_index("coefficient").loc["bias.temperature", "mean"]
-    assert mean == pytest.approx(np.degrees(1e-4), rel=0.6)
+    row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
+    assert row["median"] == pytest.approx(np.degrees(1e-4), rel=0.6)

@@ -157,7 +157,7 @@ def test_commands_of_an_affine_instrument_import_no_jax(tmp_path: Path) -> None:
         *(("export", fitted, "--format", name) for name in ("c", "python", "json")),
         ("budget", fitted),
         ("calibrate", table, *of, "--out", tmp_path / "result"),
-        ("batch", table, *of, "--out", tmp_path / "fleet"),
+        ("batch", table, *of, "--out", tmp_path / "fleet.parquet"),
     )
     for command, (status, said, loaded) in zip(commands, outcomes(*commands), strict=True):
         more = {"calibrate": ["matplotlib"], "batch": ["pandas", "matplotlib"]}.get(command[0], [])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
@@ -18,33 +18,27 @@ import pyarrow.parquet as pq
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.fleet.find_devices import EFFECTS, DeviceStructure
-from bayescal._annexes.fleet.population import Named, Population, follow, learn
+from bayescal._annexes.fleet.population import estimate_population
 
 FORMAT = "bayescal.batch/1"
-AGAIN = "Take a copy, or run the batch again"
-TABLE, SUMMARY = "devices.parquet", "fleet.json"  # of a result that is a folder
 # Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
 FAMILY_WISE_ERROR = 0.01
 SHOWN_DEVICES = 10  # devices, files that are named in print
 SHOWN_ALIKE = 3  # of those of which the same is said
 SCHEMA = pa.schema(
-    [
-        ("device", pa.string()),
-        ("coefficient", pa.string()),
-        ("mean", pa.float64()),
-        ("sd", pa.float64()),
-        ("unit", pa.string()),
-        ("ok", pa.bool_()),
-        ("reason", pa.string()),
-        ("covariance", pa.list_(pa.float64())),
-        ("readings", pa.float64()),
-        ("T0", pa.float64()),
-    ]
+    {
+        **{"device": pa.string(), "coefficient": pa.string()},
+        **{"mean": pa.float64(), "sd": pa.float64(), "unit": pa.string()},
+        **{"ok": pa.bool_(), "reason": pa.string()},
+        **{"covariance": pa.list_(pa.float64()), "readings": pa.float64(), "T0": pa.float64()},
+    }
 )
+COEFFICIENTS = ["coefficient", "median", "between devices", "population sd", "typical sd"]
+COEFFICIENTS += ["unit", "devices"]
 COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
 
 
-def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str = "") -> list[str]:
+def first_few(items: Mapping[str, str], head: str = "", ending: str = "") -> list[str]:
     """Return names and what is said of them, once where it is the same: the first ten, and how many more there are."""
     by_reason: dict[str, list[str]] = {}
     for name, why in items.items():
@@ -55,12 +49,13 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", ending: str 
     for names in groups:
         others = f" and {len(names) - SHOWN_ALIKE} more" * (len(names) > SHOWN_ALIKE)
         lines.append(f"  {head}{', '.join(names[:SHOWN_ALIKE])}{others}: {items[names[0]]}")
-    hidden = total - sum(map(len, groups))
+    hidden = len(items) - sum(map(len, groups))
     return [*lines, f"  … and {hidden} more{ending}"] if hidden > 0 else lines
 
 
 # Heads of printed tables.
-HEADS = {"between devices": "sd of estimates", "typical sd": "standard uncertainty (median)"}
+HEADS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
+HEADS |= {"typical sd": "standard uncertainty (median)"}
 EFFECT_HEADS = {"devices": "devices with it", "possible": "devices with it or a rival"}
 EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
 EFFECT_HEADS |= {"share": "expected share", "low": "share, if any: 2.5 %", "high": "97.5 %"}
@@ -134,29 +129,6 @@ class DeviceResult:
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
-def pooled(
-    results: Sequence[DeviceResult], named: Named, seed: int
-) -> tuple[tuple[DeviceResult, ...], Population]:
-    """Return results under the population that the reliable ones make: each of these moves toward it.
-
-    Raises:
-        ModelError: fewer than three of them.
-    """
-    good = [fit for fit in results if fit.ok]
-    places = [np.array([fit.names.index(name) for name in named]) for fit in good]
-    size = len(named)
-    means = [fit.mean[at] for fit, at in zip(good, places, strict=True)]
-    covariances = [fit.covariance[np.ix_(at, at)] for fit, at in zip(good, places, strict=True)]
-    population, *moments = learn(
-        np.reshape(means, (-1, size)), np.reshape(covariances, (-1, size, size)), named, seed
-    )
-    moved = dict[str, DeviceResult]()
-    for fit, at, mean, covariance in zip(good, places, *moments, strict=True):
-        mean, covariance = follow(fit.mean, fit.covariance, at, mean, covariance)
-        moved[fit.device] = replace(fit, mean=mean, covariance=covariance)
-    return tuple(moved.get(fit.device, fit) for fit in results), population
-
-
 def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
     """Return one row for each device and unknown, and one of a device that has none."""
     rows = [
@@ -195,7 +167,6 @@ class BatchResult:
     Attributes:
         results: one a device, in the order in which they came.
         about: instrument, effects, method, seed and notes.
-        population: what the devices have in common, if it was asked for.
         odd: devices that are not like the others, and in what.
         checked: devices in which it was looked for what the model lacks (`find`).
         missing: file → why its devices are not among the results.
@@ -205,7 +176,6 @@ class BatchResult:
 
     results: tuple[DeviceResult, ...]
     about: dict[str, Any]
-    population: Population | None = None
     odd: dict[str, list[str]] = field(default_factory=dict)
     checked: int = 0
     missing: dict[str, str] = field(default_factory=dict)
@@ -225,11 +195,6 @@ class BatchResult:
     def ok(self) -> np.ndarray:
         """Return whether each fit is to be relied on, (devices,); what the model lacks is another question."""
         return np.array([fit.ok for fit in self.results], dtype=bool)
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Return why not; empty where nothing stands against it."""
-        return tuple(fit.reason for fit in self.results)
 
     @property
     def facts(self) -> pd.DataFrame:
@@ -274,15 +239,20 @@ class BatchResult:
     def coefficients(self) -> pd.DataFrame:
         """Return one row a coefficient, over the devices that are fitted.
 
-        Columns: median, experimental standard deviation between devices, median standard uncertainty, unit, devices.
+        Columns: median, experimental standard deviation between devices; that of the population, without what
+        readings leave open (restricted likelihood); median standard uncertainty, unit, devices.
         """
-        good = self.table().query("ok")
-        rows = [
-            [name, np.median(g["mean"]), g["mean"].std(ddof=1), np.median(g["sd"]), unit, len(g)]
-            for (name, unit), g in good.groupby(["coefficient", "unit"], sort=False)
-        ]
-        columns = ["coefficient", "median", "between devices", "typical sd", "unit", "devices"]
-        return pd.DataFrame(rows, columns=columns)
+
+        def row(name: str, unit: str, g: pd.DataFrame) -> list[Any]:
+            mean, sd, population = g["mean"].to_numpy(), g["sd"].to_numpy(), np.nan
+            if len(g) > 1 and np.isfinite(sd).all():
+                population = np.sqrt(estimate_population(mean, sd**2)[1])
+            between = g["mean"].std(ddof=1)
+            return [name, np.median(mean), between, population, np.median(sd), unit, len(g)]
+
+        by_unknown = self.table().query("ok").groupby(["coefficient", "unit"], sort=False)
+        rows = [row(name, unit, g) for (name, unit), g in by_unknown]  # pyright: ignore
+        return pd.DataFrame(rows, columns=COEFFICIENTS)
 
     def data(self) -> dict[str, Any]:
         """Return the whole without its devices, as plain data."""
@@ -295,7 +265,6 @@ class BatchResult:
                 "not_fitted": list(self.unreliable),
                 **{name: getattr(self, name) for name in fields},
                 "coefficients": self.coefficients().to_dict("records"),
-                "population": self.population and self.population.data(),
                 "effects": self.effects.to_dict("records"),
             }
         )
@@ -304,16 +273,12 @@ class BatchResult:
         """Write the table to Parquet, with each unknown's row of the covariance. `load_batch` reads it back.
 
         Args:
-            path: a name ….parquet; without a suffix a folder, for `devices.parquet` and the whole as `fleet.json`.
+            path: a name ….parquet; the whole without its devices, as of `data`, stands in its metadata.
 
         Raises:
             InputError: another suffix, or a place that cannot be written to.
         """
         path = Path(path)
-        if not path.suffix:
-            self.save(path / TABLE)
-            ws.write_json(self.data(), path / SUMMARY)
-            return path
         if path.suffix != ".parquet":
             raise bc.InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
@@ -330,29 +295,29 @@ class BatchResult:
     def __str__(self) -> str:
         bad, odd = self.unreliable, {n: "; ".join(why) for n, why in self.odd.items()}
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
-        lines += first_few(bad, len(bad))
+        lines += first_few(bad)
         searched = f"{self.checked} searched for missing effects"
         lines.append(searched if self.checked else NOT_CHECKED)
         if odd:
             chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
             lines.append(f"{len(odd)} of {len(self)} devices are not like the others ({chance}):")
-        lines += first_few(odd, len(odd), ending=", all in `odd`")
-        lines += first_few(self.missing, len(self.missing), "no results of ", " files")
-        lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
+        lines += first_few(odd, ending=", all in `odd`")
+        lines += first_few(self.missing, "no results of ", " files")
+        lines += first_few(self.left_out, "not read: ", ", not read either")
         lines += [printed(self.coefficients(), 4, HEADS)] * bool(self.fitted)
         if len(self.effects):
             table = printed(self.effects.head(SHOWN_DEVICES), 3, EFFECT_HEADS)
             lines.append(f"effects in addition to the model given:\n{table}")
-        return "\n".join([*lines, *([str(self.population)] if self.population else [])])
+        return "\n".join(lines)
 
 
 def load_batch(path: str | Path) -> BatchResult:
-    """Read a saved batch back: its Parquet file, or the folder that holds it.
+    """Read a saved batch back.
 
     Raises:
         InputError: there is no such file, it is no batch of this version, or it is damaged.
     """
-    path = Path(path) / TABLE if Path(path).is_dir() else Path(path)
+    path = Path(path)
     if not path.is_file():
         raise bc.InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
@@ -360,16 +325,14 @@ def load_batch(path: str | Path) -> BatchResult:
         head = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
-        if population := head["population"]:
-            population = Population(**population | {"table": pd.DataFrame(population["table"])})
         content = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
             _results_of(table.select(SCHEMA.names).cast(SCHEMA)),
-            population=population,
             effects=pd.DataFrame(head["effects"], columns=EFFECTS),
             **{name: head[name] for name in content},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(
-            f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). {AGAIN}"
+            f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). Take a copy, "
+            "or run the batch again"
         ) from None

@@ -42,12 +42,10 @@ class Devices:
 
     def __getitem__(self, name: str) -> bc.Measurements:
         """Return one device's readings; raise InputError if none is called so, or it was refused."""
-        if name in self.refused:
-            raise bc.InputError(f"device {name!r} was refused: {self.refused[name]}")
         if name in self.measurements:
             return self.measurements[name]
-        examples = ", ".join(self.names[:5])
-        raise bc.InputError(f"no device is called {name!r}; there are {len(self)}: {examples} …")
+        known = f"none is called so among the {len(self)}: {', '.join(self.names[:5])} …"
+        raise bc.InputError(f"device {name!r}: {self.refused.get(name, known)}")
 
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
@@ -59,12 +57,8 @@ class Devices:
         return Devices(tuple(names), accepted, refused)
 
     def __repr__(self) -> str:
-        return f"<{self.readings} readings of {len(self)} devices, {len(self.refused)} of them refused>"
-
-    @property
-    def readings(self) -> int:
-        """Count the readings of the devices that were let in."""
-        return sum(map(len, self))
+        count = sum(map(len, self))
+        return f"<{count} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
     @classmethod
     def of_files(cls, by_file: Mapping[Path, Devices]) -> Devices:
@@ -107,7 +101,7 @@ class Devices:
             by_name = {_label(device, i): device for i, device in enumerate(readings)}
             if len(by_name) < len(readings):
                 by_name = {str(i + 1): device for i, device in enumerate(readings)}
-        bad = {name: why for name, device in by_name.items() if (why := _not_finite(name, device))}
+        bad = {name: why for name, device in by_name.items() if (why := _not_finite(device))}
         accepted = {name: device for name, device in by_name.items() if name not in bad}
         return cls(tuple(by_name), accepted, bad)
 
@@ -117,17 +111,50 @@ def _label(device: bc.Measurements, index: int) -> str:
     return levels[0] if len(levels) == 1 else str(index + 1)
 
 
-def _not_finite(name: str, device: bc.Measurements) -> str:
+def _not_finite(device: bc.Measurements) -> str:
     """Return where a number is none; "" where all are (arrays made by hand were checked by no file reader)."""
     for column in device.columns:
-        if device.unit(column) is None or column == "temperature_point":
-            continue
-        if len(bad := np.flatnonzero(~np.isfinite(device[column]))):
-            return (
-                f"reading {bad[0] + 1} of device {name}, column {column!r}: reads {device[column][bad[0]]:g}, a number "
-                "was expected. Fill it in, or remove the reading"
-            )
+        number = device.unit(column) is not None and column != "temperature_point"
+        if number and len(bad := np.flatnonzero(~np.isfinite(device[column]))):
+            return f"reading {bad[0] + 1} of {column!r} is no number: fill it in, or remove the reading"
     return ""
+
+
+def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
+    """Return files, with those in folders and the folders in these, in order of their names; and what is not read.
+
+    Returns:
+        The files; what stands in a folder and is not read, by its place there, with the reason.
+
+    Raises:
+        InputError: a path is given twice, or holds no file of readings.
+    """
+    files, left_out = list[Path](), dict[str, str]()
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        for place in sorted(path.rglob("*")):
+            inside, suffix = place.relative_to(path), place.suffix.lower()
+            hidden = [part[0] in "._" for part in inside.parts]
+            if any(hidden[:-1]):
+                continue
+            if hidden[-1]:
+                left_out[ws.one_line(inside)] = "a name that begins with . or _ is a program's own"
+            elif place.is_file() and suffix in ws.READ:
+                files.append(place)
+            elif place.is_file():
+                left_out[ws.one_line(inside)] = f"{suffix or 'no suffix'} is no format that is read"
+            elif place.is_symlink() or not place.is_dir():
+                left_out[ws.one_line(inside)] = "a link, or no file"
+    if not files:
+        first = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
+        raise bc.InputError(
+            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{first}"
+        )
+    if len({p.resolve() for p in files}) < len(files):
+        raise bc.InputError("a file of readings was given twice: give each file once")
+    return files, left_out
 
 
 def split_devices(
@@ -135,7 +162,6 @@ def split_devices(
     instrument: bc.Instrument,
     *,
     needs: Sequence[str] = (),
-    max_bytes: int = ws.MAX_BYTES,
     **how: Any,
 ) -> Devices:
     """Read files that hold many devices, split by the column `device`; a file without one is a device by itself.
@@ -144,7 +170,6 @@ def split_devices(
         paths: CSV, Parquet or NetCDF files. Devices in a file need not stand in order; their readings do.
         instrument: whose readings they are.
         needs: further columns that a model's effects use: a device that has no number there is refused.
-        max_bytes: most that a file may take in memory.
         how: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero, date_order, ignore, as of
             `read`; columns={"device": "serial"} splits by `serial`.
 
@@ -159,7 +184,7 @@ def split_devices(
     if not files:
         raise bc.InputError("no file was given to split into devices: give at least one")
     options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
-    by_file = {p: devices_of(p, instrument, options, needs, max_bytes) for p in files}
+    by_file = {p: devices_of(p, instrument, options, needs) for p in files}
     return Devices.of_files(by_file)
 
 
@@ -168,18 +193,13 @@ def devices_of(
     instrument: bc.Instrument,
     options: ws.ReadOptions,
     needs: Sequence[str] = (),
-    max_bytes: int = ws.MAX_BYTES,
 ) -> Devices:
     """Read one file; without a column `device` it is a device called as the file; of a log, the channels named.
 
     Raises:
-        InputError: as `split_devices`; or it is larger than it may be.
+        InputError: as `split_devices`.
     """
-    if path.is_file() and path.stat().st_size > max_bytes:
-        raise bc.InputError(
-            f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
-        )
-    table = ws.open_table(path, path.name, max_bytes, options.decimal, options.headers)
+    table = ws.open_table(path, path.name, ws.MAX_BYTES, options.decimal, options.headers)
     problems, options = ws.Objections(), options.of_file(table)
     ws.unused_options([table], options, problems)
     problems.refuse()

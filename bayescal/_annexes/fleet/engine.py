@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
@@ -32,8 +33,12 @@ NOT_REACHED = "not reached ({}): give more time"
 
 
 @contextmanager
-def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[Client]:
+def open_cluster(
+    workers: int | None, scheduler: str | None = None, files: Sequence[Path] = ()
+) -> Iterator[Client]:
     """Open a client of so many local processes, or of the cluster at an address; close it at the end.
+
+    Its workers get Python files of the user's own.
 
     Raises:
         InputError: Dask is not installed, or nobody answers at the address.
@@ -51,6 +56,8 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
                 "`dask worker`"
             ) from None
         with client:
+            for file in files:
+                client.upload_file(str(file))
             yield client
 
 

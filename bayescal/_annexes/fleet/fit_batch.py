@@ -16,14 +16,12 @@ import numpy as np
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few, pooled
-from bayescal._annexes.fleet.device_files import files_of
-from bayescal._annexes.fleet.devices import Devices, devices_of
+from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few
+from bayescal._annexes.fleet.devices import Devices, devices_of, files_of
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import Find, common_model, effects_table, search_device
 from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailored
 from bayescal._annexes.fleet.odd_devices import odd_devices
-from bayescal._annexes.fleet.population import AskedPopulation, chosen
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -135,17 +133,6 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
     return tuple(results[name] for name in devices.names)
 
 
-def common_reference(devices: Devices) -> Reference:
-    """Return the reference temperatures of all readings together, rounded to a degree."""
-    total: dict[str, np.ndarray] = {}
-    for device in devices:
-        for column in (n for n in device.columns if device.unit(n) == "degC"):
-            sums = total.setdefault(ws.reference_name(column), np.zeros(2))
-            sums += np.sum(device[column]), len(device)
-    total.pop(ws.reference_name("temperature_point"), None)
-    return {name: float(np.round(temperature / n)) for name, (temperature, n) in total.items()}
-
-
 def tailored_to_any(model: bc.Model, devices: Devices) -> bc.Model:
     """Return the model tailored to the first device that it can be tailored to.
 
@@ -168,7 +155,6 @@ def fit_batch(
     readings: Readings,
     *,
     method: ws.Method | None = None,
-    population: AskedPopulation = False,
     seed: int | np.random.Generator = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
@@ -179,15 +165,12 @@ def fit_batch(
 ) -> BatchResult:
     """Fit one model to many devices of one type, each by itself, in a few compiled programs.
 
-        result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet", population=True)
+        result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet")
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
         bc.fit_batch(model, "fleet/", out="fleet.parquet", client=distributed.Client("tcp://10.0.0.5:8786"))
 
     Estimates, uncertainties and objections are those of `fit` with the same method and seed. A device whose readings
     cannot be used, or against whose fit something stands, gets a reason and changes nothing for the others.
-    **Population.** Coefficients named there are drawn from a normal distribution over the devices, whose mean and
-    standard deviation are learned; every device moves toward it by as much as its own readings leave open. Exact for a
-    linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
 
     Files are read and devices are fitted here or by the workers of a Dask `client`, with the same numbers. A file that
     cannot be read is named in `missing`; a device that stands in several files is refused.
@@ -197,10 +180,8 @@ def fit_batch(
         readings: `split_devices(…)`; paths of files with a column `device` and of folders of files; or measurements,
             one a device (a mapping names them).
         method: `LeastSquares()` if not given. `Marginal()` samples without chains: a device that needs them is told.
-        population: True for all coefficients that a device has one of, or names, or names with priors of their standard
-            deviations between devices.
         seed: of every random number, or NumPy's generator, which draws it.
-        reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
+        reference: constants of the bases, in place of each device's own.
         time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
         client: of a Dask cluster whose workers see the files under the same paths.
         out: where the result is saved, as by `BatchResult.save`.
@@ -209,13 +190,11 @@ def fit_batch(
 
     Raises:
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
-        ModelError: a population of something that is no coefficient.
     """
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)
     options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
-    chosen(model, population)  # a wrong name is refused before anything is read
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
     paths, missing, left_out = _paths(readings), dict[str, str](), dict[str, str]()
     ws.refuse_missing([path for path in paths if not path.is_dir()])
@@ -224,19 +203,16 @@ def fit_batch(
     with ws.deadline.until(time_limit):
         if paths:
             files, left_out = files_of([path.resolve() for path in paths])
-            lines = first_few(left_out, len(left_out), "not read: ")
+            lines = first_few(left_out, "not read: ")
             ws.print_notes(line.strip() for line in lines)
             devices, missing = read_files(files, model, read_options, client)
         else:
             devices = (
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
             )
-        if population:
-            common = common_reference(devices) | options.reference
-            options = replace(options, reference=common)
         search = Find() if find is True else find or None
         request = Request(tailored_to_any(model, devices), options, search, ws.settings())
-        result = _fit(client, request, devices, missing, population)
+        result = _fit(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
     if out is not None:
         result.save(out)
@@ -248,9 +224,8 @@ def _fit(
     request: Request,
     devices: Devices,
     missing: dict[str, str],
-    population: AskedPopulation,
 ) -> BatchResult:
-    """Fit all devices, compare them, and put a population to them; raise InputError if none can be used."""
+    """Fit all devices, and compare them; raise InputError if none can be used."""
     model, options, find = request.model, request.fit_options, request.find
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
@@ -266,7 +241,7 @@ def _fit(
     result = BatchResult(results, about)
     if not any(fit.names for fit in result):
         reasons = result.unreliable | missing
-        lines = "\n".join(first_few(reasons, len(reasons))).strip()
+        lines = "\n".join(first_few(reasons)).strip()
         raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fit.structure for fit in results if fit.structure is not None]
     effects = effects_table(structures, options.seed)
@@ -281,17 +256,8 @@ def _fit(
     if t0_differs or common is not model:
         request = replace(request, model=common, fit_options=options, find=None)
         compared = fit_all(client, request, devices)
-    odd, learned = odd_devices(compared, t0, common.noise.parameters()), None
-    if named := chosen(model, population):
-        results, learned = pooled(results, named, options.seed)
-    return replace(
-        result,
-        results=results,
-        population=learned,
-        odd=odd,
-        checked=len(structures),
-        effects=effects,
-    )
+    odd = odd_devices(compared, t0, common.noise.parameters())
+    return replace(result, odd=odd, checked=len(structures), effects=effects)
 
 
 def _usual_shapes(

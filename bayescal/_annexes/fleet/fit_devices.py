@@ -33,7 +33,6 @@ from bayescal._annexes.fleet.engine import NOT_REACHED
 
 Reference = dict[str, Any]  # constants of bases
 
-NUMBERS = 2_000_000  # readings fitted at once at most
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
 PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
@@ -138,36 +137,30 @@ def _fit_plain(
     (model,) = different.values()
     columns = {c.name for c in model.instrument.columns} | model.columns
     groups: dict[Any, list[str]] = {}
-    for label, device in devices.items():
-        numbers = {name for name in device.columns if device.unit(name) is not None}
-        if (
-            numbers <= columns
-            and ws.UNCERTAINTY not in numbers
-            and {*model.columns} <= {*device.columns}
-        ):
-            groups.setdefault((len(device), *device.columns), []).append(label)
-    for (count, *_), members in groups.items():
-        most = max(1, NUMBERS // count)
-        for begin in range(0, len(members), most):
-            some = members[begin : begin + most]
-            first = devices[some[0]]
-            if model.with_nuisances(first) is not model:
-                continue
-            references = [options.reference_for(devices[i]) for i in some]
-            frames = [ws.build_frame(devices[i], r) for i, r in zip(some, references, strict=True)]
-            if (problem := _together(model, first, frames)) is None:
-                continue
-            with np.errstate(all="ignore"):  # of devices that are no plain ones
-                plain, x, covariance, sd = _solve(problem, *_linearised(problem))
-            if NOISE not in dict(model.fixed):
-                x = np.column_stack([x, sd])
-                covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-            of = ws.Unknowns.of(problem.layout)
-            t0 = [r.get("T0", np.nan) for r in references]
-            yield {
-                some[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
-                for k in np.flatnonzero(plain)
-            }
+    for name, device in devices.items():
+        numbers = {n for n in device.columns if device.unit(n) is not None}
+        if numbers <= columns - {ws.UNCERTAINTY} and {*model.columns} <= {*device.columns}:
+            groups.setdefault((len(device), *device.columns), []).append(name)
+    for (count, *_), names in groups.items():
+        some = [devices[name] for name in names]
+        if model.with_nuisances(some[0]) is not model:
+            continue
+        references = [options.reference_for(device) for device in some]
+        frames = [ws.build_frame(d, r) for d, r in zip(some, references, strict=True)]
+        problem = _together(model, some[0], frames)
+        if problem is None:
+            continue
+        with np.errstate(all="ignore"):  # of devices that are no plain ones
+            plain, x, covariance, sd = _solve(problem, *_linearised(problem))
+        if NOISE not in dict(model.fixed):
+            x = np.column_stack([x, sd])
+            covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+        of = ws.Unknowns.of(problem.layout)
+        t0 = [r.get("T0", np.nan) for r in references]
+        yield {
+            names[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
+            for k in np.flatnonzero(plain)
+        }
 
 
 def _stacked(arrays: Sequence[Any]) -> Any:

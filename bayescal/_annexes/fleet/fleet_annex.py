@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,12 +23,9 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         help="Files of readings, or folders of them: a Parquet dataset, CSVs, logs."
     )
     instrument: str = ws.Shared.instrument
-    out: Path = ws.opt("Parquet file to write; or a folder, also for JSON.", ..., "--out", "-o")
+    out: Path = ws.opt("Parquet file to write.", ..., "--out", "-o")
     method: str = ws.opt(
         "least-squares, marginal or nuts.", "least-squares", callback=ws.Shared.method.callback
-    )
-    population: list[str] | None = ws.opt(
-        "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
     )
     workers: int | None = ws.opt("Processes of this machine that share the work.", min=1)
     scheduler: str | None = ws.opt("tcp://host:8786: a Dask cluster that does the work.")
@@ -45,13 +41,11 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         own_files = [] if self.effects_file is None else [self.effects_file]
         if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too
             own_files.append(Path(self.instrument.rpartition(":")[0]))
-        population = self.population
         with _cluster(self.workers, self.scheduler, own_files) as client:
             batch = bc.fit_batch(
                 model,
                 self.files,
                 method=ws.method_named(self.method),
-                population=True if population == ["all"] else population or False,
                 seed=self.seed,
                 reference={**ws.named_numbers(self.reference, "--reference")},
                 client=client,
@@ -74,29 +68,22 @@ def _refuse_place(out: Path, files: list[Path]) -> None:
     """Refuse a place that results cannot be written to, before anything is read."""
     if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
         raise bc.InputError(f"--out {out} is a file of the folder that is read: name another")
-    if out.suffix and out.suffix != ".parquet":
+    if out.suffix != ".parquet":
         raise bc.InputError(
             f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}"
         )
-    if out.is_file() and not out.suffix:
-        raise bc.InputError(f"--out {out}: that is a file, a folder was expected; name another")
 
 
-@contextmanager
 def _cluster(
-    workers: int | None, scheduler: str | None, own_files: list[Path]
-) -> Iterator[Client | None]:
-    """Open the requested cluster with the user's own files; None for this process."""
+    workers: int | None, scheduler: str | None, files: list[Path]
+) -> AbstractContextManager[Client | None]:
+    """Open the requested cluster, whose workers have the user's own files; None for this process."""
     if workers is None and scheduler is None:
-        yield None
-        return
+        return nullcontext()
     if workers is not None and scheduler is not None:
         raise bc.InputError(
             "--workers and --scheduler: give one of them, a cluster here or elsewhere"
         )
     from bayescal._annexes.fleet.engine import open_cluster
 
-    with open_cluster(workers, scheduler) as client:
-        for file in own_files:
-            client.upload_file(str(file))
-        yield client
+    return open_cluster(workers, scheduler, files)

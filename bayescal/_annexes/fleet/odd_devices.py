@@ -27,10 +27,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from scipy import stats
-from scipy.optimize import brentq
 
 from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import FAMILY_WISE_ERROR, DeviceResult
+from bayescal._annexes.fleet.population import estimate_population
 
 FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
@@ -104,7 +104,7 @@ def predicted(
     away = np.abs(values - np.median(values))
     usual = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
     for _ in range(ROUNDS):
-        mean, between, weight = population(values[usual], variance[usual])
+        mean, between, weight = estimate_population(values[usual], variance[usual])
         # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
         own_weight = np.where(usual, 1 / (between + variance), 0.0)
         away = (values - mean) / (1 - own_weight / weight.sum())
@@ -120,24 +120,3 @@ def predicted(
             break
         usual = now
     return Predicted(p, mean)
-
-
-def population(
-    values: Float[np.ndarray, "n"], variance: Float[np.ndarray, "n"]
-) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Return mean, variance between, and weights of values of known variances, by restricted likelihood."""
-
-    def mean(between: float) -> tuple[float, np.ndarray]:
-        weight = 1 / (between + variance)
-        return float(weight @ values / weight.sum()), weight
-
-    def slope(between: float) -> float:
-        middle, weight = mean(between)
-        squares = weight**2 @ (values - middle) ** 2
-        return float(squares - weight.sum() + weight @ weight / weight.sum())
-
-    most = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
-    least = 1e-12 * most
-    between = least if slope(least) <= 0 else float(brentq(slope, least, most))  # pyright: ignore
-    middle, weight = mean(between)
-    return middle, between, weight
