@@ -39,7 +39,7 @@ def test_a_fleet_of_one_device_is_its_search(rng) -> None:
     for name in NAMES:
         inside = logsumexp([v for s, v in weight.items() if name in s])
         exact = np.exp(inside - logsumexp(list(weight.values())))  # pyright: ignore[reportOperatorIssue]
-        assert found[name].expected == pytest.approx(exact, abs=0.02)
+        assert found.expected[name] == pytest.approx(exact, abs=0.02)
 
 
 def test_substitutes_are_told_apart_by_many_devices(rng) -> None:
@@ -47,9 +47,9 @@ def test_substitutes_are_told_apart_by_many_devices(rng) -> None:
     found = shares(told)
     alone = [_alone(device, "lag") for device in told]
     assert sum(0.05 < p < 0.95 for p in alone) > held / 3  # of one device it is open
-    assert found["lag"].in_fleet > 0.99 and found["voltage"].in_fleet < 0.1
-    assert found["lag"].expected == pytest.approx(held, abs=2)
-    assert found["voltage"].high < 0.1
+    assert found["in fleet"]["lag"] > 0.99 and found["in fleet"]["voltage"] < 0.1
+    assert found.expected["lag"] == pytest.approx(held, abs=2)
+    assert found.high["voltage"] < 0.1
 
 
 def _alone(device: Evidence, name: str) -> float:
@@ -63,7 +63,7 @@ def test_intervals_of_shares_cover() -> None:
     for seed in range(60):
         true = {"lag": rng.random(), "voltage": rng.random() * (seed % 2)}
         found = shares(fleet(rng, 30, true, size=6.0)[0], seed, rounds=400)
-        covered += [found[n].low <= share <= found[n].high for n, share in true.items() if share]
+        covered += [found.low[n] <= share <= found.high[n] for n, share in true.items() if share]
     assert (
         len(covered) == 90 and sum(covered) >= 79
     )  # of 95 %, less than one time in a hundred fewer
@@ -72,5 +72,5 @@ def test_intervals_of_shares_cover() -> None:
 def test_an_effect_that_a_device_cannot_show_is_not_counted_there() -> None:
     shows = Evidence({"lag": PRIOR}, {(): 0.0, ("lag",): 40.0})
     cannot = Evidence({}, {(): 0.0})
-    found = shares([shows] * 5 + [cannot] * 45)["lag"]
+    found = shares([shows] * 5 + [cannot] * 45).loc["lag"]
     assert found.expected == pytest.approx(5) and found.low > 0.5

@@ -115,10 +115,8 @@ class DeviceResult:
     def __getitem__(self, name: str) -> tuple[float, float]:
         """Return mean and standard uncertainty of one unknown; raise InputError if nothing is called so."""
         if name not in self.names:
-            raise bc.InputError(
-                f"device {self.device!r} has no unknown {name!r}; it has: {', '.join(self.names) or 'none'}"
-                f"{' (' + self.reason + ')' if self.reason else ''}"
-            )
+            others = ", ".join(self.names) or "none"
+            raise bc.InputError(f"device {self.device!r} has no unknown {name!r}; it has: {others}")
         i = self.names.index(name)
         return float(self.mean[i]), float(self.sd[i])
 
@@ -196,14 +194,6 @@ class BatchResult:
         """Return whether each fit is to be relied on, (devices,); what the model lacks is another question."""
         return np.array([fit.ok for fit in self.results], dtype=bool)
 
-    @property
-    def facts(self) -> pd.DataFrame:
-        """Return, by device, how many readings were fitted, and their T0, °C; NaN where not known."""
-        facts = [(fit.readings, fit.t0) for fit in self.results]
-        return pd.DataFrame(
-            facts, index=list(self.devices), columns=["readings", "T0"], dtype=float
-        )
-
     def __len__(self) -> int:
         return len(self.results)
 
@@ -229,7 +219,7 @@ class BatchResult:
     @property
     def fitted(self) -> int:
         """Count the devices whose fit is to be relied on."""
-        return int(self.ok.sum())
+        return sum(fit.ok for fit in self)
 
     @property
     def unreliable(self) -> dict[str, str]:

@@ -86,21 +86,15 @@ class Devices:
         Raises:
             InputError: there is none, or an entry is of another type.
         """
-        entries = readings.values() if isinstance(readings, Mapping) else readings
-        for i, entry in enumerate(entries):
-            if not isinstance(entry, bc.Measurements):
-                raise bc.InputError(
-                    f"fit_batch: entry {i + 1} of the readings is of type {type(entry).__name__}; measurements were "
-                    "expected, or paths"
-                )
-        if not len(entries):
-            raise bc.InputError("there is no device to fit: give at least one")
+        entries = [*(readings.values() if isinstance(readings, Mapping) else readings)]
+        if not entries or not all(isinstance(entry, bc.Measurements) for entry in entries):
+            raise bc.InputError("fit_batch: give measurements, one a device, or paths of files")
         if isinstance(readings, Mapping):
             by_name = {str(name): device for name, device in readings.items()}
         else:
-            by_name = {_label(device, i): device for i, device in enumerate(readings)}
-            if len(by_name) < len(readings):
-                by_name = {str(i + 1): device for i, device in enumerate(readings)}
+            by_name = {_label(device, i): device for i, device in enumerate(entries)}
+            if len(by_name) < len(entries):
+                by_name = {str(i + 1): device for i, device in enumerate(entries)}
         bad = {name: why for name, device in by_name.items() if (why := _not_finite(device))}
         accepted = {name: device for name, device in by_name.items() if name not in bad}
         return cls(tuple(by_name), accepted, bad)
@@ -127,7 +121,7 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
         The files; what stands in a folder and is not read, by its place there, with the reason.
 
     Raises:
-        InputError: a path is given twice, or holds no file of readings.
+        InputError: no path holds a file of readings.
     """
     files, left_out = list[Path](), dict[str, str]()
     for path in paths:
@@ -152,8 +146,6 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
         raise bc.InputError(
             f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{first}"
         )
-    if len({p.resolve() for p in files}) < len(files):
-        raise bc.InputError("a file of readings was given twice: give each file once")
     return files, left_out
 
 
@@ -181,8 +173,6 @@ def split_devices(
         InputError: a file cannot be read, lacks a column, has a wrong unit, or rows without a device.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    if not files:
-        raise bc.InputError("no file was given to split into devices: give at least one")
     options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
     by_file = {p: devices_of(p, instrument, options, needs) for p in files}
     return Devices.of_files(by_file)

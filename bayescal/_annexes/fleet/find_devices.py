@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -124,26 +124,20 @@ BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
 
 
-class Share(NamedTuple):
-    """Of one effect."""
-
-    in_fleet: float  # probability that any device has it
-    share: float  # of the devices that have it, its mean
-    low: float  # low, high: of its 95 % interval, if any device has it
-    high: float
-    expected: float  # number of devices that have it, its mean
-
-
-def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
+def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> pd.DataFrame:
     """Estimate the share of each effect, from all devices.
 
     Args:
         devices: what each of them says.
         seed, rounds: of the draws, and how many count.
+
+    Returns:
+        By effect: probability that any device has it (`in fleet`), mean of the number of devices that have it
+        (`expected`) and of their share, and its 95 % interval if any device has it (`low`, `high`).
     """
     names = sorted({name for device in devices for name in device.prior})
     if not names:
-        return {}
+        return pd.DataFrame(columns=EFFECTS[3:])
     # All devices' structures, one below the other, each with the effects that it has.
     sets = [effects for device in devices for effects in device.log_evidence]
     has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
@@ -178,10 +172,14 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
             counts.append(count)
             present.append(has)
     low, high = np.quantile(visible, (0.025, 0.975), axis=0)
-    expected, in_fleet = np.mean(counts, axis=0), np.mean(present, axis=0)
-    mean = np.mean(np.where(present, visible, 0.0), axis=0)
-    columns = (in_fleet, mean, low, high, expected)
-    return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
+    columns = {
+        "in fleet": np.mean(present, axis=0),
+        "expected": np.mean(counts, axis=0),
+        "share": np.mean(np.where(present, visible, 0.0), axis=0),
+        "low": low,
+        "high": high,
+    }
+    return pd.DataFrame(columns, index=names)
 
 
 def common_model(
@@ -219,11 +217,11 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     """
     named = Counter(name for structure in structures for name in structure.families)
     possible = Counter(name for structure in structures for name in structure.possible)
-    by_effect = shares([structure.evidence for structure in structures], seed)
-    rows = [
-        [name, named[name], possible[name], share.in_fleet, share.expected, *share[1:4]]
-        for name, share in by_effect.items()
-        if named[name] or possible[name] or share.expected > KEPT_PROBABILITY
-    ]
-    rows.sort(key=lambda row: (-row[4], -row[1]))
-    return pd.DataFrame(rows, columns=EFFECTS)
+    table = shares([structure.evidence for structure in structures], seed)
+    table["effect"] = table.index
+    table["devices"] = [named[name] for name in table.index]
+    table["possible"] = [possible[name] for name in table.index]
+    counted = (table["devices"] > 0) | (table["possible"] > 0)
+    table = table[counted | (table["expected"] > KEPT_PROBABILITY)]
+    order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
+    return table.sort_values(**order)[EFFECTS]

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -30,14 +31,8 @@ READINGS_PER_TASK = 500_000  # which with JAX take 0.6 GB of a worker
 READINGS_PER_SEARCH = 5_000  # so that no more than a minute or two is lost with a worker
 PROGRESS_SECONDS = 9.0  # between two lines about how far it is
 
-Readings = (
-    Devices
-    | Sequence[bc.Measurements]
-    | Mapping[str, bc.Measurements]
-    | str
-    | Path
-    | Sequence[str | Path]
-)
+Paths = str | Path | Sequence[str | Path]
+Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] | Paths
 
 
 @dataclass(frozen=True)
@@ -81,28 +76,16 @@ def read_file(
 
 
 def run_each(
-    client: Client | None,
-    function: Callable[..., Any],
-    tasks: Sequence[tuple],
-    sizes: Sequence[int],
-    what: str,
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], what: str
 ) -> Iterator[tuple[int, Any, str]]:
-    """Yield what a function gives of tasks as it comes, as `run_tasks`, and say how far it is.
-
-    Args:
-        client, function, tasks: as of `run_tasks`.
-        sizes: of the tasks, in files or devices.
-        what: "files" or "devices".
-    """
+    """Yield what a function gives of tasks as it comes, as `run_tasks`, and say how many of `what` are done."""
     start = last = time.monotonic()
-    count, total = 0, sum(sizes)
-    for outcome in run_tasks(client, function, tasks):
+    for count, outcome in enumerate(run_tasks(client, function, tasks), start=1):
         yield outcome
-        count += sizes[outcome[0]]
-        if time.monotonic() > last + PROGRESS_SECONDS and count < total:
-            last = time.monotonic()
-            remaining = (last - start) * (total / count - 1)
-            ws.tell(f"{count:,} of {total:,} {what}, about {remaining:,.0f} s left", count / total)
+        if time.monotonic() > last + PROGRESS_SECONDS and count < len(tasks):
+            last, share = time.monotonic(), count / len(tasks)
+            seconds = (last - start) * (1 / share - 1)
+            ws.tell(f"{count:,} of {len(tasks):,} {what}, about {seconds:,.0f} s left", share)
 
 
 def read_files(
@@ -111,7 +94,7 @@ def read_files(
     """Read files of devices; return these, and of files that cannot be read why."""
     by_file, errors = dict[int, Devices](), dict[str, str]()
     tasks = [(path, model, options, ws.settings()) for path in files]
-    for i, devices, error in run_each(client, read_file, tasks, [1] * len(files), "files"):
+    for i, devices, error in run_each(client, read_file, tasks, "files"):
         if error:
             errors[files[i].name] = error
         else:
@@ -125,28 +108,18 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
     most = READINGS_PER_SEARCH if request.find else READINGS_PER_TASK
     cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // most)) + 1
     parts = [devices.some(part.tolist()) for part in np.split(np.array(devices.names), cuts)]
-    tasks, counts = [(request, part) for part in parts], [*map(len, parts)]
-    results = dict[str, DeviceResult]()
-    for i, fitted, error in run_each(client, fit_part, tasks, counts, "devices"):
+    tasks, results = [(request, part) for part in parts], dict[str, DeviceResult]()
+    for i, fitted, error in run_each(client, fit_part, tasks, "parts of the devices"):
         refused = {name: DeviceResult(name, error) for name in parts[i].names}
         results |= refused if error else {fit.device: fit for fit in fitted}
     return tuple(results[name] for name in devices.names)
 
 
 def tailored_to_any(model: bc.Model, devices: Devices) -> bc.Model:
-    """Return the model tailored to the first device that it can be tailored to.
-
-    Raises:
-        InputError: no device has what the instrument takes from readings: why, of the first.
-    """
-    refusals = list[str]()
+    """Return the model tailored to the first device that it can be tailored to, if it can be at all."""
     for readings in devices if model.instrument.tailor is not None else ():
-        try:
+        with suppress(bc.InputError):
             return tailored(model, readings)
-        except bc.InputError as error:
-            refusals.append(str(error))
-    if refusals:
-        raise bc.InputError(f"none of the devices can be used; {refusals[0]}")
     return model
 
 
@@ -248,7 +221,7 @@ def _fit(
     common = common_model(model, structures, effects, find.effects if find else ())
     if shapes := _usual_shapes(common, model, results):
         common = common.fix(shapes)
-    t0, compared = result.facts["T0"], results
+    t0, compared = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
     t0_differs = "T0" not in options.reference and t0.dropna().nunique() > 1
     if t0_differs:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from typer import Argument
 
 import bayescal as bc
 from bayescal import workshop as ws
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 
 class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
@@ -34,6 +30,8 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     seed: int = ws.Shared.seed
 
     def answer(self) -> ws.Answer:
+        from bayescal._annexes.fleet.engine import open_cluster
+
         _refuse_place(self.out, self.files)
         chosen = ws.instrument_named(self.instrument)
         effects = ws.own_effects(self, chosen, None)
@@ -41,7 +39,8 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         own_files = [] if self.effects_file is None else [self.effects_file]
         if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too
             own_files.append(Path(self.instrument.rpartition(":")[0]))
-        with _cluster(self.workers, self.scheduler, own_files) as client:
+        cluster = open_cluster(self.workers, self.scheduler, own_files)
+        with cluster if self.workers or self.scheduler else nullcontext() as client:
             batch = bc.fit_batch(
                 model,
                 self.files,
@@ -72,18 +71,3 @@ def _refuse_place(out: Path, files: list[Path]) -> None:
         raise bc.InputError(
             f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}"
         )
-
-
-def _cluster(
-    workers: int | None, scheduler: str | None, files: list[Path]
-) -> AbstractContextManager[Client | None]:
-    """Open the requested cluster, whose workers have the user's own files; None for this process."""
-    if workers is None and scheduler is None:
-        return nullcontext()
-    if workers is not None and scheduler is not None:
-        raise bc.InputError(
-            "--workers and --scheduler: give one of them, a cluster here or elsewhere"
-        )
-    from bayescal._annexes.fleet.engine import open_cluster
-
-    return open_cluster(workers, scheduler, files)
