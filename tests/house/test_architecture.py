@@ -239,7 +239,7 @@ CEILINGS = {
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_672,
     "bayescal/_cli": 1_688,
-    "bayescal/_annexes/fleet": 2_138,
+    "bayescal/_annexes/fleet": 1_719,
     "bayescal/_annexes/imu": 3_200,
     "bayescal/_annexes/metrology": 1_647,
     "bayescal/_annexes/validation": 745,
@@ -248,7 +248,7 @@ CEILINGS = {
     "tests": 23_543,
     "benchmarks": 10_609,
 }
-WORDS = 49_289  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_283  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
