@@ -69,7 +69,6 @@ from ._core.formatting import folded as folded
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
-from ._core.importance_weights import smoothed as smoothed
 from ._core.inverse import stepped as stepped
 from ._core.jax_setup import obey_no_folder as obey_no_folder
 from ._core.jit import compiled as compiled
@@ -134,21 +133,13 @@ from ._data.unit_conversion import parse as parse
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label
 from ._inference.method import Method as Method
-from ._inference.newton import ByValues as ByValues
-from ._inference.newton import climb as climb
-from ._inference.newton import gaussian_fit as gaussian_fit
 from ._inference.problem import Problem as Problem
 from ._inference.record import Record as Record
-from ._inference.sampling import propose as propose
-from ._inference.sampling import propose_at_mode as propose_at_mode
-from ._inference.sampling import share_prior as share_prior
-from ._inference.trust import check_weights as check_weights
 
 # a model on readings: its frame, its unknowns, the problem, and how a posterior is drawn
 from ._model.effect import with_forms as with_forms
 from ._model.formula import Formula as Formula
 from ._model.frame import build_frame as build_frame
-from ._model.frame import reference_name as reference_name
 from ._model.frame import reference_of as reference_of
 from ._model.installed import installed_names as installed_names
 from ._model.parameters import bind as bind
