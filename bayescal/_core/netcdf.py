@@ -24,24 +24,20 @@ Group = Mapping[str, Variable]
 
 
 def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
-    """Encode a NetCDF-4 file in memory (HDF5 aborts on a full disk), of groups of numbers and text; "" is the root."""
+    """Encode a NetCDF-4 file in memory (HDF5 aborts on a full disk), of groups of numbers and text."""
     import h5netcdf  # a tenth of a second that only a saved file needs
     import h5py
 
     content = io.BytesIO()
     with h5netcdf.File(content, "w") as file:
         for name, variables in groups.items():
-            group = file.create_group(name) if name else file
+            group = file.create_group(name)
             arrays = variables.values()
             group.dimensions = {d: n for v in arrays for d, n in zip(v.dims, v.values.shape)}  # noqa: B905
             for variable, (dims, values, attrs) in variables.items():
                 kind = None
                 if values.dtype.kind in "UO":
                     values, kind = values.astype(object), h5py.string_dtype()
-                elif values.dtype.kind not in "fiu":
-                    raise TypeError(
-                        f"{variable} is of type {values.dtype}: expected numbers or text"
-                    )
                 created = group.create_variable(variable, dims, data=values, dtype=kind)
                 created.attrs.update(attrs)
         file.attrs.update(attributes)

@@ -11,12 +11,7 @@ from bayescal._core.quoting import number_text
 def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
     """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
 
-    In it `digits` writes a number with all its digits.
-
-    Args:
-        package, file: where it is.
-        filters: that it may use, by name.
-        how: further options, as `jinja2.Environment` takes them.
+    It may use `filters`, and `digits`, which writes a number with all its digits; `how` as of `jinja2.Environment`.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
 

@@ -475,10 +475,9 @@ class MatchedFile:
         self.problems.append(self.table.objection(column, came, *about, **details))
 
     def note_missing(self) -> bool:
-        """Add a problem for each required column that the file lacks, with the headers that may be meant.
+        """Add a problem for each required column that the file lacks, with the headers that may be meant, if any.
 
-        Returns:
-            Whether there are any.
+        Returns whether one is lacking.
         """
         positions = {self.positions[name] for name in self.expected if name in self.positions}
         free = [h for i, h in enumerate(self.table.headers) if h.name and i not in positions]

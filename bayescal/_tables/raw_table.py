@@ -78,14 +78,7 @@ class Objections(list[Objection]):
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
-    """Return the InputError, to be raised, of a file as a whole or of the row at `place`.
-
-    Args:
-        file: its name.
-        came: its fault, as a verb goes on behind its name.
-        cure: what to do.
-        place: the row, as an editor counts.
-    """
+    """Return the InputError, to be raised, of a file as a whole or of the row at `place`; words as of `Objection`."""
     places = (place,) if place else ()
     problem = Objection(file, came, cure=cure[:1].upper() + cure[1:], places=places)
     return InputError(str(problem), (problem,))
