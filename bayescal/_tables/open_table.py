@@ -41,12 +41,9 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
             raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            size_text = f"holds {bytes_text(size)}"
-            if size <= max_bytes:
-                size_text = f"brings the files to {bytes_text(total)}"
-            came = f"{size_text}, the limit is {bytes_text(max_bytes)}, and nothing was loaded"
+            limit = f"the limit is {bytes_text(max_bytes)}, and nothing was loaded"
             cure = "Average the readings, read fewer files, or raise max_bytes"
-            raise unusable(name, came, cure)
+            raise unusable(name, f"brings all files to {bytes_text(total)}, {limit}", cure)
     return names
 
 
