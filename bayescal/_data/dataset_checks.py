@@ -130,12 +130,10 @@ def flags_of(
         *_find_leaps(converted, records, anomalies),
     ]
     flags = [f"{names}: {message}" for message in messages]
-    if many := len(repeated):
-        message = "rows repeat" if many > 1 else "row repeats"
-        end = f": {'they are' if many > 1 else 'it is'} dropped" * ("time" in columns)
-        first = converted.where(int(repeated[0]))
-        message += f" an earlier one in every column, first at {first}{end}"
-        flags.insert(0, f"{many} {message}")
+    if len(repeated):
+        where, dropped = converted.where(int(repeated[0])), ": dropped" * ("time" in columns)
+        message = "row(s) repeat an earlier one in every column, first at"
+        flags.insert(0, f"{len(repeated)} {message} {where}{dropped}")
     return flags
 
 

@@ -126,14 +126,14 @@ def flags(**columns) -> str:
 
 def test_repeated_rows_are_dropped_where_the_time_tells_and_flagged(put):
     m, once = bc.read(put(GOOD + "b,0,30,1.8\n"), GYRO), bc.read(put(GOOD), GYRO)
-    told = "1 row repeats an earlier one in every column, first at row 5 of 't.csv'"
-    assert f"{told}: it is dropped" in m.flags
+    told = "1 row(s) repeat an earlier one in every column, first at row 5 of 't.csv'"
+    assert f"{told}: dropped" in m.flags
     assert len(m) == len(once)
     no_time = bc.Measurements.from_arrays(
         GYRO, run=["a"] * 3, temperature=[20, 30, 30], rate_input=0, output=[1, 2, 2]
     )
     assert len(no_time) == 3
-    assert any("1 row repeats" in flag and "dropped" not in flag for flag in no_time.flags)
+    assert any("1 row(s) repeat" in flag and "dropped" not in flag for flag in no_time.flags)
 
 
 def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
