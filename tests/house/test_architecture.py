@@ -228,9 +228,9 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_065,
-    "bayescal/_tables": 1_498,
-    "bayescal/_data": 4_131,
+    "bayescal/_core": 2_056,
+    "bayescal/_tables": 1_488,
+    "bayescal/_data": 4_128,
     "bayescal/_model": 5_470,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
