@@ -28,7 +28,7 @@ from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
-from bayescal._model.effect import READING, Effect
+from bayescal._model.effect import Effect
 from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
@@ -205,8 +205,6 @@ def description(calibration: Fitted) -> dict[str, Any]:
         "fixed": dict(model.fixed),
         "noise": _noise_fields(model.noise),
         "promoted": list(calibration.layout.promoted),
-        "counts": {**dict(calibration.layout.counts), READING: len(readings)},
-        "levels": {k: list(v) for k, v in calibration.levels.items()},
         "log_evidence": calibration.log_evidence,
         "confounded": [confounder._asdict() for confounder in calibration.confounders],
         "verdict": asdict(calibration.verdict),

@@ -102,10 +102,9 @@ def compensate_file(
         )
     output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
     if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
-        why = f"every column is kept as it is, so the file to write must be {output_suffix} like {path.name!r}"
-        if suffix in CSV_SUFFIXES:
-            why = f"{path.name!r} can only be written as text: name a file .csv"
-        raise InputError(f"{out.name!r}: {why}")
+        raise InputError(
+            f"{out.name!r}: {path.name!r} is compensated to a file {output_suffix} alone"
+        )
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
