@@ -281,7 +281,7 @@ def _failures(calibration: Calibration) -> Sequence[judgement.Claim]:
     if claims := judgement.contradictions(calibration, noise_floor(calibration)):
         return claims
     mode_claims = tuple(judgement.multimodality(calibration))
-    computed = {"left_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
+    computed = {"leave_one_group_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
     return judgement.failures(judgement.Subject(calibration, check=check(calibration), **computed))
 
 

@@ -45,8 +45,8 @@ class Subject:
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
     noise_floor: float = math.inf  # noise sd that no smooth effect could explain, output unit
-    check: Any = None  # residual checks (`Check`); None if no check uses them, like `left_out`
-    left_out: LeaveOneGroupOut | None = None  # predictions of each group from the others
+    check: Any = None  # residual checks (`Check`); None if no check uses them, like the next
+    leave_one_group_out: LeaveOneGroupOut | None = None  # predictions of each group from the others
     mode_claims: tuple[Claim, ...] = ()  # claims of `multimodality`
     first_model: Model | None = None  # first model of the search, whose thermometers are checked
     # Fields of claim "residuals.depend": its remedy and the names in it.
@@ -368,7 +368,7 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
 
     An effect missing from the model is missing in every group, and inflates the noise of the reference.
     """
-    out = subject.left_out
+    out = subject.leave_one_group_out
     if out is None or not np.isfinite(out.by_chance).any():
         return
     worst = int(np.nanargmin(out.by_chance))

@@ -587,7 +587,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
         names = [program.about_it()[0] for program in programs]
-        omissions = zip(names, (kind.left_out(p, format) for p in programs), strict=True)
+        omissions = zip(names, (kind.describe_omissions(p, format) for p in programs), strict=True)
         print_notes([f"{name}: {words}" for name, words in omissions if words])
         is_single = isinstance(corrections[0], bc.Compensator)
         verdict = {f"{n}:" * (not is_single): c for n, c in zip(names, corrections, strict=True)}

@@ -38,9 +38,9 @@ def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
 
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
     last, first = steps[-1], steps[0].calibration.model
-    subject_fields: dict[str, Any] = {"check": last.check, "left_out": last.leave_one_group_out}
-    subject_fields |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
-    subject = judgement.Subject(last.calibration, **subject_fields, first_model=first)
+    fields: dict[str, Any] = {n: getattr(last, n) for n in ("check", "leave_one_group_out")}
+    fields |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
+    subject = judgement.Subject(last.calibration, **fields, first_model=first)
     replaced_claims = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
     return [
         *(*last.outlying_groups, *judgement.residual_claims(subject)),

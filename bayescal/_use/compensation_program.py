@@ -280,7 +280,7 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         notes.append(Claim("use.new_members", *new_members))
     if constants := equation.held_inputs:
         values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
-        numbers = {"places": values, "rms": equation.left_out(), "unit": calibration.unit}
+        numbers = {"places": values, "rms": equation.compute_held_rms(), "unit": calibration.unit}
         notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
     lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
     if lags:

@@ -47,7 +47,7 @@ class CorrectionKind(NamedTuple):
     read: Callable[[Any, str], CorrectionInUse] | None = None
     together: tuple[str, ...] = ()  # formats that hold several
     # a sentence about what a format omits; empty for nothing
-    left_out: Callable[[Any, str], str] = lambda correction, format: ""
+    describe_omissions: Callable[[Any, str], str] = lambda correction, format: ""
 
 
 # Names used by the templates.

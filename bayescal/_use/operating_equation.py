@@ -418,7 +418,7 @@ class OperatingEquation:
                     break
         return sds
 
-    def left_out(self) -> float:
+    def compute_held_rms(self) -> float:
         """Return the output's rms error from holding inputs, over draws and readings of the fit."""
         rows = slice(None, None, -(-len(self.calibration.readings) // HELD_DRAWS))
         inputs, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(HELD_DRAWS).draws

@@ -125,7 +125,7 @@ THREE_AXES = ws.CorrectionKind(
     suffixes={".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"},
     read=vector_from_data,
     together=("c", "python", "yaml"),
-    left_out=left_out,
+    describe_omissions=left_out,
 )
 
 
