@@ -131,7 +131,7 @@ def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
 def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> list[Any]:
     """Two steps of a trail with these errors."""
     check = SimpleNamespace(
-        fixed=None,
+        contradicts_fixed=False,
         autocorrelation=(0.0, 0.0),
         scatter_with={},
         pit_p=0.5,
