@@ -108,8 +108,7 @@ class Calibration(Printed, Fitted):
     def tree(self) -> xr.DataTree:
         """Build the ArviZ DataTree on first access, since replicated readings take time and memory.
 
-        Groups: posterior, prior, posterior_predictive, sample_stats, observed_data, constant_data, and the joint draws
-        as plain vectors.
+        Groups: posterior, prior, posterior_predictive, observed_data, constant_data.
         """
         from bayescal._calibration.posterior_tree import build_tree  # and xarray with it
 

@@ -7,7 +7,6 @@ import pandas as pd
 import xarray as xr
 
 from bayescal._calibration.fitted import MAX_CELLS, Fitted, replicate, to_xarray
-from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import encode_name
 from bayescal._model.prior import HalfCauchy, HalfNormal
 
@@ -24,10 +23,8 @@ def build_tree(c: Fitted) -> xr.DataTree:
     groups = {
         "posterior": c.posterior,
         "posterior_predictive": xr.Dataset({"output": (dims, outputs, units)}),
-        "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
-        "draws": xr.Dataset(draws_group(c.joint)),
     }
     groups = {name: _for_netcdf(group, c.joint.x.shape[1]) for name, group in groups.items()}
     if not c.layout.is_improper:

@@ -69,10 +69,11 @@ def save(calibration: Fitted, path: Path) -> Path:
         for n, v in calibration.readings.variables().items()
     }
     mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
+    draws = vars(calibration.joint)
     groups = {
         "observed_data": {"output": readings.pop("output")},
         "constant_data": readings,
-        "draws": draws_group(calibration.joint),
+        "draws": {n: Variable(("chain", "draw", f"{n}_entry"), draws[n]) for n in "xv"},
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
     metadata = json.dumps({"schema": SCHEMA, **description(calibration)})
@@ -82,11 +83,6 @@ def save(calibration: Fitted, path: Path) -> Path:
     with atomic_file.replacing_for_user(path) as partial:
         atomic_file.write_sealed(content, partial)
     return path
-
-
-def draws_group(draws: Draws) -> Group:
-    """Return joint draws as a NetCDF group."""
-    return {n: Variable(("chain", "draw", f"{n}_entry"), vars(draws)[n]) for n in "xv"}
 
 
 def load_calibration(
