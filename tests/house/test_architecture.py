@@ -234,7 +234,7 @@ CEILINGS = {
     "bayescal/_model": 5_470,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
-    "bayescal/_calibration": 4_581,
+    "bayescal/_calibration": 4_573,
     "bayescal/_use": 2_829,
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_672,
