@@ -67,7 +67,7 @@ class Linearisation(NamedTuple):
 
 
 def expand_coefficient(source: ColumnSource, term: Term, x: Any, hyper: Hyper) -> Any:
-    """Return a term's coefficient at each reading (…, n), or one for all (…, 1), x (…, p) being in reported units."""
+    """Return a term's coefficient at each reading (…, n), or one for all (…, 1), from x (…, p) in reported units."""
     xp = source.xp
     coefficients = evaluate_members(xp, term, x, hyper)
     if term.per is None:
@@ -290,7 +290,7 @@ def _unit_tangent(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def find_response_columns(instrument: Instrument, frame: Frame) -> frozenset[str]:
-    """Evaluate the response once and return the columns of the readings that it looked up."""
+    """Evaluate the response once and return the names of the columns of the readings that it uses."""
     names_read = set[str]()
 
     class RecordingDict(dict[str, Any]):

@@ -31,7 +31,7 @@ from bayescal._model.prior import Known, Normal
 
 MAX_LENGTH = 500  # characters: no line nests deeper than Python recurses
 TINY = float(np.finfo(float).tiny)  # smallest normal number
-RANGE_FACTOR = 10.0  # of a shape given by one value: plausible from a tenth to ten times the value
+RANGE_FACTOR = 10.0  # a shape given by one value has the plausible range value/10 to 10·value
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # units without readings
 _TOKEN = re.compile(
@@ -264,7 +264,7 @@ class _TypedLine:
         return self.positions[node.col_offset]
 
     def find_names(self, *parts: ast.expr) -> list[tuple[int, str]]:
-        """Return (index, name) of all names in parts of the formula, except functions."""
+        """Return (position, name) of each name in parts of the formula, except names of functions."""
         nodes = [n for part in parts for n in ast.walk(part) if isinstance(n, ast.Name)]
         return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
 

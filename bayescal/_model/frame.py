@@ -347,7 +347,7 @@ def _encode_members(
     readings: Measurements, group: str, levels: Mapping[str, tuple[str, ...]] | None
 ) -> Int[np.ndarray, "n"]:
     """Return the index of each reading's group member (n,), numbered as at the fit; −1 for a new member."""
-    if group not in GROUPS and not readings.has(group):  # all are new members
+    if group not in GROUPS and not readings.has(group):  # every reading is of a new member
         return np.full(len(readings), -1, dtype=np.int8)
     members, codes = readings.groups(group)
     if levels is not None:

@@ -31,7 +31,7 @@ Lambda = Float[np.ndarray, "j"]
 
 
 class SpectralTerm(NamedTuple):
-    """One term of a covariance, diag(symbol) − Σ± U·M±·Uᵀ in frequency."""
+    """Discrete transform of one term of a covariance: diag(symbol) − Σ± U·M±·Uᵀ."""
 
     symbol: Any  # diagonal of the covariance in frequency (s, j), output unit squared
     # q functions of λ (s, j): multiplied by the transform of e± they are the columns of U
@@ -47,7 +47,7 @@ def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
 def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:
     """Return the cosine transform of e₊ (sign 1) or e₋ (sign −1) of a run of n readings."""
     k = np.arange(n)
-    first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # of e₁; of eₙ with the sign (−1)ᵏ
+    first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # transform of e₁; eₙ: times (−1)ᵏ
     first[0] = math.sqrt(1 / n)
     return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * first, 0.0)
 

@@ -30,16 +30,16 @@ Values = Mapping[str, Any]
 DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
 CORRELATED = "noise.correlated"
 WALK_TIME = 30.0  # correlation time that stands for a random walk, in record lengths: within 2 % of the walk's variance
-TIME_RATIO = 8.0  # of successive correlation times of flicker noise: within 3.5 % of 1/f
+TIME_RATIO = 8.0  # ratio of successive correlation times of flicker noise: within 3.5 % of 1/f
 SHORTEST_TIME = 0.25  # correlation time of flicker noise, in steps: below Nyquist period/2π
 ALLAN_SERIES_LIMIT = 1e-3  # λ·τ, below which the Matérn Allan variance is summed as a series
 SERIES_LIMIT = 0.1  # λ·h, below which a cancelling difference of exponentials is summed as a series
-SLOPE_NAMES = ("noise.tone.slope", "noise.tone.bend")  # of a tone's frequency along a column
+SLOPE_NAMES = ("noise.tone.slope", "noise.tone.bend")  # a and b of a tone's f + a·z + b·z²
 WINDOW = 32  # readings per spectrum, so short that a drifting line stays in its frequency bin
 ZERO_PADDING = 2  # frequency bins per independent bin of a spectrum
 MIN_WINDOWS = 8  # fewest spectra whose mean shows a line
 SLOPE_COUNT = 16  # trial slopes of the line frequency, up to twice the Nyquist frequency over half the column's range
-MAX_RELATIVE_POWER = 20.0  # clipping of a window's relative power: a spike is no line
+MAX_RELATIVE_POWER = 20.0  # bound on a window's relative power: a spike is no line
 # m·a = averaging time over correlation time, below which the Allan variance is that of a random walk to 5 digits.
 WALK_LIMIT = 1e-5
 FLICKER_FLOOR = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
@@ -102,7 +102,7 @@ class NoiseTerm(abc.ABC):
         residuals: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Return starting points of an optimisation of the parameters; the optimiser chooses that of an absent one."""
+        """Return starting points for the optimiser, which chooses the start of a parameter that a point omits."""
         return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:

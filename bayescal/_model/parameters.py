@@ -95,13 +95,13 @@ class CoefficientBlock:
 class Unknown:
     """One scalar unknown."""
 
-    name: str  # with its group member, such as "bias.run(3)"
+    name: str  # full name with group member, such as "bias.run(3)"
     key: str  # common to all members of its group, "bias.run"
-    unit: str  # of reported values
+    unit: str  # unit of reported values
     effect: str  # name of the effect, or "noise"
     # an amplitude or length scale of a Gaussian process counts as "group_sd"
     kind: UnknownKind
-    prior: Positive | Normal | FlatLine | None = None  # of an entry of φ
+    prior: Positive | Normal | FlatLine | None = None  # prior of an entry of φ
     x: int | None = None  # index in x; None if it is in φ
     v: int | None = None  # index in φ; None if it is in x
     block: CoefficientBlock | None = None  # None if it is no coefficient

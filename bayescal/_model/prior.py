@@ -72,7 +72,7 @@ class Known:
     """A constant coefficient, which is not estimated: 1 by definition, such as that of a body's temperature."""
 
     mean: float = 1.0  # value of the constant
-    # whether it is zero in some draws, those of structures without the effect
+    # whether the coefficient is zero in some draws, those of structures without the effect
     averaged: bool = False
     sd: float = field(default=0.0, init=False, repr=False)
 
@@ -141,7 +141,7 @@ class NumpyroPrior(_StandardNormalPrior):
 class HalfNormal(_ScaledPrior):
     """The positive half of N(0, scale²), for standard deviations."""
 
-    coordinate_variance: ClassVar[float] = math.pi**2 / 8  # of log|N(0, 1)|
+    coordinate_variance: ClassVar[float] = math.pi**2 / 8  # variance of log|N(0, 1)|
 
     def log_density(self, v: Any) -> Any:
         return _LOG_2 - _HALF_LOG_2PI - 0.5 * xp.exp(2 * v) + v

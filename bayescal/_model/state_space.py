@@ -60,7 +60,7 @@ def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
 
 def draw_states(key: Array, states: States) -> Float[Array, "n"]:
     """Draw a path of the states and return the observed sum hᵀ·state (n,)."""
-    eigenvalues, eigenvectors = jnp.linalg.eigh(states.fresh)  # some may be zero
+    eigenvalues, eigenvectors = jnp.linalg.eigh(states.fresh)  # some eigenvalues may be zero
     normal = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
 
     def advance(state, row):
@@ -88,10 +88,10 @@ class _FilterPass(NamedTuple):
     """Results of the forward pass of the Kalman filter, for each reading."""
 
     innovation: Float[Array, "n m"]  # innovations of each column
-    variance: Float[Array, "n"]  # of the innovation
+    variance: Float[Array, "n"]  # variance of the innovation
     gain: Float[Array, "n p"]
-    covariance: Float[Array, "n p p"]  # of the states, given earlier readings
-    mean: Float[Array, "n p m"]  # of the states, given earlier readings
+    covariance: Float[Array, "n p p"]  # covariance of the states given earlier readings
+    mean: Float[Array, "n p m"]  # mean of the states given earlier readings
 
 
 def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _FilterPass:

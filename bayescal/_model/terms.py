@@ -71,9 +71,9 @@ class Correction(NamedTuple):
 class Term(CoefficientBlock):
     """One coefficient of the structure, all group members included, with the specification of its basis column."""
 
-    columns: ColumnSpec  # of its effect
+    columns: ColumnSpec  # specification of its effect's columns
     shape_names: tuple[str, ...]  # names in φ of the shapes in `columns`
-    prior_sd: float  # in the coefficient's unit
+    prior_sd: float  # prior standard deviation, coefficient's unit
 
 
 def terms_of(
@@ -121,7 +121,7 @@ class _ShapeWeights(NamedTuple):
     weights: Callable[..., Any]
     shapes: dict[str, str]  # keyword argument of `weights` → name in φ
     count: int  # number of the effect's coefficients
-    index: Int[np.ndarray, "p"]  # of the coefficient at each entry of x; −1: not of the effect
+    index: Int[np.ndarray, "p"]  # coefficient's index at each entry of x; −1: not of the effect
 
     def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Any:
         """Return the factors of the prior standard deviations of x (*batch, p)."""

@@ -35,10 +35,10 @@ WIDER_RATIO = 1.5  # interval over covariate range; at its ends and beyond the f
 
 # Plausible location of a step, kink or peak, and half widths, relative to the covariate's range.
 LOCATIONS = (0.05, 0.95)
-STEP_HALF_WIDTH = 0.01  # of a step in time: sharp, yet differentiable in its location
+STEP_HALF_WIDTH = 0.01  # half width of a step in time: sharp, yet differentiable in its location
 HALF_WIDTHS = (STEP_HALF_WIDTH, 0.2)
 CYCLES = (1.5, 15.0)  # plausible number of periods in the record
-MIN_DISTINCT_VALUES = 30  # of a covariate: twice the largest number of periods
+MIN_DISTINCT_VALUES = 30  # distinct values of a covariate: twice the largest number of periods
 
 SOURCE = "ours: a generic form without a known cause; identify the cause"
 FREED = ".freed"  # suffix of an effect's copy with a wide prior

@@ -78,7 +78,7 @@ class Unknowns:
         return table
 
     def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
-        """Select one unknown (…), or all members of a group by their key (…, members)."""
+        """Select the values of one unknown (…), or of all members of a group by their key (…, members)."""
         members = self.by_key.get(name)
         is_grouped = members is not None and self.rows[members.start].group is not None
         return values[..., members if is_grouped else self.index[name]]

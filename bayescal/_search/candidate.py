@@ -27,7 +27,7 @@ PARALLEL_COSINE = 0.95
 # Minimum detectable size in plausible sizes (each known to an order of magnitude), beyond which no effect is tested.
 MAX_DETECTABLE_SIZES = 10.0
 
-SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # of a group's spread to the best grid point
+SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # a group's sd over that of the best grid point
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Return the size that would be found with 80 % power under its prior odds; None if no size would be."""
     probability, is_group = settings().found_probability, library.is_grouped(point.effect)
     structures = library.structures
-    forms = structures.forms[structures.family(point.effect)]  # any of these would be a finding
+    forms = structures.forms[structures.family(point.effect)]  # each form would be a finding
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
     nats = math.log(probability / (1 - probability)) - odds
     _, information = _marginal_score(point, is_group)

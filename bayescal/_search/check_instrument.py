@@ -51,9 +51,9 @@ class InstrumentCheck(Printed):
     """Result of `check_instrument`."""
 
     instrument: str
-    unit: str  # of the output
+    unit: str  # unit of the output
     noise: float = 0.0  # simulated standard deviation, output unit
-    rows: list[Recovery] = field(default_factory=list)  # each unknown
+    rows: list[Recovery] = field(default_factory=list)  # one per unknown
     errors: list[str] = field(default_factory=list)  # one sentence each
     notes: list[str] = field(default_factory=list)  # one sentence each
 
@@ -126,7 +126,7 @@ def check_instrument(
                 continue
             try:
                 _fit_simulated(check, model, effects, readings, seed)
-            except Exception as error:  # in the author's functions: reported without a traceback
+            except Exception as error:  # of an author's function: reported without a traceback
                 is_of_author = not isinstance(error, BayescalError)
                 message = f" fails: {format_error(error)}" if is_of_author else f": {error}"
                 check.errors.append((names or "the response") + message)
@@ -143,7 +143,7 @@ def _fit_simulated(
     readings: Measurements,
     seed: int,
 ) -> None:
-    """Simulate coefficients one plausible size above and below their means in turn, group members drawn, and fit."""
+    """Simulate coefficients at their means plus and minus one plausible size, alternately; draw group members; fit."""
     model.require(readings)
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)

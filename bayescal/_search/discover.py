@@ -257,7 +257,7 @@ def structures_over(
     instrument_effects = (*instrument.candidates, *instrument.effects)
     by_name = {e.name: e for e in with_forms((*instrument_effects, *effects))}
     by_name |= {e.name: e for e in list_placeholders(model, readings) if e.name not in by_name}
-    given_names = {e.name for e in effects}  # their columns are used even if ignored
+    given_names = {e.name for e in effects}  # effects whose columns are used even if ignored
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:

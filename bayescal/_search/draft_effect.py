@@ -18,9 +18,9 @@ from bayescal._model.frame import strip_rate
 SIMPLE_SHARE = 0.97  # share of a free curve's variance from which a simple formula is used
 
 MAX_POINTS = 1000  # readings to which formulas are fitted, evenly spaced
-PERIODS = np.geomspace(0.06, 2.0, 300)  # of a sine, in parts of the range
-STEP_POSITIONS = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
-WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range
+PERIODS = np.geomspace(0.06, 2.0, 300)  # periods of a sine, in parts of the range
+STEP_POSITIONS = np.linspace(-0.485, 0.485, 98)  # locations of a step, in parts of the range
+WIDTHS = (0.05, 0.1, 0.2, 0.4)  # length scales of an exponential, in parts of the range
 
 
 def draft_effect(calibration: Calibration, name: str) -> str:

@@ -87,7 +87,7 @@ class _Columns(NamedTuple):
 
     white: Array
     without_groups: Array  # group deviations counted as noise
-    without_model: Array  # all columns of the model projected out
+    without_model: Array  # candidate columns with all columns of the model projected out
 
 
 def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:

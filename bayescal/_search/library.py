@@ -36,7 +36,7 @@ MEANS_COUNT = 8192  # means of readings by which candidates are scored on longer
 MAX_VARIANCE_SHARE = 0.01  # largest share of a column's variance within the means
 CACHED_EFFECTS = 1024  # effects with cached grids and scales: devices of a fleet share them
 
-Corrections = Mapping[Correction, tuple[float, ...]]  # of columns, with their shapes
+Corrections = Mapping[Correction, tuple[float, ...]]  # corrections of columns, with their shapes
 # Shapes in their units by their own names; their coordinates by full names.
 ShapeValues = tuple[dict[str, float], dict[str, float]]
 
@@ -54,9 +54,9 @@ class GridPoint(NamedTuple):
     """One candidate at one point of its shapes."""
 
     effect: str
-    shapes: dict[str, float]  # in their units
+    shapes: dict[str, float]  # values of the shapes, in their units
     start: dict[str, float]  # coordinates of the shapes, by full name
-    block: slice  # of its columns among those of all points
+    block: slice  # indices of its columns among those of all points
     index: int  # among the candidate's points
 
 
@@ -70,7 +70,7 @@ class Library:
     structures: Structures
     # shape coordinates (points, shapes) of a few candidates, the only ones then; empty: all candidates, default grids
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
-    points: dict[str, list[GridPoint]] = field(default_factory=dict)  # of each candidate
+    points: dict[str, list[GridPoint]] = field(default_factory=dict)  # grid of each candidate
     prior_scales: dict[str, list[PriorScale]] = field(default_factory=dict)  # of each candidate
     width: int = 0  # number of columns
     # candidates that vary within means, scored by all readings
@@ -112,7 +112,7 @@ class Library:
         return self._means.linear_model(linear)
 
     def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all points in blocks whose columns fit in memory; points that need all readings separately."""
+        """Yield all grid points in blocks whose columns fit in memory, apart from points that need all readings."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):

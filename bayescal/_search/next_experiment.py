@@ -29,7 +29,7 @@ from bayescal._model.frame import build_frame
 # Log Bayes factor that settles a question: odds of 150 (Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773).
 VERY_STRONG_NATS = 5.0
 
-POSTERIOR_DRAWS = 300  # of each member: enough to rank campaigns, as noise is in closed form
+POSTERIOR_DRAWS = 300  # draws of each member: enough to rank campaigns, as noise is in closed form
 # Readings of a campaign that are predicted, evenly spread: their covariances are n × n.
 MOST_READINGS = 1500
 

@@ -64,7 +64,7 @@ class ResidualFit(NamedTuple):
 
     log_evidence: float
     start: dict[str, float]  # coordinates of its parameters at the maximum, by name
-    covariance: np.ndarray | None = None  # of the coordinates
+    covariance: np.ndarray | None = None  # covariance of the coordinates
 
 
 NO_FIT = ResidualFit(-math.inf, {})
@@ -96,8 +96,8 @@ def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT)
 def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list[dict[str, float]]:
     """Return starting coordinates of a law's parameters, by name; [] if all residuals are zero.
 
-    Given a maximum on other residuals: that maximum, and it with one parameter changed to each level. Otherwise:
-    initial values of some parameters, with every combination of levels of the others.
+    With `start`, the maximum found on other residuals: that point, and copies with one parameter at another level.
+    Without: initial values of some parameters, combined with every level of the others.
     """
     priors = law.parameters()
     if start and np.any(record.y):

@@ -16,7 +16,7 @@ from bayescal._core.settings import settings
 from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 
 SHOWN_STRUCTURES = 20  # structures in the summary of a search
-NEGLIGIBLE_PROBABILITY = 1e-3  # of a structure: it changes no printed digit
+NEGLIGIBLE_PROBABILITY = 1e-3  # probability of a structure that changes no printed digit
 # Probability that a named effect is the right one in a structure that needs an unnamed effect (docs/wrong_model.md).
 NAME_PROBABILITY = 0.55
 
@@ -223,7 +223,7 @@ class OtherPath:
 
     noise: str  # name of the other law
     added: tuple[str, ...]  # effects added under the other law
-    log_bayes_factor: float  # of the runner-up against the best model, natural logarithm; negative
+    log_bayes_factor: float  # runner-up over best model, natural logarithm; negative
     in_words: str  # the other law, in words
     correlated: bool = False  # whether one of the two laws alone is correlated in time
 

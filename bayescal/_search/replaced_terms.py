@@ -31,11 +31,11 @@ MAX_SHIFT_SD = limit("term.replaced", "moved_sd")
 class TermComparison(NamedTuple):
     """A term of the first model, compared with the same term in the last model."""
 
-    term: Effect  # in the first model
+    term: Effect  # effect of the first model
     added: tuple[Effect, ...]  # effects added since
-    tolerance: float  # with the added effects, over that without them
-    shift: float  # of its coefficient, standard uncertainties in the first model
-    ratio: float  # of its coefficient's magnitude, last model over first
+    tolerance: float  # ratio of its tolerances with and without the added effects
+    shift: float  # change of its coefficient, standard uncertainties in the first model
+    ratio: float  # its coefficient's magnitude in the last model over that in the first
     runs: int  # number of runs in the readings
     suggested_run: str  # the run that would separate the term from the added effects
 
@@ -156,7 +156,7 @@ def list_profile_claims(calibration: Calibration) -> list[Claim]:
 
 
 def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
-    """Suggest the run that would separate them best: over the temperature range, from its other end."""
+    """Suggest the run that best separates effects of columns: over the temperature range, from its other end."""
     column, *others = columns
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} in another way in another run."

@@ -23,7 +23,7 @@ from bayescal._search.structures import EvaluatedStructure
 
 MAX_STARTS = 2  # grid points of a candidate at which a fit starts
 POINTS_IN_PAIRS = 2  # grid points of each candidate scored in pairs
-Scores = Mapping[str, Sequence["ScoredPoint"]]  # of each candidate, the most probable point first
+Scores = Mapping[str, Sequence["ScoredPoint"]]  # points of each candidate, the most probable first
 
 
 @dataclass(eq=False)
@@ -31,10 +31,10 @@ class ScoredPoint:
     """One candidate at one point of its shapes, scored at the most probable prior scale there."""
 
     point: GridPoint
-    log_bayes_factor: float  # by score, averaged over prior scales
+    log_bayes_factor: float  # computed from the score, averaged over prior scales
     prior_scale: PriorScale  # the most probable
-    scorer: Scorer  # of the structure to which the candidate would be added
-    projection: Float[np.ndarray, "q k"]  # of its whitened columns on the nuisances
+    scorer: Scorer  # scorer of the structure to which the candidate would be added
+    projection: Float[np.ndarray, "q k"]  # projection of its whitened columns on the nuisances
     score: Float[np.ndarray, "k"]  # at coefficients zero, nuisances integrated out
 
     @property
@@ -145,7 +145,7 @@ class ReducedModel(NamedTuple):
 
     scorer: Scorer
     projection: Float[np.ndarray, "q P"]  # L⁻¹Aᵀ of all columns, L·Lᵀ = AᵀA + W of the nuisances
-    scores: Float[np.ndarray, "P"]  # of all columns
+    scores: Float[np.ndarray, "P"]  # score of each column
     rss: float  # residual sum of squares
     log_volume: float  # log determinant of L
 
@@ -207,7 +207,7 @@ class ReducedModel(NamedTuple):
         return self._log_bayes_factor(*explained_sum_of_squares(score, information))
 
     def _log_bayes_factor(self, log_volume: Any, explained: Any) -> Any:
-        """Return the log Bayes factor by the log volume and explained sum of squares of some columns."""
+        """Compute the log Bayes factor from the log volume and the explained sum of squares of some columns."""
         # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
         rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
         return self.volume_change - log_volume - 0.5 * self.scorer.linear.size * np.log(rss_ratio)

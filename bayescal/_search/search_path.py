@@ -39,9 +39,9 @@ class Step:
 
     calibration: Calibration  # the fit
     added: str | None  # effect or effects; None for the first step and a change of noise
-    rmse: float  # of the fitted readings, group deviations at zero, as for an unseen group
-    rmse_fitted: float  # of the fitted readings, with the fitted group deviations
-    holdout_rmse: float | None  # of the hold-out data; None without them
+    rmse: float  # error of the fitted readings, group deviations at zero, as for an unseen group
+    rmse_fitted: float  # error of the fitted readings, with the fitted group deviations
+    holdout_rmse: float | None  # error of the hold-out data; None without them
     leave_one_group_out: LeaveOneGroupOut | None  # each group predicted from the others
     noise_floor: float  # estimated from neighbouring readings alone, independent of the model
     check: Check  # tests of the residuals
@@ -111,7 +111,7 @@ class Gate:
 class SearchPath(Printed):
     """Result of a stepwise search: the models from the first to the last, and the acceptance checks of the last."""
 
-    steps: tuple[Step, ...]  # in order
+    steps: tuple[Step, ...]  # from the first model to the last
     gate: Gate  # acceptance checks of the last model
     holdout: Measurements | None  # hold-out data
     other_path: OtherPath | None = None  # runner-up model under another noise law, if there is one

@@ -23,9 +23,9 @@ from bayescal._search.scores import Scorer
 from bayescal._search.structures import COARSE_NATS, LAW_WINDOW_NATS, EvaluatedStructure, Structures
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # grid of the share of channels that show the effect
-GRID_LIMIT_SD, GRID_STEP_SD = 3.5, 0.25  # of a shape's grid, prior standard deviations
+GRID_LIMIT_SD, GRID_STEP_SD = 3.5, 0.25  # limit and step of a shape's grid, prior sd
 RAGGED_STEP_SD = 0.02  # step where the evidence has many maxima, as over a period
-FINE_GRID_SD = np.linspace(-4.0, 4.0, 25)  # about a channel's mode, posterior standard deviations
+FINE_GRID_SD = np.linspace(-4.0, 4.0, 25)  # grid about a channel's mode, posterior sd
 MIN_SD = 1e-4  # smallest standard deviation that the grid resolves, prior standard deviations
 MIN_CHANGE = 0.1  # change of an effect's probability from which a channel is searched again
 MIN_NATS = 0.125  # divergence from which structures are evaluated anew: a shift of half an sd
@@ -71,7 +71,7 @@ class ChannelPosterior(NamedTuple):
     sd: float
 
     def differs_from(self, previous: ChannelPosterior) -> tuple[bool, bool]:
-        """Return whether the effect's probability changed by at least `MIN_CHANGE`, and whether it or the shape did."""
+        """Return whether the effect's probability changed by `MIN_CHANGE`, and whether that or the shape changed."""
         is_changed = abs(self.probability - previous.probability) > MIN_CHANGE
         is_possible = max(self.probability, previous.probability) > MIN_CHANGE
         # Kullback–Leibler divergence of N(v, sd²) from the previous one: ½·(r² + d² − 1) − log r, r the ratio of the

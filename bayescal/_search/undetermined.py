@@ -60,7 +60,7 @@ class Undetermined(Printed):
     """Combinations of coefficients that planned readings do not determine, and poses to add."""
 
     readings: int  # number of readings; of poses, for an instrument of three axes
-    combinations: tuple[str, ...]  # of coefficients, each a sentence
+    combinations: tuple[str, ...]  # combinations of coefficients, a sentence each
     add: tuple[AddedPose, ...] = ()  # poses that would determine them, the most informative first
     left: int = 0  # number of combinations left undetermined; 0 if no pose was sought
 
@@ -129,7 +129,7 @@ def _list_poses(
     per_pose, template_row, rate = 1, 0, None
     if vector.acting is not None:
         per_pose, rate = 3, float(np.max(np.abs(readings[RATE]))) or DEFAULT_RATE
-    elif readings.has(ACROSS[0]):  # a magnitude: what an unknown direction leaves
+    elif readings.has(ACROSS[0]):  # a magnitude: the direction is unknown
         template_row = int(np.argmin(np.any([readings[n] != 0 for n in ACROSS], axis=0)))
     poses = [AddedPose((d[0], d[1], d[2]), t, rate) for t in ends for d in DIRECTIONS.tolist()]
     units = np.array([p.direction for p in poses])
@@ -151,7 +151,7 @@ def _list_poses(
 
 
 def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[list[int], int]:
-    """Choose poses that determine k combinations; return their indices and the number of combinations left.
+    """Choose poses that determine k combinations of coefficients; return their indices and how many are left.
 
     `columns` are the whitened columns of c poses along the combinations; a pose of less `effort` to set is preferred if
     it adds nearly as much information.

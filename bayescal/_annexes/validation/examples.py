@@ -100,7 +100,7 @@ def regression(
 def _fit_known(
     y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **how: Any
 ) -> bc.Calibration:
-    """Fit two readings y ± u of each estimate y: their mean has the value y and the standard uncertainty u."""
+    """Fit each estimate y as two readings y ± u, whose mean is y with the standard uncertainty u."""
     tiled = {name: np.tile(values, 2) for name, values in columns.items()}
     pairs = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
     return fit(pairs, tiled, *arguments, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
@@ -139,7 +139,7 @@ def propagation(
     else:
         covariance = u**2 * (np.full((len(mean), len(mean)), r) + (1 - r) * np.eye(len(mean)))
     count = len(values)
-    root = np.linalg.inv(np.linalg.cholesky(covariance))  # of readings with unit variance
+    root = np.linalg.inv(np.linalg.cholesky(covariance))  # readings with unit variance
     columns = {f"x{i}": c for i, c in enumerate(root.T, 1)}
     expected = " + ".join(f"b{i}*{name}" for i, name in enumerate(columns, 1))
     columns |= {f"w{k}": np.zeros(len(mean)) for k in range(count)}
@@ -174,7 +174,7 @@ def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str
     rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
     rate += sizes["K"] * step**0.5 * np.cumsum(rng.standard_normal(n))
     rate += np.diff(sizes["angle"] * rng.uniform(-0.5, 0.5, n + 1)) / step
-    if "B" in true:  # of the spectrum B²/(2πf)
+    if "B" in true:  # flicker noise of spectrum B²/(2πf)
         size = true["B"] * np.sqrt(n / (2 * np.pi * np.fft.rfftfreq(2 * n)[1:]))
         normals = rng.standard_normal((n, 2)) @ [1, 1j]
         rate += np.fft.irfft(np.append(0.0, size * normals), 2 * n)[:n]

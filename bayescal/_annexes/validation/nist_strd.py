@@ -30,7 +30,7 @@ FOLDER = Path(__file__).parent / "data" / "nist_strd"
 MAX_DIGITS = 16.0  # digits to which doubles can agree
 # Ranges of x, over which Legendre polynomials are fitted.
 LEGENDRE = {"filip": (-9.0, -3.0)} | {f"wampler{i}": (0.0, 20.0) for i in range(1, 6)}
-NOISELESS = ("Lanczos1", "wampler1", "wampler2")  # their standard deviations are rounding errors
+NOISELESS = ("Lanczos1", "wampler1", "wampler2")  # data sets whose sd is a rounding error
 
 ABOUT = " ".join(str(__doc__).split("\n\n")[1].split())
 
@@ -48,7 +48,7 @@ class Estimate(NamedTuple):
     sd: np.ndarray
     residual_sd: float
     converged: bool
-    certified: tuple[np.ndarray, np.ndarray, float]  # of the first three fields
+    certified: tuple[np.ndarray, np.ndarray, float]  # certified values of the first three fields
     condition_number: float  # κ
 
     @property
@@ -107,7 +107,7 @@ def _fit_nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
     fits = []
     for start in (entry["start1"], entry["start2"]):
         c = fit(y, columns, start, expected, method=bc.LeastSquares(draws=512))
-        draws = start + c.draws()[0] + c.layout.x_origins  # which have the moments of the fit
+        draws = start + c.draws()[0] + c.layout.x_origins  # draws with the moments of the fit
         fits.append(_estimate(c, draws.mean(axis=0), draws, certified, slopes))
     return fits
 

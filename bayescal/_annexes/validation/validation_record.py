@@ -22,7 +22,7 @@ NIST = "NIST StRD"
 # Ten times the largest error of any set, as processors round differently.
 PARAMETER_RTOL, SD_RTOL = 1e-7, 1e-6
 HEAD = ("clause", "what is tested", "quantity", "certified", "value", "difference", "tolerance", "")
-WIDTHS = (0.1, 0.34, 0.15, 0.09, 0.09, 0.09, 0.08, 0.06)  # of the page
+WIDTHS = (0.1, 0.34, 0.15, 0.09, 0.09, 0.09, 0.08, 0.06)  # widths of columns, share of the page
 NIST_HEAD = ("set", "κ", "P", "parameters", "tolerance", "", "standard deviations", "tolerance", "")
 
 
