@@ -87,7 +87,6 @@ def test_a_seed_gives_the_same_campaign_and_the_same_fit_again(tmp_path: Path) -
 # Every command helps with an example, and its tables print on any terminal.
 
 
-ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
     *("fit", "check", "discover", "compare", "predict", "noise"),

@@ -13,7 +13,6 @@ from bayescal import effects
 from bayescal_models import still_sensor
 from tests.contract.every_effect import EFFECTS, MADE
 
-OWN_FILE = Path(__file__).parent / "every_effect.py"
 INSTRUMENT = still_sensor.instrument("ug", size=2000.0, span=40.0, pace=3.0)
 
 

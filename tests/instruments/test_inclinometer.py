@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -124,21 +123,25 @@ def test_a_population_of_devices_is_learned() -> None:
     assert 0.25 < slope < 0.8
 
 
-# Two axes compensate each other; verification data, corrections and files of either kind.
+# Two axes compensate each other, on verification data.
 
 
 GRID = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0))
 
 
-def table_of(readings: bc.Measurements) -> inclinometer.Verification:
-    x, y = (readings.select(readings["axis"] == axis) for axis in "xy")
-    outputs = ARCSEC * x["output"], ARCSEC * y["output"]
-    return inclinometer.Verification(x["true_angle"], y["true_angle"], *outputs)
+class Table:
+    """Known tilts and readings of both axes, rad."""
+
+    def __init__(self, readings: bc.Measurements) -> None:
+        x, y = (readings.select(readings["axis"] == axis) for axis in "xy")
+        self.true_x, self.true_y = x["true_angle"], y["true_angle"]
+        self.reading_x, self.reading_y = ARCSEC * x["output"], ARCSEC * y["output"]
+        self.errors = self.reading_x - self.true_x, self.reading_y - self.true_y
 
 
 @pytest.fixture(scope="module")
-def table() -> inclinometer.Verification:
-    return table_of(inclinometer.simulate(seed=5, campaign=GRID))
+def table() -> Table:
+    return Table(inclinometer.simulate(seed=5, campaign=GRID))
 
 
 @pytest.mark.parametrize("law", ["document", "exact"])
@@ -181,7 +184,7 @@ def test_what_a_line_cannot_compensate_is_the_size_of_the_published_remainder(li
     campaign = replace(
         inclinometer.VERIFICATION, grid=(-45.0, 0.0, 45.0), axes=axes, noise=0.0, repeatability=0.0
     )
-    table = table_of(inclinometer.simulate(seed=0, campaign=campaign))
+    table = Table(inclinometer.simulate(seed=0, campaign=campaign))
     made = inclinometer.compensate(lines, table.reading_x, table.reading_y, law="document")
     for left in (made.x - table.true_x, made.y - table.true_y):
         assert 38 * ARCSEC < np.abs(left).max() < 55 * ARCSEC
@@ -191,40 +194,6 @@ def test_placement_angles_at_large_tilts() -> None:
     x = np.deg2rad([30.0, 0.0, 45.0])
     found = np.rad2deg(exact_placement(x, np.deg2rad([30.0, 40.0, 30.0]), np))
     np.testing.assert_allclose(found, [35.26, 40.0, 45.0], atol=0.01)
-
-
-def test_a_file_of_corrections_is_negated(tmp_path: Path) -> None:
-    readings = inclinometer.simulate(seed=0)
-    lines = ["axis,run,placement_angle [deg],zero_offset [arcsec]"]
-    for axis, run, angle, zero in zip(
-        *(readings[n] for n in ("axis", "run", "placement_angle", "output")), strict=True
-    ):
-        lines.append(f"{axis},{run},{np.rad2deg(angle):.6f},{-zero:.6f}")
-    path = tmp_path / "corrections.csv"
-    path.write_text("\n".join(lines) + "\n")
-    turned = inclinometer.read(path, corrections=True)
-    np.testing.assert_allclose(turned["output"], readings["output"], atol=1e-5)
-    assert any("negated" in flag for flag in turned.flags)
-    np.testing.assert_allclose(inclinometer.read(path)["output"], -readings["output"], atol=1e-5)
-    tilts = inclinometer.simulate(seed=0, campaign=GRID)
-    with pytest.raises(bc.InputError):
-        inclinometer.negated(tilts)
-
-
-def test_verification_data_go_both_ways(table, tmp_path: Path) -> None:
-    simulated, again = inclinometer.simulate(seed=5, campaign=GRID), table.readings()
-    for name in ("true_angle", "placement_angle", "output"):
-        np.testing.assert_allclose(again[name], simulated[name], rtol=1e-12)
-    path = tmp_path / "verification.csv"
-    columns = np.rad2deg([table.true_x, table.true_y, table.reading_x, table.reading_y]).T
-    names = ("true_x", "true_y", "reading_x", "reading_y")
-    header = ",".join(f"{n} [deg]" for n in names)
-    np.savetxt(path, columns, delimiter=",", header=header, comments="", fmt="%.9f")
-    read = inclinometer.read_verification(path)
-    np.testing.assert_allclose(read.reading_y, table.reading_y, atol=1e-10)
-    path.write_text(path.read_text().replace("[deg]", "[rad]"))
-    with pytest.raises(bc.InputError):
-        inclinometer.read_verification(path)
 
 
 @pytest.mark.slow
@@ -238,7 +207,7 @@ def test_the_whole_equation_is_learned_from_verification_data() -> None:
     whole = bc.fit(dict(INSTRUMENT.structures)["projection, exact geometry"](), known)
     scale = whole.samples("scale.constant")
     assert (np.abs(scale.mean(axis=0) - 100.0) < 3.5 * scale.std(axis=0)).all()
-    held = table_of(other)
+    held = Table(other)
     made = inclinometer.compensate(whole, held.reading_x, held.reading_y)
     for before, after in zip(
         held.errors, (made.x - held.true_x, made.y - held.true_y), strict=True

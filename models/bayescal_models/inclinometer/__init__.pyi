@@ -7,12 +7,8 @@ from .campaign import Accelerometer as Accelerometer
 from .campaign import Campaign as Campaign
 from .compensation import Compensated as Compensated
 from .compensation import compensate as compensate
-from .files import negated as negated
-from .files import read as read
 from .model import INSTRUMENT as INSTRUMENT
 from .model import reference_problem as reference_problem
 from .model import simulate as simulate
-from .verification import Verification as Verification
-from .verification import read_verification as read_verification
 
 COLUMNS: tuple[bc.Column, ...]

@@ -15,12 +15,12 @@ Document: ω = y, and zero(ω) a line. S_e is not an angle of the axis and not m
 ω = atan2(sin y, √(1 − sin²x − sin²y)).
 
 **One instrument, two tables.** *Zero test*: rows of `axis`, `run`, `placement_angle`, `output` (files may call it
-`zero_offset`), no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is affine. *Verification data*: each
-row of true_x, true_y, reading_x, reading_y becomes two rows, (axis x, true_angle x, placement_angle y, output
-reading_x) and the same for y: `Verification.readings()`. The column `true_angle` distinguishes the two.
+`zero_offset`), no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is affine. *Verification data*: two rows
+of each set-up, (axis x, true_angle x, placement_angle y, output of x) and the same for y. The column `true_angle`
+distinguishes the two.
 `output` is in arcsec, tilts in rad (files carry their own units).
 
-**Sign.** reading = truth + zero. Source 4's S is a *correction*; `inclinometer.read(…, corrections=True)` negates.
+**Sign.** reading = truth + zero. Source 4's S is a *correction*: minus that.
 
 Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, excluded in use:
 `dividing`, `base_tilt` (arcsec; added to the tilt). Effects on the instrument have one
