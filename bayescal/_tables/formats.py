@@ -14,6 +14,7 @@ from zipfile import ZipFile
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pyarrow import types
 
 from bayescal._core.atomic_file import decode_name
 from bayescal._core.errors import InputError
@@ -44,22 +45,20 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         cells = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
             for position, number in requested.items():
-                name = schema.names[position]
-                cells[position] = arrow_cells(opened.read(columns=[name]).column(name), number)
+                name, kind = schema.names[position], schema.types[position]
+                column = opened.read(columns=[name]).column(name)
+                is_number = types.is_integer(kind) or types.is_floating(kind)
+                if number and (is_number or types.is_decimal(kind)):
+                    values = column.cast(pa.float64()).to_numpy()
+                else:
+                    values = column.to_pandas().to_numpy(object)
+                cells[position] = to_cells(values, number)
         pa.default_memory_pool().release_unused()  # unpacked buffers, as large as the numbers
         return cells
 
     units = ((field.metadata or {}).get(b"units") for field in schema)
     decoded = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)
     return Table(file, tuple(map(Header.parse, schema.names, decoded)), rows, load)
-
-
-def arrow_cells(column: pa.ChunkedArray, number: bool) -> Cells:
-    """Convert a column to cells: numbers as they are, anything else as text."""
-    kind, types = column.type, pa.types
-    if number and (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
-        return to_cells(column.cast(pa.float64()).to_numpy(), number)
-    return to_cells(column.to_pandas().to_numpy(object), number)
 
 
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
