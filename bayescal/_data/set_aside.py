@@ -57,10 +57,7 @@ def set_aside(
     initial_count = len(readings)
     while len((fault := _find_wrong(readings, needed, initial_count)).rows):
         readings = _without(readings, fault)
-    rows = find_spikes(readings)
-    listing = _format_rows_read(rows, readings["output"])
-    reason = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {listing}"
-    return _without(readings, Fault(rows, f"{reason}; keep_spikes keeps them"))
+    return _without(readings, _find_spikes(readings))
 
 
 def _without(readings: Measurements, fault: Fault) -> Measurements:
@@ -133,21 +130,20 @@ def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
     return complete and bool(np.ptp(columns[odd.column][remaining]) > settings().temperature_span)
 
 
-def find_spikes(readings: Measurements) -> np.ndarray:
-    """Find the rows of spikes, each an outlier by its distance from the line through its neighbours in its run.
+def _find_spikes(readings: Measurements) -> Fault:
+    """Find spikes, each an outlier by its distance from the line through its neighbours in its run.
 
-    A smooth signal, however large, has small distances; a step has two large ones side by side and is kept.
-    Only records in time have neighbours: without a column `time` there are no spikes. Where more readings stand out
-    than spikes would, there are none: the noise may have heavy tails.
+    A smooth signal, however large, has small distances; a step has two large ones side by side and is kept. Where more
+    readings stand out than spikes would, there are none: the noise may have heavy tails.
     """
-    none = np.zeros(0, dtype=int)
-    if not readings.has("time"):
-        return none
-    most = max(1.0, MAX_SPIKE_SHARE * len(readings))
+    most, output = max(1.0, MAX_SPIKE_SHARE * len(readings)), readings["output"]
     pieces = readings.records.stretches(MIN_SPIKE_READINGS)
-    spikes = (p[_find_outliers(readings["output"][p], most)] for p in pieces)
-    rows = np.sort(np.concatenate([none, *spikes]))
-    return rows if len(rows) <= most else none
+    spikes = (p[_find_outliers(output[p], most)] for p in pieces)
+    rows = np.sort(np.concatenate([np.zeros(0, int), *spikes]))
+    if len(rows) > most:
+        return Fault()
+    listing = f"far from both neighbours: {_format_rows_read(rows, output)}; keep_spikes keeps them"
+    return Fault(rows, f"{len(rows)} reading(s) set aside as spikes, {listing}")
 
 
 def _find_outliers(y: np.ndarray, most: float) -> np.ndarray:
