@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, ConvertedColumns, Place, file_names
 from bayescal._data.records import PAUSE_STEPS, Columns, Records, distinct, equal_runs
+from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
 
 Where = Callable[[int], Place]  # by the index of a reading
@@ -117,9 +118,17 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
 
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
-) -> list[str]:
-    """Return warnings of readings that are accepted; `names` of the files, `repeated` rows."""
+) -> tuple[str, ...]:
+    """Return what is odd or was interpreted of accepted readings; `names` of the files, `repeated` rows."""
     columns, records = converted.values, Records.of(converted.values)
+    flags = [*converted.flags]
+    if converted.origin is not None:
+        date = format_date(converted.origin)
+        flags.append(f"{names}: time is in s since {date} (dates without a zone count as UTC)")
+    if len(repeated):
+        where, dropped = converted.where(int(repeated[0])), ": dropped" * ("time" in columns)
+        message = "row(s) repeat an earlier one in every column, first at"
+        flags.append(f"{len(repeated)} {message} {where}{dropped}")
     anomalies = find_anomalies(columns, records, converted.thermometers, output)
     messages = [
         *_find_saturation(columns, output),
@@ -129,12 +138,7 @@ def flags_of(
         ),
         *_find_leaps(converted, records, anomalies),
     ]
-    flags = [f"{names}: {message}" for message in messages]
-    if len(repeated):
-        where, dropped = converted.where(int(repeated[0])), ": dropped" * ("time" in columns)
-        message = "row(s) repeat an earlier one in every column, first at"
-        flags.insert(0, f"{len(repeated)} {message} {where}{dropped}")
-    return flags
+    return (*flags, *(f"{names}: {message}" for message in messages))
 
 
 # Fewest readings at the very end of an output's range that are no chance; also as a share, in a long record.

@@ -452,33 +452,22 @@ def measure_tables(
         for t, o in zip(tables, file_options, strict=True)
         if t.sha256
     )
-    return assemble(whole, instrument, sources, options.nominal_scale)
-
-
-def assemble(
-    converted: ConvertedColumns,
-    instrument: InstrumentLike,
-    sources: tuple[Source, ...] = (),
-    scale: NominalScale | None = None,
-) -> Measurements:
-    """Make measurements of checked columns, of one file or of several concatenated."""
-    names, output = file_names([source.file for source in sources]), output_name(instrument)
-    since, units = converted.origin, converted.units
-    if since is not None:
-        message = f"time is in s since {format_date(since)} (dates without a zone count as UTC)"
-        converted.flags.append(f"{names}: {message}")
-    repeated = checks.repeated_rows(converted.values)
-    flags = [*converted.flags, *checks.flags_of(converted, output, names, repeated)]
-    values = converted.values
+    names, values, units = (
+        file_names([source.file for source in sources]),
+        whole.values,
+        whole.units,
+    )
+    repeated = checks.repeated_rows(values)
+    flags = checks.flags_of(whole, output, names, repeated)
     # with the time among the columns, none can be a reading of its own
     if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
         as_scalar = first_offered("scalar_readings", f"reading {', '.join(outputs)}")
         values, units, scalar_flags = as_scalar(instrument, values, units, names)
-        flags += scalar_flags
-    channels = frozenset(converted.other_channels & values.keys())
-    return Measurements(values, units, sources, tuple(flags), output, scale, channels, since)
+        flags += tuple(scalar_flags)
+    channels, scale = frozenset(whole.other_channels & values.keys()), options.nominal_scale
+    return Measurements(values, units, sources, flags, output, scale, channels, whole.origin)
 
 
 def _held_columns(frame: Any, columns: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:

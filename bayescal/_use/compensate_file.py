@@ -21,9 +21,9 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import problems_of_whole
+from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
 from bayescal._data.header_matching import MatchedFile, unit_behind
-from bayescal._data.measurements import Measurements, assemble
+from bayescal._data.measurements import Measurements
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, parse_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
@@ -123,7 +123,7 @@ def compensate_file(
         # History, unwrapped counters and times from the first row need the whole record checked.
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             problems_of_whole(converted, expected, True).refuse()
-            flags = assemble(converted, expected, (source,)).flags
+            flags = flags_of(converted, "output", table.file, repeated_rows(converted.values))
         since, columns = converted.origin, (converted.values, converted.units)
         readings = Measurements(*columns, (source,), since=since)
         _refuse_overlap(compensator, readings, bool(options.begin))
