@@ -13,7 +13,6 @@ from missing_effect.formulas import FORMULAS
 from missing_effect.regression import grid
 from missing_effect_maker.generate import contents, make, plan, sizes
 from missing_effect_maker.simulate.bodies import body
-from missing_effect_maker.simulate.disturbances import NOT_WHITE, white
 from missing_effect_maker.simulate.instruments import INSTRUMENTS
 
 CASES = plan()
@@ -49,14 +48,6 @@ def test_what_an_entry_gets_does_not_tell_the_truth() -> None:
     assert made.truth["track"].encode() not in public and b"decided" not in public
 
 
-def test_variates_are_those_of_the_stream() -> None:
-    raw = np.random.PCG64(np.random.SeedSequence((1, 2))).random_raw(3)
-    expected = [((int(r) >> 11) + 0.5) / 2**53 for r in raw]
-    assert Draws(1, 2).uniform(3).tolist() == expected
-    many = Draws(3).normal(40_000)
-    assert abs(many.mean()) < 0.02 and abs(many.std() - 1) < 0.02
-
-
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_a_candidate_describes_its_own_effect_but_not_exactly(name: str) -> None:
     """The hidden physics leaves nine tenths or more of itself to the candidate, and never all."""
@@ -77,21 +68,6 @@ def test_a_candidate_describes_its_own_effect_but_not_exactly(name: str) -> None
 def _left(y: np.ndarray, columns: np.ndarray) -> float:
     scaled = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
     return float(np.std(y - scaled @ np.linalg.lstsq(scaled, y, rcond=None)[0]))
-
-
-@pytest.mark.parametrize("law", [white, *NOT_WHITE], ids=lambda f: f.__name__)
-def test_noise_has_its_covariance(law) -> None:
-    """Whitened by its own covariance, noise of many records has variance one."""
-    squares = []
-    for seed in range(30):
-        noise = law(Draws(7, seed), 120)
-        if noise.covariance.ndim == 1:
-            squares.append(np.mean(noise.values**2 / noise.covariance))
-        else:
-            root = np.linalg.cholesky(noise.covariance)
-            squares.append(np.mean(np.linalg.solve(root, noise.values) ** 2))
-    # 3,600 squares of variance 2 have a standard error of 0.024; a Student-t's fourth moment is not finite.
-    assert abs(np.mean(squares) - 1) < (0.25 if law.__name__ == "student" else 0.1)
 
 
 def test_the_lag_of_a_step_is_exponential() -> None:

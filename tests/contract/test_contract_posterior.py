@@ -14,7 +14,6 @@ from arviz_stats.base import array_stats  # pyright: ignore[reportPrivateImportU
 import bayescal as bc
 from bayescal_models import INSTRUMENTS
 from benchmarks.accuracy.ranks import drawn
-from tests.support.compilations import compiled
 from tests.support.contract_cases import Case, columns_of
 
 TRUTH = 4  # seed of the data set from which least squares has to recover its truth
@@ -65,14 +64,6 @@ def test_marginal_agrees_with_the_reference_posterior(request, case: Case) -> No
         ratio = np.log(draws.std() / reference["sd"])
         error = np.hypot(reference["mcse_sd"] / reference["sd"], _spread_error(draws, effective))
         assert abs(ratio) < allowed["sd"] + 4 * error, (name, ratio, reference)
-
-
-@pytest.mark.parametrize("case", SLOW_WHERE_HEAVY, indirect=True)
-def test_the_programs_of_a_fit_serve_other_readings(case: Case) -> None:
-    # A model made anew: equality and not identity counts. (What a fit does with its draws depends on their number.)
-    case.sample(case.model, case.readings)
-    made_anew, other = case.problem.model(), case.problem.readings(seed=1)
-    assert compiled(lambda: case.sample(made_anew, other)) == []
 
 
 @pytest.mark.slow

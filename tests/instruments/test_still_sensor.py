@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import catalogue, mems_gyro, still_sensor
+from bayescal_models import mems_gyro, still_sensor
 from bayescal_models.mems_gyro.simulator import simulated_columns
 from tests.support.command_line import QUICK, needs_installation, run
 
@@ -117,16 +117,3 @@ def test_a_file_is_the_same_whatever_instrument_reads_it(hidden: dict[str, float
         found = bc.discover(line)
         assert {e.family_name for e in found.best} == {*hidden}, instrument.name
         assert {s.effects for s in found.findings} == {(name,) for name in hidden}, instrument.name
-
-
-def test_a_row_of_the_instruments_own_stands_in_the_place_of_the_catalogues() -> None:
-    rows = catalogue.recorded("bias", "deg/s", size=0.6, span=25.0, pace=1.0)
-    own = ("bias.drift", catalogue.drift, 0.1, "deg/s")
-    table = catalogue.EffectTable.of("a test", baseline=rows[:1], candidates=(own, *rows))
-    assert [e.name for e in table.candidates] == [
-        "bias.drift",
-        *(e.name for e in rows[1:] if e.name != "bias.drift"),
-    ]
-    assert table["bias.drift"].coefficients[0].size == 0.1
-    hysteresis = table["bias.hysteresis"]
-    assert hysteresis.coefficients[0].size == 0.15

@@ -18,17 +18,12 @@ import numpy as np
 
 import bayescal as bc
 import bayescal_models
-from bayescal._inference import sampled_products
-from bayescal._inference.laplace import find_mode
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import draw_weighted
 from bayescal._model import forward
 from bayescal._model.model import why_untestable
 from bayescal._model.parameters import Layout, bind
 from benchmarks.accuracy import reference_posteriors
 from tests.support import references
-from tests.support.inside import constants_of, frame_of
+from tests.support.inside import frame_of
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
 SEED = 17
@@ -135,20 +130,6 @@ class Case:
     def differences(self):
         b = self.bound
         return jax.tree.map(np.asarray, differences(b.layout, b.frame, b.x, b.v))
-
-    def sample(self, model: bc.Model, readings: bc.Measurements) -> None:
-        """The two steps of the default method, as `fit` calls them: mode, then importance sampling."""
-        layout, _ = bind(model, readings)
-        layout = layout.promote(*self.promoted)
-        frame, y = frame_of(readings), jnp.asarray(readings["output"])
-        problem = Problem(layout, Record(model.instrument, frame, np.asarray(y)))
-        draw_weighted(problem, find_mode(problem), 0, None, bc.Marginal().rounds)
-
-    @cached_property
-    def promoted(self) -> tuple[str, ...]:
-        layout, _ = bind(self.model, self.readings)
-        record = record_of(self.instrument, self.readings, constants_of(self.readings))
-        return sampled_products.promote_products(Problem(layout, record), None)[0].layout.promoted
 
     @cached_property
     def reference(self) -> dict[str, Any]:
