@@ -23,7 +23,6 @@ from ._search.check_instrument import InstrumentCheck as InstrumentCheck
 # a sensor's noise, as data sheets give it
 from ._calibration.sensor_noise import noise as noise
 from ._calibration.sensor_noise import SensorNoise as SensorNoise
-from ._annexes.imu.kalibr_file import kalibr_yaml as kalibr_yaml
 from ._data.set_aside import set_aside as set_aside
 from ._data.allan_deviation import allan_deviation as allan_deviation
 from ._data.allan_deviation import AllanDeviation as AllanDeviation
@@ -34,7 +33,6 @@ from ._annexes.imu.vector_series import vector_correction as vector_correction
 from ._annexes.imu.still_stretches import poses as poses
 from ._annexes.imu.moves import moves as moves
 from ._annexes.imu.vector_files import export_vector as export_vector
-from ._annexes.imu.vector_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
 from ._annexes.metrology.decide import decide as decide
 from ._annexes.metrology.reference_dcc import read_dcc as read_dcc

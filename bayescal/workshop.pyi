@@ -12,7 +12,6 @@ from ._calibration.prior_influence import (
     find_coefficients_not_measured as find_coefficients_not_measured,
 )
 from ._calibration.prior_influence import find_not_measured as find_not_measured
-from ._calibration.sensor_noise import FILTER_QUANTILE as FILTER_QUANTILE
 from ._calibration.storage import identity as identity
 from ._calibration.storage import sources_of as sources_of
 from ._calibration.summary import null_directions as null_directions
@@ -72,7 +71,6 @@ from ._core.formatting import with_error as with_error
 from ._core.inverse import stepped as stepped
 from ._core.jax_setup import obey_no_folder as obey_no_folder
 from ._core.jit import compiled as compiled
-from ._core.json_shape import as_type as as_type
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
@@ -83,7 +81,6 @@ from ._core.progress import tell as tell
 from ._core.quoting import ascii_text as ascii_text
 from ._core.quoting import c_comment as c_comment
 from ._core.quoting import html_text as html_text
-from ._core.quoting import identifier as identifier
 from ._core.quoting import one_line as one_line
 from ._core.quoting import python_words as python_words
 from ._core.renamed import renamed as renamed
@@ -195,14 +192,12 @@ from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
 from ._use.compensation_program import PAST as PAST
 from ._use.compensation_program import CorrectionInUse as CorrectionInUse
 from ._use.compensation_program import averaged_over as averaged_over
-from ._use.compensation_program import limits as limits
 from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of
 from ._use.correction_files import in_form as in_form
 from ._use.correction_files import include_guard as include_guard
-from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
 from ._use.operating_equation import ALL_DRAWS as ALL_DRAWS

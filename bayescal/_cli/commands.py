@@ -418,16 +418,11 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
 class NoiseCommand(ReadRequest, AsJson, Command):
     """Estimate noise density, bias instability and random walk."""
 
-    example = "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
+    example = "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --out noise"
     instrument = "still_sensor"  # whose output changes only by its noise and temperature
     channels: str | None = opt(
         "Columns that are outputs, one after another: gyro_x,acc_x.", metavar="NAME,NAME,…"
     )
-    yaml: Path | None = opt("File to write for Kalibr: noise densities and random walks.")
-    quantile: float = opt(
-        "Of the posterior, that the numbers for Kalibr are.", 0.95, min=0.0, max=1.0
-    )
-    topic: str = opt("Of the messages, for Kalibr.", "/imu0")
     average: str | None = Shared.average
     time_limit: float | None = Shared.time_limit
     seed: int = Shared.seed
@@ -445,9 +440,6 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             for i, name in enumerate(counted([*devices], "records")):
                 with deadline.sooner(1 / (len(devices) - i)):
                     results[name] = bc.noise(devices[name], seed=self.seed)
-            if self.yaml is not None:
-                text = first_offered("noise_file", "--yaml")(results, self.topic, self.quantile)
-                written.append(write_text(text, self.yaml))
 
             def draw(folder: Path) -> None:
                 from bayescal._report.plots import own_style
@@ -515,7 +507,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
 class ExportCommand(InUse, DecisionRule, Command):
     """Write C99, Python, JSON, parameters or a certificate.
 
-    Of three axes too, also YAML; those of a unit together in one file.
+    Of three axes too; those of a unit together in one file.
     """
 
     example = "bayescal export result/calibration.nc --format c --out gyro.h"
@@ -523,7 +515,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         [], help="Folders of results, calibrations (.nc): one, one an axis, or a unit's."
     )
     format_: str | None = opt(
-        "json, c or python; of three axes yaml; px4-params or ardupilot-params; dcc.",
+        "json, c or python; px4-params or ardupilot-params; dcc.",
         *(None, "--format"),
     )
     out: Path | None = opt("File to write; standard output if none.", None, "--out", "-o")

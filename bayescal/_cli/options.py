@@ -24,7 +24,7 @@ from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIF
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
-OUTPUTS = ("out", "yaml", "save_mapping")  # options that name output files
+OUTPUTS = ("out", "save_mapping")  # options that name output files
 RESULT_FILES = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # of a result folder
 Texts = list[str] | None
 
@@ -225,7 +225,7 @@ class Shared:
 
     calibration = Argument(help="Folder of results, or its calibration (.nc).")
     files = Argument(
-        help="Readings: CSV, Parquet, NetCDF, Excel, MATLAB; logs: .ulg, .bin, .bag, .mcap, .db3.",
+        help="Readings: CSV, Parquet, NetCDF, Excel, MATLAB; logs: .ulg, .bin.",
         callback=refuse_missing,
     )
     instrument = opt("Name of an installed instrument, or my.py:INSTRUMENT.", ...)
@@ -387,7 +387,7 @@ class InUse(UsedParts):
 class DecisionRule(Options):
     """Options of the decision rule for limits."""
 
-    rule: str = opt("guarded, simple or shared-risk, as agreed on beforehand.", "guarded")
+    rule: str = opt("guarded or simple, as agreed on beforehand.", "guarded")
     false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
 
     def deciding(self) -> dict[str, Any]:

@@ -249,11 +249,7 @@ def compensator_from(path: Path, user: InUse) -> bc.Compensator:
 
 
 def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
-    """Load a correction from a saved calibration; one of three axes also from its JSON export."""
-    if path.suffix.lower() == ".json":
-        from bayescal._use.correction_files import load_correction
-
-        return load_correction(path)
+    """Load the correction of a saved calibration, of one output or of three axes."""
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=user.members)

@@ -9,7 +9,6 @@ An installed package offers one by an entry point of the group `bayescal.annexes
     certificate         path → the statements of a certificate's file, as `bayescal.report` takes it
     decided             calibration, limits, **rule → the decisions about them, for a report
     reference_dcc       path, instrument, column → the error of a reference as an effect, by its certificate
-    noise_file          channels, topic, quantile → their noise as a file for another program
     result              calibration, average → entries of result.json behind the coefficients
     coefficient_tables  result.json → captions and tables behind a report's table of coefficients
     log                 path, name, channels → the table of a log

@@ -60,7 +60,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since the first reading
     of all files; a date without a zone counts as UTC. Where several files have no column `run`, each is a run named
     after its file. A column that the instrument does not know is kept in base units if it has a unit, and otherwise
-    left out with a flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels are read that
+    left out with a flag. Of a log (PX4 .ulg, ArduPilot .bin) only the channels are read that
     `columns` names, or that the instrument knows by name.
 
     Args:

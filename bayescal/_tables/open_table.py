@@ -17,7 +17,7 @@ from bayescal._tables.raw_table import Table, bytes_text, unusable
 
 MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused before memory runs out
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
-LOGS = (".ulg", ".bin", ".bag", ".mcap", ".db3")  # which an annex reads
+LOGS = (".ulg", ".bin")  # which an annex reads
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOGS)
 
 

@@ -18,7 +18,6 @@ from bayescal._core.annex import offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.inverse import MAX_NEWTON_STEPS
-from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
 from bayescal._data.records import RATE_WINDOW, SILENCE_WINDOWS
@@ -37,14 +36,12 @@ Writer = Callable[[Mapping[str, Any], bool], str]
 
 
 class CorrectionKind(NamedTuple):
-    """A kind of corrections: its class, formats, writers and reader."""
+    """A kind of corrections: its class, formats and writers."""
 
     of: type[CorrectionInUse]  # their class
     axes: str  # number of axes, in words, such as "three axes"
     writers: Mapping[str, Writer]  # by format
     suffixes: Mapping[str, str]  # formats by the suffix of a file
-    # parses one from JSON and its file's name, for messages; `InputError` if it is none; None: is not read back
-    read: Callable[[Any, str], CorrectionInUse] | None = None
     together: tuple[str, ...] = ()  # formats that hold several
     # a sentence about what a format omits; empty for nothing
     describe_omissions: Callable[[Any, str], str] = lambda correction, format: ""
@@ -257,22 +254,3 @@ def as_text(
         why = f"{format} holds its uncertainty: only C and Python are written without uncertainty"
         raise InputError(why)
     return kind.writers[format](sensors, uncertainty)
-
-
-def load_correction(path: str | Path) -> CorrectionInUse:
-    """Load a correction of three axes from its JSON file; nothing in it is evaluated as code.
-
-    Raises:
-        InputError: the file is missing, no such correction, or damaged.
-    """
-    path = Path(path)
-    try:
-        content = read_json(path)
-    except OSError:
-        raise InputError(f"there is no file {path}: give a correction exported as JSON") from None
-    except ValueError as error:
-        raise InputError(f"{path.name} is not JSON ({error}): is it a correction?") from None
-    read = next((kind.read for kind in kinds() if kind.read is not None), None)
-    if read is None or (isinstance(content, dict) and "schema" in content):
-        raise InputError(f"{path.name} is for other programs: give the calibration of this output")
-    return read(content, path.name)

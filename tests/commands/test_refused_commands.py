@@ -74,7 +74,7 @@ REFUSED = (
     "compensate {saved} {readings} --out {saved}", "export {folder}/table -o {saved}",
     "export --axis gyro_x={saved} -o {saved} --format px4-params",
     "decide {saved} --limit 'bias: ±1 °/s' --out {folder}/table/manifest.json",
-    *("noise {text} --yaml {text}", "fit {text} --instrument mems_gyro --save-mapping {text}"),
+    "fit {text} --instrument mems_gyro --save-mapping {text}",
     "workbench {text} --instrument mems_gyro --no-open --save-mapping {text}",
     f"{CALIBRATE} --accept-conflict bias.nosuch", "triad {table} --instrument mems_gyro",
     "triad {table} --poses --shortest 3", "triad {table} --shortest -1 --out {new}",

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import cache, cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal.workshop import as_type
-from tests.deliver.test_noise_at_rest import told
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 from tests.support.hostile_names import CODE, PIECES
-from tests.support.inside import CompensationProgram, dcc_of, text_of
-
-yaml = pytest.importorskip("yaml")
+from tests.support.inside import CompensationProgram, as_type, dcc_of, text_of
 
 HOSTILE = st.lists(st.sampled_from(PIECES) | st.text(max_size=3), max_size=6).map("".join)
 TEXT = HOSTILE.map(lambda name: name.replace("\ud800", "?"))  # what a file can hold
@@ -152,11 +147,6 @@ def shape_of(code: str) -> list[str]:
     return [type(node).__name__ for node in ast.walk(ast.parse(code))]
 
 
-def keys_of(text: str) -> Any:
-    """What a reader of YAML takes."""
-    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-
-
 def code_lines(text: str) -> list[str]:
     """Lines that are no comment, as a reader splits them."""
     return [line for line in text.splitlines() if not line.startswith("#")]
@@ -176,11 +166,6 @@ def of_one_output(language: str) -> Callable[[str], str]:
 def of_three_axes(format: str, unit: str = "g", **called: str) -> Callable[[str], str]:
     """A correction of three axes with a name for every text, exported."""
     return lambda name: text_of(corrected(name, unit), format, **called)
-
-
-def noise_of(name: str) -> str:
-    """What Kalibr reads, of channels that are called so."""
-    return bc.kalibr_yaml({name: told("rad/s"), f"{name}y": told("m/s^2")})
 
 
 def parameters_with(name: str) -> str:
@@ -208,17 +193,15 @@ EXITS = {
     "axes in c": Exit(of_three_axes("c", **SENSOR), tokens_of_c),
     "axes in c, called after their instrument": Exit(of_three_axes("c"), marks_of_c),
     "axes in python": Exit(of_three_axes("python", **SENSOR), shape_of),
-    "axes in yaml": Exit(of_three_axes("yaml"), keys_of),
-    "rates in yaml": Exit(of_three_axes("yaml", "deg/s"), keys_of),
+    "rates for px4": Exit(of_three_axes("px4-params", "deg/s"), code_lines),
     "axes for px4": Exit(of_three_axes("px4-params"), code_lines),
     "axes for ardupilot": Exit(of_three_axes("ardupilot-params"), code_lines),
-    "noise for kalibr": Exit(noise_of, lambda text: (code_lines(text), keys_of(text))),
     "parameters": Exit(parameters_with, code_lines),
     "certificate": Exit(lambda name: certificate_of(f"a{name}"), elements),
 }
 
 
-FAST = ("python", "noise for kalibr", "parameters")
+FAST = ("python", "parameters")
 WAYS = [
     pytest.param(
         name,
@@ -245,10 +228,3 @@ def test_a_name_comes_back_from_python(name: str) -> None:
     space: dict[str, Any] = {}
     exec(of_one_output("python")(name), space)
     assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
-
-
-@pytest.mark.parametrize("name", CODE)
-def test_three_axes_come_back_from_json(name: str, tmp_path: Path) -> None:
-    path = bc.export_vector(corrected(name), tmp_path / "sensor.json")
-    back = bc.load_vector_correction(path)
-    assert back.data() == corrected(name).data()

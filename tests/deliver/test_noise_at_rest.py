@@ -1,10 +1,9 @@
-"""Noise of a sensor at rest: Q, N, B and K hold the truth, and a filter's file has them in its units."""
+"""Noise of a sensor at rest: Q, N, B and K hold the truth."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -215,10 +214,8 @@ def test_density_behind_a_filter_is_the_level_that_averages_fall_along(kind, see
     # within four standard uncertainties; that 95 % intervals hold is the nightly test's
     assert 2 * n.low - n.value < 60 * N < 2 * n.high - n.value and n.high < 2 * n.low
     assert "noise.means" in codes(found) and "noise.outside" not in codes(found)
-    # the file for a filter states the same
-    density = numbers(bc.kalibr_yaml({"gyro_x": found}, quantile=0.5))["gyroscope_noise_density"]
-    assert float(density) == pytest.approx(n.si[0], rel=0.03)
-    assert float(numbers(bc.kalibr_yaml({"gyro_x": found}))["update_rate"]) == pytest.approx(100.0)
+    # a filter is told the same
+    assert 60 * found.for_filter(0.5)[0] == pytest.approx(n.value, rel=0.03)
 
 
 @pytest.mark.nightly
@@ -248,51 +245,6 @@ def test_density_below_a_low_pass_is_not_seen() -> None:
 @cache
 def curve() -> bc.AllanDeviation:
     return bc.allan_deviation(still(1, n=100))
-
-
-def told(unit: str, terms: tuple[str, ...] = ("walk",), **more) -> bc.SensorNoise:
-    """A noise of N about 1 and K about 2, in a unit."""
-    nothing = np.zeros(0)
-    return bc.SensorNoise(
-        file="a.csv",
-        unit=unit,
-        step=0.01,
-        terms=terms,
-        probabilities={},
-        figures=(),
-        measured=curve(),
-        claims=(),
-        expected=nothing,
-        low=nothing,
-        high=nothing,
-        estimate_low=nothing,
-        estimate_high=nothing,
-        densities=(np.linspace(0.9, 1.1, 201), np.linspace(1.8, 2.2, 201)),
-        horizon=100.0,
-        **more,
-    )
-
-
-def numbers(text: str) -> dict[str, str]:
-    rows = (line.split(": ") for line in text.splitlines() if not line.startswith("#"))
-    return dict(rows)
-
-
-def test_a_file_for_kalibr_has_the_noisiest_axis_in_si_units() -> None:
-    louder = replace(told("deg/s"), densities=(np.full(9, 3.0), np.full(9, 0.1)))
-    channels = {"gyro_x": told("deg/s"), "gyro_y": louder, "acc_x": told("ug")}
-    found = numbers(bc.kalibr_yaml(channels, topic="/imu/raw", quantile=0.5))
-    gravity = 9.80665e-6
-    expected = {
-        "gyroscope_noise_density": math.radians(3.0),
-        "gyroscope_random_walk": math.radians(2.0),
-        "accelerometer_noise_density": gravity,
-        "accelerometer_random_walk": 2 * gravity,
-        "update_rate": 100.0,
-    }
-    for name, value in expected.items():
-        assert float(found[name]) == pytest.approx(value, rel=1e-4)
-    assert found["rostopic"] == "/imu/raw"
 
 
 def log(path: Path, output: np.ndarray, labels=None, name: str = "device") -> Path:

@@ -59,7 +59,7 @@ def test_no_date_follows_from_a_drift_that_was_not_measured(untold) -> None:
     assert found.decision == "accept"  # of today it can be said: runs differ, and that is measured
 
 
-@pytest.mark.parametrize("rule", ["guarded", "simple", "shared-risk"])
+@pytest.mark.parametrize("rule", ["guarded", "simple"])
 @pytest.mark.parametrize(
     "limit",
     [

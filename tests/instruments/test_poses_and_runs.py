@@ -147,7 +147,7 @@ def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> Non
     correct = bc.vector_correction(bc.fit(MODEL + "unknown(temperature)", bent, QUICK))
     assert correct.terms.shape == (4, 12)
     off = (
-        correct.at(plan.temperatures)[0][:, 0]
+        (correct.powers(np.asarray(plan.temperatures)) @ correct.terms)[:, 0]
         - BIAS[0]
         - 5e-3 * np.sin(np.array(plan.temperatures) / 8)
     )

@@ -1,18 +1,15 @@
-"""Logs of PX4, ArduPilot and ROS are read: channels, units, times, temperature, and what is said of them."""
+"""Logs of PX4 and ArduPilot are read: channels, units, times, temperature, and what is said of them."""
 
 from __future__ import annotations
-
-import sqlite3
-from contextlib import closing
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from tests.support.log_files import write_bag, write_dataflash, write_ulog, write_ulog_topics
+from tests.support.log_files import write_dataflash, write_ulog, write_ulog_topics
 
-for package in ("pyulog", "pymavlink", "rosbags"):
+for package in ("pyulog", "pymavlink"):
     pytest.importorskip(package, reason="pip install 'bayescal[logs]'")
 
 ROWS = 60
@@ -27,9 +24,6 @@ DEGREES = np.degrees(1.0)
 WRITERS = {
     "t.ulg": write_ulog,
     "t.bin": write_dataflash,
-    "t.bag": write_bag,
-    "t.mcap": write_bag,
-    "t.db3": write_bag,
 }
 
 
@@ -54,17 +48,9 @@ def test_an_accelerometer_comes_in_local_g(log) -> None:
     np.testing.assert_allclose(readings["output"], UNITS[0]["acc_z"] / 9.81e-6, rtol=3e-7)
 
 
-def test_the_temperature_is_the_sensor_s_or_interpolated_and_said_so(log) -> None:
+def test_the_temperature_is_the_sensor_s(log) -> None:
     readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
-    ros = log.suffix not in (".ulg", ".bin")
-    said = [flag for flag in readings.flags if "is interpolated to the times of gyro_x" in flag]
-    assert len(said) == ros
-    if not ros:
-        np.testing.assert_allclose(readings["temperature"], TEMPERATURE, rtol=1e-6)
-        return
-    known = [*range(0, ROWS, 5), ROWS - 1]
-    wanted = np.interp(TIME, TIME[known], TEMPERATURE[known])
-    np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
+    np.testing.assert_allclose(readings["temperature"], TEMPERATURE, rtol=1e-6)
 
 
 def test_a_log_cut_short_or_another_file_is_refused(log, put) -> None:
@@ -79,19 +65,6 @@ def test_a_log_cut_short_or_another_file_is_refused(log, put) -> None:
     assert 0 < len(readings) < ROWS  # or what is left of it is read, as its library does
 
 
-def test_a_bag_whose_messages_are_a_query_without_end_is_refused(tmp_path) -> None:
-    path = write_bag(tmp_path / "t.db3", TIME, TEMPERATURE, UNITS)
-    with closing(sqlite3.connect(path)) as base:
-        base.execute("ALTER TABLE messages RENAME TO kept")
-        base.execute(
-            "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
-            "SELECT kept.* FROM kept, n"
-        )
-        base.commit()
-    with pytest.raises(bc.InputError):
-        bc.read(path, INSTRUMENT, columns={"output": "gyro_x"})
-
-
 def test_px4_names_the_device_and_borrows_its_temperature(tmp_path) -> None:
     log = write_ulog(tmp_path / "t.ulg", TIME, TEMPERATURE, UNITS, gyro_temperature=False)
     readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x_1"})
@@ -102,20 +75,10 @@ def test_px4_names_the_device_and_borrows_its_temperature(tmp_path) -> None:
     np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("size", "unit"), [(1.0, "Pa"), (0.01, "mbar")], ids=["Pa", "mbar"])
-def test_px4_magnetometers_and_barometers_are_read_in_their_units(size, unit, tmp_path) -> None:
-    pressure, field = 95_000.0 + 3.0 * TEMPERATURE, 0.4 + 1e-4 * TEMPERATURE
-    still = np.zeros(ROWS)
-    topics = {
-        "sensor_mag": {"x": field, "y": still, "z": -field, "temperature": TEMPERATURE},
-        "sensor_baro": {"pressure": size * pressure, "temperature": TEMPERATURE + 1.0},
-    }
+def test_px4_magnetometers_are_read_in_their_unit(tmp_path) -> None:
+    field, still = 0.4 + 1e-4 * TEMPERATURE, np.zeros(ROWS)
+    topics = {"sensor_mag": {"x": field, "y": still, "z": -field, "temperature": TEMPERATURE}}
     log = write_ulog_topics(tmp_path / "t.ulg", TIME, topics)
     magnetic = bc.read(log, INSTRUMENT, columns={"output": "mag_z"})
     assert magnetic.unit("output") == "uT"
     np.testing.assert_allclose(magnetic["output"], -100.0 * field, rtol=3e-7)
-    baro = bc.read(log, INSTRUMENT, columns={"output": "baro_pressure"})
-    assert baro.unit("output") == "Pa", unit
-    np.testing.assert_allclose(baro["output"], pressure, rtol=3e-7)
-    np.testing.assert_allclose(baro["temperature"], TEMPERATURE + 1.0, rtol=1e-6)
-    assert set(baro["device"]) == {"8"}

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import identifier
 from bayescal_models import inclinometer
+from tests.support.inside import identifier
 from tests.support.references import shared
 
 COMPILER = shutil.which("cc")

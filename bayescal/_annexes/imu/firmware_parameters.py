@@ -27,7 +27,7 @@ and reference are shared by gyroscope and accelerometer.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -232,15 +232,10 @@ def read_at_rest(chosen: bc.Compensator, axis: Axis, local_gravity: float) -> At
         InputError: the output is no such quantity, or the calibration has no temperature.
         ModelError: an effect cannot be evaluated outside Python.
     """
-    if chosen.calibration is None or chosen.equation is None:
-        raise bc.InputError(
-            f"{axis}: an export has no readings to project on a polynomial: give the saved calibration (.nc)"
-        )
     calibration, inputs = chosen.calibration, chosen.equation.at_fit
     if "temperature" not in inputs:
         raise bc.InputError(
-            f"{axis}: the calibration has no column 'temperature', over which firmware corrects: calibrate "
-            "with one"
+            f"{axis}: firmware corrects over temperature, and the calibration has no column 'temperature'"
         )
     program, no_stimulus = chosen.program, np.zeros(len(calibration.readings))
     (expected,) = program.graph.evaluate(
@@ -395,8 +390,7 @@ def _common_range(axes: Mapping[Axis, AtRest]) -> tuple[float, float]:
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in axes.items())
         raise bc.InputError(
-            f"one range of temperatures holds for these axes, and they share none: {ranges}. Calibrate them "
-            "over one range, or leave one out"
+            f"these axes share no range of temperatures: {ranges}. Calibrate them over one, or leave one out"
         )
     return low, high
 
@@ -441,3 +435,47 @@ def _notes(polynomials: Polynomials, chosen: Mapping[Axis, bc.Compensator]) -> l
         if why_not := chosen[a].why_not:
             notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
     return [*notes, "Beyond these temperatures the correction stays as at their ends."]
+
+
+def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
+    """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
+    loaded = cmd.loaded(ws.of_units(cmd.calibrations, ws.CALIBRATION))
+    if loaded and not isinstance(loaded[0][1], bc.Compensator):
+        return cmd.written([compensator for _, compensator in loaded])
+    compensators = _by_axis(loaded, cmd)
+    devices = dict[str, int]()
+    for name, value in ws.named_values(cmd.device_id, "--device-id").items():
+        if not value.isdecimal():
+            raise bc.InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
+        devices[name] = int(value)
+    options = {"devices": devices, "local_gravity": cmd.gravity}
+    file = firmware_parameters(compensators, str(cmd.format_), **options)
+    text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
+    return ws.Answer(text.removesuffix("\n"), **ws.reliable(compensators))
+
+
+def _by_axis(
+    loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
+) -> dict[str, bc.Compensator]:
+    """Return calibrations by axis, as their readings or the user name it."""
+    compensators, files = dict[str, bc.Compensator](), dict[str, Path]()
+    candidates = [(axis_of(c.calibration), p, c) for p, c in loaded]
+    pairs = ws.named_values(cmd.axis, "--axis").items()
+    candidates += [(name, Path(p), ws.compensator_from(Path(p), cmd)) for name, p in pairs]
+    for name, path, compensator in candidates:
+        if name is None:
+            raise bc.InputError(
+                f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
+            )
+        if name in compensators:
+            raise bc.InputError(
+                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
+                f"(--axis gyro_y={path})"
+            )
+        compensators[name], files[name] = compensator, path
+    return compensators
+
+
+def export_writers() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
+    """Return the writers of `bayescal export`, by format."""
+    return dict.fromkeys(AUTOPILOTS, export_parameters)

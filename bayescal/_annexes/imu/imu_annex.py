@@ -5,9 +5,9 @@ Light: heavy modules load inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -15,8 +15,8 @@ from bayescal import workshop as ws
 MAX_EFFECTS_ADDED = 5  # effects that are added
 SENSORS = {"accelerometers": "accelerometer_triad", "gyroscopes": "gyro_triad"}
 OUTPUTS = ("output_x", "output_y", "output_z")
-FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
-UNIT_FILES = ("imu.h", "imu.py", "imu.yaml")  # of all triads of a unit
+FILES = ("correction.h", "correction.py", "correction.json")
+UNIT_FILES = ("imu.h", "imu.py")  # of all triads of a unit
 REPORT = "report.html"
 
 
@@ -35,18 +35,14 @@ class Triad(NamedTuple):
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     """Options of the commands for three axes, of one triad or of both triads of a unit."""
 
-    shortest: float | None = ws.opt("Shortest pose in a log, s; 2, or 1 where many are shorter.")
+    shortest: float | None = ws.opt(
+        "Shortest pose in a log, s; 2, or 1 where many are shorter.", min=0.1
+    )
     baseline: bool = ws.opt("Look for no effect beside bias, scale, misalignment.", False)
     time_limit: float | None = ws.Shared.time_limit
     seed: int = ws.Shared.seed
     out: Path | None = ws.Shared.folder
     name: str | None = ws.opt("With which all names in C begin; else that of the instrument.")
-
-    def refuse_options(self) -> None:
-        """Raise InputError for an invalid name or a pose duration that is not positive."""
-        ws.sensor_name(self.name, "")
-        if self.shortest is not None and not self.shortest > 0:
-            raise bc.InputError(f"--shortest {self.shortest:g}: give a positive number of seconds")
 
     def calibrate(self, model: bc.Model, readings: bc.Measurements, uncalibrated: int = 1) -> Triad:
         """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
@@ -98,7 +94,7 @@ class TriadCommand(TriadOptions, ws.Command):
     dry_run: bool = ws.opt("Say what these poses leave open and which to add; fit nothing.", False)
 
     def answer(self) -> ws.Answer:
-        self.refuse_options()
+        ws.sensor_name(self.name, "")  # refused before minutes of calibration
         if self.poses and self.shortest is not None:
             raise bc.InputError("--shortest is of poses in a log: leave it out, or --poses")
         if ws.instrument_named(self.instrument).vector is None:
@@ -126,7 +122,7 @@ class ImuCommand(TriadOptions, ws.Command):
     gyroscopes: str | None = ws.opt("Their three columns, as gx,gy,gz; else by the usual names.")
 
     def answer(self) -> ws.Answer:
-        self.refuse_options()
+        ws.sensor_name(self.name, "")  # refused before minutes of calibration
         with ws.result_folder(self.out) as folder:
             (force, forces), (turns, rates) = self.logs()
             poses = bc.poses(forces, force, shortest=self.shortest)
@@ -157,8 +153,10 @@ class ImuCommand(TriadOptions, ws.Command):
                     f"{instrument.unit}"
                 )
                 cure = f"Say which they are ({ws.option(f'--{sensors}', 'X,Y,Z')}), or take a log that has them"
-                one = ws.Objection(self.files[0].name, came, cure=cure)
-                problems += [one] if missing else error.problems or [ws.Objection("", str(error))]
+                problem = ws.Objection(self.files[0].name, came, cure=cure)
+                problems += (
+                    [problem] if missing else error.problems or [ws.Objection("", str(error))]
+                )
         problems.refuse()
         self.keep()
         return logs
@@ -166,16 +164,12 @@ class ImuCommand(TriadOptions, ws.Command):
 
 def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
     """Write the search, the corrections and the readings of each triad to a staging folder, without pictures."""
-    from bayescal._annexes.imu.vector_parameters import left_out
-
     first, *others = (triad.correction for triad in triads.values())
     names = ws.names_in_unit(name, [first, *others])
     for (place, triad), sensor in zip(triads.items(), names, strict=True):
         ws.write_search(triad.trail, folder / place)
         for file in FILES:
             bc.export_vector(triad.correction, folder / place / file, name=sensor)
-        if omitted := left_out(triad.correction, "yaml"):
-            ws.print_notes([f"{triad.correction.instrument}, YAML: {omitted}"])
         triad.readings.write(folder / place / "poses.csv")
     for file in UNIT_FILES if others else ():
         bc.export_vector(first, folder / file, others=others, name=name)
@@ -188,83 +182,20 @@ def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
 
     def reports() -> None:
         with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as hidden:
-            for place, trail in trails.items():
+            for place, chapters in {**trails, "": [*trails.values()]}.items():
                 (hidden / place).mkdir(exist_ok=True)
-                outcomes.append(ws.drawn(bc.report, trail, hidden / place / REPORT))
-            if len(trails) > 1:
-                outcomes.append(ws.drawn(bc.report, [*trails.values()], hidden / REPORT))
+                outcomes.append(ws.drawn(bc.report, chapters, hidden / place / REPORT))
 
     return all((ws.drawn(reports), *outcomes))
-
-
-def parameters(cmd: ws.ExportCommand) -> ws.Answer:
-    """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
-    several = ws.of_units(cmd.calibrations, ws.CALIBRATION)
-    loaded = cmd.loaded(several)
-    if loaded and not isinstance(loaded[0][1], bc.Compensator):
-        return cmd.written([compensator for _, compensator in loaded])
-    compensators, numbers = by_axis(loaded, cmd.axis, cmd), parse_device_ids(cmd.device_id)
-    options = {"devices": numbers, "local_gravity": cmd.gravity}
-    file = bc.firmware_parameters(compensators, str(cmd.format_), **options)
-    text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
-    return ws.Answer(text.removesuffix("\n"), **ws.reliable(compensators))
-
-
-def by_axis(
-    loaded: Sequence[tuple[Path, bc.Compensator]], axes: list[str] | None, options: ws.InUse
-) -> dict[str, bc.Compensator]:
-    """Return calibrations by axis, as their readings or the user name it."""
-    from bayescal._annexes.imu.firmware_parameters import axis_of
-
-    compensators, files = dict[str, bc.Compensator](), dict[str, Path]()
-    candidates = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in loaded]
-    pairs = (pair for text in axes or [] for pair in ws.named_values([text], "--axis").items())
-    candidates += [(name, Path(p), ws.compensator_from(Path(p), options)) for name, p in pairs]
-    for name, path, chosen in candidates:
-        if name is None:
-            raise bc.InputError(
-                f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
-            )
-        if name in compensators:
-            raise bc.InputError(
-                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
-                f"(--axis gyro_y={path})"
-            )
-        compensators[name], files[name] = chosen, path
-    return compensators
-
-
-def parse_device_ids(options: list[str] | None) -> dict[str, int]:
-    """Parse the values of --device-id to numbers by sensor."""
-    values_by_sensor = ws.named_values(options, "--device-id")
-    for name, value in values_by_sensor.items():
-        if not value.isdecimal():
-            raise bc.InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
-    return {name: int(value) for name, value in values_by_sensor.items()}
-
-
-def _exports() -> dict[str, Callable[[ws.ExportCommand], ws.Answer]]:
-    from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
-
-    return dict.fromkeys(AUTOPILOTS, parameters)
-
-
-def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
-    if calibration.model.instrument.vector is None:
-        return {"vector": None}
-    from bayescal._annexes.imu.vector_files import vector_data
-
-    return {"vector": vector_data(calibration, average)}
 
 
 ROOM = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
-    "exports": _exports,
+    "exports": f"{ROOM}.firmware_parameters:export_writers",
     "corrections": f"{ROOM}.vector_files:KINDS",
     "corrected": "bayescal:vector_correction",
-    "noise_file": "bayescal:kalibr_yaml",
-    "result": _result,
+    "result": f"{ROOM}.vector_files:result_entries",
     "coefficient_tables": f"{ROOM}.vector_files:coefficient_tables",
     "log": f"{ROOM}.logs:open_log",
     "scalar_readings": f"{ROOM}.scalar_readings:scalar_readings",

@@ -2,16 +2,11 @@
 
 ArduPilot's .bin (DataFlash), by pymavlink's DFReader: the messages IMU, with the temperature T. Fields and units:
 ardupilot, libraries/AP_InertialSensor/LogStructure.h (TimeUS in µs since start, I the instance, GyrX…Z in rad/s,
-AccX…Z in m/s², T in °C). Earlier versions log IMU, IMU2 and IMU3 in place of the instance.
+AccX…Z in m/s², T in °C).
 
-PX4's ULog, by pyulog: sensor_gyro, sensor_accel, sensor_mag and sensor_baro, uncorrected, in every instance. Fields and
-units: PX4-Autopilot, msg/SensorGyro.msg, SensorAccel.msg, SensorMag.msg and SensorBaro.msg (timestamp in µs since
-start; x, y, z in rad/s, m/s² and gauss in the board's axes; pressure in Pa, in logs of releases before 1.14 in mbar;
-temperature in °C; device_id).
-
-ROS bags, by rosbags: sensor_msgs/Imu and sensor_msgs/Temperature of ROS 1 (.bag) and 2 (.mcap, .db3). Fields and units:
-ROS common_interfaces, sensor_msgs/msg/Imu.msg (angular_velocity in rad/s, linear_acceleration in m/s²) and
-Temperature.msg (temperature in °C); the time is that of the header.
+PX4's ULog, by pyulog: sensor_gyro, sensor_accel and sensor_mag, uncorrected, in every instance. Fields and units:
+PX4-Autopilot, msg/SensorGyro.msg, SensorAccel.msg and SensorMag.msg (timestamp in µs since start; x, y, z in rad/s,
+m/s² and gauss in the board's axes; temperature in °C; device_id).
 """
 
 from __future__ import annotations
@@ -19,11 +14,9 @@ from __future__ import annotations
 import importlib
 import io
 import re
-import sqlite3
-from collections.abc import Collection, Iterable
-from contextlib import closing, redirect_stderr, redirect_stdout
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +78,6 @@ def columns_of(
     low = max(t.min(initial=np.inf) for t in spans)
     high = min(t.max(initial=-np.inf) for t in spans)
     rows, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
-    if not len(rows):
-        raise bc.InputError(
-            f"{file!r}: the channels chosen and their temperature were not logged at one time: choose others, or log "
-            "them together"
-        )
     time = base.time[rows]
     columns: dict[str, np.ndarray] = {"time [s]": time}
     if base.temperature is not None and (sampled_at := base.temperature_time) is not None:
@@ -108,8 +96,6 @@ def columns_of(
         at = rows if sensor is base else np.searchsorted(halfway, time)
         values, unit = sensor.channels[name]
         columns[f"{name} [{unit}]"] = values[at]
-    if len(used) > 1:
-        notes.append(f"{file}: rows at the times of {next(n for n in names if holder[n] is base)}")
     if len(names) == 1:
         labels = {"axis": names[0], "device": base.device}
         columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
@@ -122,7 +108,6 @@ def _median_step(time: np.ndarray) -> float:
 
 
 HEAD = b"\xa3\x95"  # every message begins so
-MESSAGES = ("IMU", "IMU2", "IMU3")
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
@@ -136,11 +121,17 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
     with path.open("rb") as file:
         if file.read(2) != HEAD:
             raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
+    sensors = []
     with WithoutClock(str(path)) as log:
-        sensors = [s for place, name in enumerate(MESSAGES) for s in _of_message(log, name, place)]
+        messages = _read_messages(log, "IMU")
         while log.recv_match(type=["PARM"], strict=True) is not None:
             pass  # the reader keeps the parameters
         corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
+    for i in np.unique(messages["I"]):
+        samples = messages[messages["I"] == i]
+        channels = triad("gyro", RATE, (samples[f"Gyr{axis}"] for axis in "XYZ"), int(i))
+        channels |= triad("acc", ACCELERATION, (samples[f"Acc{axis}"] for axis in "XYZ"), int(i))
+        sensors.append(Sensor(samples["TimeUS"] * 1e-6, channels, samples["T"].astype(float)))
     return sensors, [
         f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction, and what is found here is "
         "what that left"
@@ -148,24 +139,9 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
     ]
 
 
-def _of_message(log: Any, name: str, place: int) -> list[Sensor]:
-    """Return the sensors in messages of one kind, one for each instance."""
-    if not log.counts[log.name_to_id.get(name, 0)]:
-        return []
-    fields, sensors = _read_fields(log, log.name_to_id[name]), []
-    instance = fields.get("I", np.full(len(fields["TimeUS"]), place))
-    for i in np.unique(instance):
-        rows = instance == i
-        channels = {}
-        for kind, prefix, unit in (("gyro", "Gyr", RATE), ("acc", "Acc", ACCELERATION)):
-            channels |= triad(kind, unit, (fields[prefix + axis][rows] for axis in "XYZ"), int(i))
-        temperature = fields["T"][rows].astype(float) if "T" in fields else None
-        sensors.append(Sensor(fields["TimeUS"][rows] * 1e-6, channels, temperature))
-    return sensors
-
-
-def _read_fields(log: Any, kind: int) -> dict[str, np.ndarray]:
-    """Read all messages of a kind at once, as one array (n,) for each field."""
+def _read_messages(log: Any, name: str) -> np.ndarray:
+    """Read all messages of a kind at once, as a structured array (n,); raise KeyError if the log describes none."""
+    kind = log.name_to_id[name]
     layout = log.formats[kind]
     places = np.asarray(log.offsets[kind], np.int64)
     places = places[places + layout.len <= log.data_len]  # the last may be cut short
@@ -177,17 +153,14 @@ def _read_fields(log: Any, kind: int) -> dict[str, np.ndarray]:
     begin = len(HEAD) + 1
     raw_bytes = content[places[:, None] + np.arange(begin, begin + row.itemsize)]
     del content  # else the map of the file cannot be closed
-    messages = raw_bytes.view(row)[:, 0]
-    return {name: messages[name] for name in layout.columns}
+    return raw_bytes.view(row)[:, 0]
 
 
 TOPICS = {
     "sensor_gyro": ("gyro", RATE),
     "sensor_accel": ("acc", ACCELERATION),
     "sensor_mag": ("mag", "gauss"),
-    "sensor_baro": ("baro_pressure", "Pa"),
 }
-IN_MBAR = 2000.0  # a median pressure below this is one in mbar: in Pa, it would be that of 27 km
 
 
 def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
@@ -197,124 +170,50 @@ def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
     with path.open("rb") as file:
         log = ULog(file, list(TOPICS))
     topics = sorted(log.data_list, key=lambda d: (list(TOPICS).index(d.name), d.multi_id))
-    sensors = [(topic, *_topic_sensor(topic)) for topic in topics if len(topic.data["timestamp"])]
+    sensors = {
+        f"{topic.name} {topic.multi_id}": _topic_sensor(topic)
+        for topic in topics
+        if len(topic.data["timestamp"])
+    }
     notes = ["parts of it are damaged and were skipped"] * bool(log.file_corruption)
     if lost := [dropout.duration / 1000 for dropout in log.dropouts]:
         notes.append(f"{len(lost)} dropouts while it was logged, the longest of {max(lost):g} s")
-    return [_with_temperature(t, s, d, sensors, notes) for t, s, d in sensors], notes
+    return [_with_temperature(name, sensors, notes) for name in sensors], notes
 
 
-def _topic_sensor(topic: Any) -> tuple[Sensor, int]:
-    """Return an instance of a topic as a sensor with its own temperature, and its device_id."""
+def _topic_sensor(topic: Any) -> Sensor:
+    """Return an instance of a topic as a sensor with its own temperature."""
     kind, unit = TOPICS[topic.name]
-    if topic.name == "sensor_baro":
-        pressure = np.asarray(topic.data["pressure"], float)
-        name = f"{kind}_{topic.multi_id}" if topic.multi_id else kind
-        channels = {name: (pressure, "mbar" if np.nanmedian(pressure) < IN_MBAR else unit)}
-    else:
-        channels = triad(kind, unit, (topic.data[axis] for axis in AXES), topic.multi_id)
     temperature = np.asarray(topic.data.get("temperature", np.nan), float)
     device = int(topic.data["device_id"][0]) if "device_id" in topic.data else 0
     return Sensor(
         time=np.asarray(topic.data["timestamp"], float) * 1e-6,
-        channels=channels,
+        channels=triad(kind, unit, (topic.data[axis] for axis in AXES), topic.multi_id),
         temperature=temperature if np.isfinite(temperature).any() else None,
         device=str(device) if device else None,
-    ), device
+    )
 
 
-def _with_temperature(
-    topic: Any, sensor: Sensor, device: int, sensors: list, notes: list[str]
-) -> Sensor:
+def _with_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str]) -> Sensor:
     """Return a sensor with the temperature of another sensor in its device where it logs none."""
-    if sensor.temperature is not None:
+    sensor = sensors[name]
+    if sensor.temperature is not None or sensor.device is None:
         return sensor
-    for other_topic, other, other_device in sensors:
-        same = device == other_device if device else topic.multi_id == other_topic.multi_id
-        if same and other.temperature is not None:
+    for other_name, other in sensors.items():
+        if other.device == sensor.device and other.temperature is not None:
             is_finite = np.isfinite(other.temperature)
             notes.append(
-                f"{topic.name} {topic.multi_id} logs no temperature; that of {other_topic.name} "
-                f"{other_topic.multi_id}, of the same device, stands for it"
+                f"{name} logs no temperature; that of {other_name}, of the same device, stands for it"
             )
             values, at = other.temperature[is_finite], other.time[is_finite]
             return replace(sensor, temperature=values, temperature_time=at)
     return sensor
 
 
-IMU, TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
-
-
-def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Read the sensors of a bag, one for each topic of IMU messages; raises any exception of rosbags."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    if path.suffix.lower() == ".db3":
-        _refuse_views(path)
-    types = get_typestore(Stores.LATEST)  # where the bag does not hold its own
-    with AnyReader([path], default_typestore=types) as bag:
-        topics = {c.topic: c.msgtype for c in bag.connections}
-        units = sorted(t for t, kind in topics.items() if kind == IMU)
-        thermometers = sorted(t for t, kind in topics.items() if kind == TEMPERATURE)
-        rows: dict[str, list[tuple[float, ...]]] = {t: [] for t in (*units, *thermometers)}
-        connections = [c for c in bag.connections if c.topic in rows]
-        for connection, at, raw in bag.messages(connections) if connections else ():
-            message: Any = bag.deserialize(raw, connection.msgtype)
-            rows[connection.topic].append(_message_row(message, connection.msgtype, at))
-    sensors, notes = [], []
-    for number, topic in enumerate(t for t in units if rows[t]):
-        logged = (t for t in thermometers if rows[t])
-        near = max(logged, key=partial(_in_common, topic), default=None)
-        sensors.append(_bag_sensor(np.array(rows[topic]), number, rows.get(near or "")))
-        name = f"gyro_x{f'_{number}' if number else ''} and its like"
-        notes.append(f"{name} are of the topic {topic}" + (f", temperature of {near}" * bool(near)))
-    return sensors, notes
-
-
-def _refuse_views(path: Path) -> None:
-    """Raise ValueError for a database with views or triggers: a query of a view may never end."""
-    uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-    views = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
-    with closing(sqlite3.connect(uri, uri=True)) as base:
-        for (name,) in base.execute(views):
-            first = ws.one_line(str(name))
-            raise ValueError(f"{first} in it is no table of messages, as a recorder writes")
-
-
-def _in_common(topic: str, other: str) -> int:
-    """Count the parts that the names of two topics share."""
-    return sum(a == b for a, b in zip(topic.split("/"), other.split("/"), strict=False))
-
-
-def _message_row(message: Any, kind: str, at: int) -> tuple[float, ...]:
-    """Return time and values of one message; the time of logging where its header has none."""
-    stamp = message.header.stamp
-    time = stamp.sec + stamp.nanosec * 1e-9 or at * 1e-9
-    if kind == TEMPERATURE:
-        return time, message.temperature
-    vectors = (message.angular_velocity, message.linear_acceleration)
-    return time, *(getattr(vector, axis) for vector in vectors for axis in AXES)
-
-
-def _bag_sensor(
-    rows: np.ndarray, number: int, temperature: list[tuple[float, ...]] | None
-) -> Sensor:
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]  # the order of the headers, not of arrival
-    time, *values = rows.T
-    channels = triad("gyro", RATE, values[:3], number)
-    channels |= triad("acc", ACCELERATION, values[3:], number)
-    thermometer = np.array(sorted(temperature)).T[::-1] if temperature else ()
-    return Sensor(time, channels, *thermometer)
-
-
 # Suffix → title of the format, the package that reads it, the reader.
 LOG_FORMATS = {
     ".ulg": ("PX4 ULog", "pyulog", read_ulog),
     ".bin": ("ArduPilot log", "pymavlink", read_dataflash),
-    ".bag": ("ROS 1 bag", "rosbags", read_bag),
-    ".mcap": ("ROS 2 bag", "rosbags", read_bag),
-    ".db3": ("ROS 2 bag", "rosbags", read_bag),
 }
 
 

@@ -29,7 +29,7 @@ from dataclasses import replace
 from typing import NamedTuple, Self
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, solve_triangular
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
@@ -43,7 +43,6 @@ from bayescal._annexes.imu.still_stretches import (
     averaged,
     in_common,
     logged_runs,
-    per_sample,
 )
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 
@@ -68,6 +67,10 @@ N_RATE = 12  # of these parameters those of the integration: bias and matrix
 PLAUSIBLE_SPREAD = np.deg2rad(0.1)
 SPREAD_RATIOS = np.geomspace(0.1, 1000.0, 17)  # times the known deviation
 SAMPLES_PER_BLOCK = 20_000  # whose forces are corrected at once
+MOVES_ADVICE = (
+    "Check the unit of the gyroscopes, that their axes are those of the accelerometers, that no rate is beyond their "
+    "range, and that no samples are lost"
+)
 
 
 def moves(
@@ -103,20 +106,15 @@ def moves(
             f"instrument {instrument.name!r}: moves are of three gyroscopes, and its output is in [{instrument.unit}]"
         )
     unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
-    log, forces = per_sample(log), per_sample(forces)
     f_runs = logged_runs(forces, correction.outputs, shortest)
-    rates = logged_runs(log, instrument.vector.outputs, shortest)
+    rates = logged_runs(log, instrument.vector.outputs, shortest, unit)
     if lacking := sorted(rates.keys() - f_runs.keys()):
         raise bc.InputError(
             f"{forces.file}: run {lacking[0]!r} of {log.file} is not in it: log gyroscopes and accelerometers together"
         )
-    column_parts: dict[str, list[np.ndarray]] = {}
+    parts = list[dict[str, np.ndarray]]()
     poses, outliers = 0, list[str]()
     for run, gyro in rates.items():
-        gyro = gyro._replace(
-            outputs=unit * gyro.outputs,
-            at_rest=gyro.at_rest._replace(of_second=unit * gyro.at_rest.of_second),
-        )
         windows = in_common(gyro.ends(), f_runs[run].ends())
         if len(windows) < 2:
             raise bc.InputError(
@@ -124,19 +122,16 @@ def moves(
                 "together, and a move needs two: hold the unit still for some seconds before and after each move"
             )
         poses += len(windows)
-        labels, codes = log.groups("run")
-        samples = log.select(codes == labels.index(run))
         try:
             line, fit, disagreeing = _fit_run(gyro, f_runs[run], windows, correction, len(rates))
         except bc.InputError as error:
             raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
         outliers += disagreeing
         columns = line.columns(fit, instrument.vector.beside, unit)
-        others = [n for n in samples.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
-        columns |= averaged(samples, others, (gyro.inside(*w) for w in line.windows))
-        for name, values in columns.items():
-            column_parts.setdefault(name, []).append(values)
-    columns = {name: np.concatenate(parts) for name, parts in column_parts.items()}
+        others = [n for n in log.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
+        spans = line.session.spans[line.owner]
+        parts.append(columns | averaged(gyro.samples, others, (gyro.inside(*s) for s in spans)))
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     # The noise law has the variance of the surest reading, the column the excess of the others: a noise in addition to
     # known ones that suffice would have its mode at zero.
     squares = columns[ws.UNCERTAINTY] ** 2
@@ -167,12 +162,11 @@ class _Moves(NamedTuple):
 
 def _correct_forces(f_run: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
     """Correct the specific force of every sample, in blocks: the covariances of all would fill the memory."""
-    parts = []
-    for start in range(0, len(f_run.time), SAMPLES_PER_BLOCK):
-        block = slice(start, start + SAMPLES_PER_BLOCK)
-        warm = None if f_run.temperature is None else f_run.temperature[block]
-        parts.append(correction(f_run.outputs[block], warm, noise=0.0).vector)
-    return np.concatenate(parts)
+    count, logged = len(f_run.time), f_run.temperature
+    warm = np.broadcast_to(correction.assumed if logged is None else logged, count)
+    blocks = np.array_split(np.arange(count), 1 + count // SAMPLES_PER_BLOCK)
+    parts = (correction(f_run.outputs[rows], warm[rows], noise=0.0) for rows in blocks)
+    return np.concatenate([corrected.vector for corrected in parts])
 
 
 def _paths(
@@ -240,7 +234,7 @@ def _fit_run(
         line = _LinearModel.of(session, at, origin, aside)
         fit = line.estimate_variances()
         step = fit.mean[:N_RATE] - origin
-        size = float(np.max(np.abs(step) / fit.sd[:N_RATE]))
+        size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_RATE])))
         rss, accepted = line.weighted_rss(at, origin, fit), None
         for _ in range(MAX_HALVINGS if size >= CONVERGENCE_SD else 0):
             candidate = _integrate_moves(path, force, origin + step)
@@ -259,24 +253,17 @@ def _fit_run(
         if sum(k >= len(windows) for k in aside) > max_set_aside:
             raise bc.InputError(
                 f"more than {max_set_aside} of {len(path.rate)} moves disagree with each other by more than they "
-                "scatter. Were samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and "
-                "gyroscopes not turn together?"
+                f"scatter. {MOVES_ADVICE}"
             )
-    if not np.max(np.abs(origin - session.nominal[:N_RATE])[3:]) < MAX_MATRIX_DEVIATION:
+    deviation = np.max(np.abs(origin - session.nominal[:N_RATE])[3:])
+    if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
-            "the outputs integrated over a move do not lead from one pose to the next. Check the unit of the "
-            "gyroscopes, that their axes are those of the accelerometers, and that no rate is beyond their range"
+            "the outputs integrated over the moves do not lead from pose to pose, or not by one matrix: turn the unit "
+            f"less between two poses, about all three axes, and hold it still for longer. {MOVES_ADVICE}"
         )
-    if size >= CONVERGENCE_SD:
-        raise bc.InputError(
-            f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
-            "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
-            "longer; see that no rate is beyond the gyroscopes' range"
-        )
-    ends = np.concatenate([windows, np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)])
-    spans = {k: " to ".join(ws.number(end, 5) for end in ends[k]) for k in sorted(aside)}
     kinds = ("pose", "move")
-    return line, fit, [f"the {kinds[k >= len(windows)]} from {spans[k]} s" for k in spans]
+    ends = {k: " to ".join(ws.number(end, 5) for end in session.spans[k]) for k in sorted(aside)}
+    return line, fit, [f"the {kinds[k >= len(windows)]} from {ends[k]} s" for k in ends]
 
 
 class _Session(NamedTuple):
@@ -290,6 +277,12 @@ class _Session(NamedTuple):
     # Prior mean of the parameters: the bias as at rest, the matrix one.
     nominal: Float[np.ndarray, "27"]
 
+    @property
+    def spans(self) -> Float[np.ndarray, "km 2"]:
+        """Return begin and end of each pose, then of each move between, s."""
+        between = np.stack([self.windows[:-1, 1], self.windows[1:, 0]], axis=1)
+        return np.concatenate([self.windows, between])
+
 
 class _Estimate(NamedTuple):
     """An estimate of the parameters, given the variances of bias between poses (rad/s)² and of closing angles, rad²."""
@@ -300,10 +293,6 @@ class _Estimate(NamedTuple):
     closing: float
     log_density: float  # of the outputs
 
-    @property
-    def sd(self) -> Float[np.ndarray, "27"]:
-        return np.sqrt(np.diag(self.covariance))
-
 
 class _LinearModel(NamedTuple):
     """Outputs at rest and over moves of a run, rad/s, linear in the parameters; without those set aside."""
@@ -312,12 +301,12 @@ class _LinearModel(NamedTuple):
     closure: _Closure
     output: Float[np.ndarray, "r"]
     design: Float[np.ndarray, "r 27"]
-    owner: Int[
-        np.ndarray, "r"
-    ]  # of each the pose, which come first, or the move, by number after these
-    at_rest: Float[np.ndarray, "p"]  # known variance
-    moving: Float[np.ndarray, "q q"]  # known covariance
-    duration: Float[np.ndarray, "q"]  # s
+    # of each output the pose, which come first, or the move, by number after these
+    owner: Int[np.ndarray, "r"]
+    known_covariance: Float[
+        np.ndarray, "r r"
+    ]  # covariance without that of bias and of closing angles
+    duration: Float[np.ndarray, "r"]  # of the moves, s; infinite at rest
 
     @classmethod
     def of(
@@ -326,54 +315,53 @@ class _LinearModel(NamedTuple):
         poses, count = len(session.windows), len(closure.duration)
         owner = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
         keep = ~np.isin(owner, [*aside])
-        covariance = closure.of_forces @ session.of_forces @ closure.of_forces.T
-        covariance += session.white * block_diag(*closure.of_noise)
+        length = session.windows[:, 1] - session.windows[:, 0]
+        moving = closure.of_forces @ session.of_forces @ closure.of_forces.T
+        moving += session.white * block_diag(*closure.of_noise)
+        known_cov = block_diag(np.diag(np.repeat(session.white / length, 3)), moving)
         output = closure.residual + closure.design[:, :N_RATE] @ origin
         at_rest = _rest_design(origin[3:].reshape(3, 3), session.force, closure.world)
-        length = session.windows[:, 1] - session.windows[:, 0]
-        keep_rest, keep_move = keep[: 3 * poses], keep[3 * poses :]
+        duration = np.concatenate([np.full(3 * poses, np.inf), np.repeat(closure.duration, 2)])
         return cls(
             session,
             closure,
             output=np.concatenate([session.at_rest.ravel(), output])[keep],
             design=np.concatenate([at_rest, closure.design])[keep],
             owner=owner[keep],
-            at_rest=np.repeat(session.white / length, 3)[keep_rest],
-            moving=covariance[np.ix_(keep_move, keep_move)],
-            duration=np.repeat(closure.duration, 2)[keep_move],
+            known_covariance=known_cov[np.ix_(keep, keep)],
+            duration=duration[keep],
         )
 
     @property
-    def windows(self) -> Float[np.ndarray, "r 2"]:
-        """Return begin and end of what each output is a mean of, s."""
-        windows = self.session.windows
-        between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
-        return np.concatenate([windows, between])[self.owner]
+    def is_move(self) -> Bool[np.ndarray, "r"]:
+        return self.owner >= len(self.session.windows)
 
-    def variances(self, wander: float, closing: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances at rest (p,) and the covariance over moves (q, q), (rad/s)²."""
-        return self.at_rest + wander, self.moving + np.diag(wander + closing / self.duration**2)
+    def covariance(self, wander: float, closing: float) -> Float[np.ndarray, "r r"]:
+        """Return the covariance of the outputs, (rad/s)²."""
+        return self.known_covariance + np.diag(wander + closing / self.duration**2)
 
     def estimate(self, wander: float, closing: float) -> _Estimate:
-        rest_var, move_cov = self.variances(wander, closing)
-        root, count = np.linalg.cholesky(move_cov), len(rest_var)
+        root = np.linalg.cholesky(self.covariance(wander, closing))
         table = np.column_stack([self.design, self.output - self.design @ self.session.nominal])
-        white_rest, over = table[:count] / np.sqrt(rest_var)[:, None], table[count:]
         # With a row for each prior, and no normal equations: outputs may be almost without noise.
         prior = np.column_stack([np.diag(1 / PRIOR_SD), np.zeros(len(PRIOR_SD))])
-        white = np.concatenate([white_rest, solve_triangular(root, over, lower=True), prior])
+        white = np.concatenate([solve_triangular(root, table, lower=True), prior])
         upper = np.linalg.qr(white, mode="r")
         factor, rss = upper[:-1, :-1], upper[-1, -1]
         inverse = solve_triangular(factor, np.eye(len(factor)))
-        log_density = -0.5 * rss**2 - 0.5 * np.sum(np.log(rest_var)) - np.sum(np.log(np.diag(root)))
+        log_density = -0.5 * rss**2 - np.sum(np.log(np.diag(root)))
         log_density -= np.sum(np.log(np.abs(np.diag(factor))))
         mean = self.session.nominal + inverse @ upper[:-1, -1]
         return _Estimate(mean, inverse @ inverse.T, wander, closing, float(log_density))
 
     def estimate_variances(self) -> _Estimate:
         """Estimate with both variances at their posterior means in turn; half-normal priors of the deviations."""
-        known_var = np.median(self.at_rest), np.median(np.diag(self.moving) * self.duration**2)
-        best = list(map(float, known_var))
+        rest_var, move_var = (
+            np.diag(self.known_covariance)[rows] for rows in (~self.is_move, self.is_move)
+        )
+        angle_var = move_var * self.duration[self.is_move] ** 2
+        known_var = float(np.median(rest_var)), float(np.median(angle_var))
+        best = list(known_var)
         for i in (0, 1, 0, 1):
             candidates = known_var[i] * SPREAD_RATIOS**2
             fits = [self.estimate(*((v, best[1]) if i == 0 else (best[0], v))) for v in candidates]
@@ -385,27 +373,24 @@ class _LinearModel(NamedTuple):
     def weighted_rss(self, at: _Closure, phi: Float[np.ndarray, "12"], fit: _Estimate) -> float:
         """Return the weighted residual sum of squares of an integration with parameters phi, others as estimated."""
         values = np.concatenate([phi, fit.mean[N_RATE:]])
-        count = len(self.at_rest)
-        at_rest = self.output[:count] - self.design[:count] @ values
+        residuals = self.output - self.design @ values
         moves = len(self.session.windows) + np.repeat(np.arange(len(at.duration)), 2)
         moving = at.residual - at.design[:, N_RATE:] @ fit.mean[N_RATE:]
-        moving = moving[np.isin(moves, self.owner)]
-        rest_var, covariance = self.variances(fit.wander, fit.closing)
-        squares = np.sum(at_rest**2 / rest_var) + moving @ np.linalg.solve(covariance, moving)
+        residuals[self.is_move] = moving[np.isin(moves, self.owner)]
+        squares = residuals @ np.linalg.solve(self.covariance(fit.wander, fit.closing), residuals)
         return float(squares + np.sum(((values - self.session.nominal) / PRIOR_SD) ** 2))
 
     def find_outlier(self, fit: _Estimate, aside: frozenset[int]) -> frozenset[int]:
         """Add the pose or the move that is the most significant outlier, if there is one."""
-        residuals, count = self.output - self.design @ fit.mean, len(self.at_rest)
-        rest_var, move_cov = self.variances(fit.wander, fit.closing)
-        variances, chances = block_diag(np.diag(rest_var), move_cov), dict[int, float]()
+        residuals, chances = self.output - self.design @ fit.mean, dict[int, float]()
+        covariance = self.covariance(fit.wander, fit.closing)
+        covariance -= self.design @ fit.covariance @ self.design.T
+        moves = int(np.sum(self.is_move))
         for k in np.unique(self.owner).tolist():
             at = np.flatnonzero(self.owner == k)
-            covariance = variances[np.ix_(at, at)]
-            covariance = covariance - self.design[at] @ fit.covariance @ self.design[at].T
-            square = float(residuals[at] @ np.linalg.solve(covariance, residuals[at]))
+            square = residuals[at] @ np.linalg.solve(covariance[np.ix_(at, at)], residuals[at])
             is_pose = k < len(self.session.windows)
-            free = max(1, count - 3 if is_pose else len(move_cov) - N_RATE)
+            free = max(1, len(residuals) - moves - 3 if is_pose else moves - N_RATE)
             chances[k] = float(fdtrc(len(at), free, square / len(at)))
         worst = min(chances, key=chances.__getitem__)
         is_outlier = chances[worst] < OUTLIER_PROBABILITY / len(chances)
@@ -415,21 +400,18 @@ class _LinearModel(NamedTuple):
         self, fit: _Estimate, forces: tuple[str, ...], unit: float
     ) -> dict[str, np.ndarray]:
         """Return the innovations of poses and moves in order, as columns of readings, rates in the output's unit."""
-        rest_var, move_cov = self.variances(fit.wander, fit.closing)
-        count = len(rest_var)
-        factor = np.linalg.cholesky(move_cov)
-        innovation_sd = np.diag(factor)
+        factor = np.linalg.cholesky(self.covariance(fit.wander, fit.closing))
+        innovation_sd, moves = np.diag(factor), int(np.sum(self.is_move))
         table = np.column_stack([self.output, self.design])
         # Lower with a diagonal of ones: each move given those before it.
-        lower = factor / innovation_sd
-        table[count:] = solve_triangular(lower, table[count:], lower=True, unit_diagonal=True)
+        table = solve_triangular(factor / innovation_sd, table, lower=True, unit_diagonal=True)
         force = np.concatenate([self.session.force, self.closure.force])[self.owner]
-        kinds = [*ws.AXES] * (count // 3) + ["move", "move too"] * (len(self.duration) // 2)
+        poses = (len(self.owner) - moves) // 3
+        kinds = [*ws.AXES] * poses + ["move", "move too"] * (moves // 2)
         powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
         names = (*ws.ACROSS, *ws.TURNED, *PULLED, *SQUARED, *AROUND)
         columns = dict(zip(names, (table[:, 1:] / unit**powers).T, strict=True))
-        uncertainty = np.concatenate([np.sqrt(rest_var), innovation_sd])
-        columns |= {"output": table[:, 0] / unit, ws.UNCERTAINTY: uncertainty / unit}
+        columns |= {"output": table[:, 0] / unit, ws.UNCERTAINTY: innovation_sd / unit}
         columns |= {ws.OF: np.array(kinds)}
         return columns | {name: force[:, j] for j, name in enumerate(forces)}
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -18,6 +18,10 @@ POSE_UNCERTAINTY = "pose_uncertainty"  # of a known direction, rad
 MOUNTING = "mounting"  # readings that share an error of the direction
 Values = Mapping[str, np.ndarray]
 Units = Mapping[str, str | None]
+NO_DIRECTION = (
+    f"columns {', '.join(ws.DIRECTION)}: a direction is needed, of a length above zero: that of what acts, or of the "
+    "table's axis, in the body's axes"
+)
 
 
 def scalar_readings(
@@ -35,70 +39,88 @@ def scalar_readings(
     """
     if "output" in values:  # they are so already
         return values, units, []
+    outputs = np.stack([values[name] for name in instrument.outputs], axis=1)
+    units = {**units, "output": units[instrument.outputs[0]]}
     sized = [column.meaning for column in instrument.columns if column.name == ws.MAGNITUDE]
-    read = pose_readings if sized else component_readings
-    readings, reading_units = read(instrument.outputs, values, units, file)
-    if ws.MAGNITUDE_READ not in readings.keys() - values.keys():
-        return readings, reading_units, []
-    size = f"{readings[ws.MAGNITUDE_READ][0]:.4g} {reading_units[ws.MAGNITUDE_READ]}"
-    flag = (
-        f"{file}: the magnitude {sized[0]} is not given (--local-field, or a column {ws.MAGNITUDE!r}): it is taken as "
-        f"the outputs read it, {size}, and ratios of scale factors are measured"
-    )
-    return readings, reading_units, [flag]
-
-
-def pose_readings(
-    names: Sequence[str], values: Values, units: Units, file: str
-) -> tuple[Values, Units]:
-    """Return the magnitude of each pose and, where its direction is known, two projections.
-
-    Where neither the magnitude of what acts is given nor what the outputs make of it, the latter is added: the mean
-    radius of their ellipsoid, which makes the scale factors ratios. Arguments as of `scalar_readings`.
-    """
-    y = np.stack([values[name] for name in names], axis=1)
+    if not sized:
+        return *_component_readings(outputs, values, units, file), []
+    flags = list[str]()
     if ws.MAGNITUDE not in values and ws.MAGNITUDE_READ not in values:
-        values = {**values, ws.MAGNITUDE_READ: np.full(len(y), _mean_radius(y))}
-        units = {**units, ws.MAGNITUDE_READ: units[names[0]]}
-    size = _require_lengths(
-        y, file, names, "all three read zero, so nothing acts on them: take the row out"
-    )
-    reading_units = {**units, "output": units[names[0]]}
-    direction_columns = [column for column in (*ws.DIRECTION, POSE_UNCERTAINTY) if column in values]
-    if not direction_columns:
-        return {**values, "output": size}, reading_units
-    if len(direction_columns) < 4:
-        lacking = sorted({*ws.DIRECTION, POSE_UNCERTAINTY} - {*direction_columns})
-        raise bc.InputError(
-            f"{file}: a known direction needs {', '.join((*ws.DIRECTION, POSE_UNCERTAINTY))}, and "
-            f"{', '.join(lacking)} is missing: add it, or take the others out, and directions are unknown"
+        radius = _mean_radius(outputs)
+        values = {**values, ws.MAGNITUDE_READ: np.full(len(outputs), radius)}
+        units = {**units, ws.MAGNITUDE_READ: units["output"]}
+        flags.append(
+            f"{file}: the magnitude {sized[0]} is not given (--local-field, or a column {ws.MAGNITUDE!r}): it is taken "
+            f"as the outputs read it, {radius:.4g} {units['output']}, and ratios of scale factors are measured"
         )
+    where = f"columns {', '.join(instrument.outputs)}: all three read zero"
+    size = _require_lengths(outputs, f"{where}, so nothing acts on them: take the row out", file)
+    columns = [*ws.DIRECTION, POSE_UNCERTAINTY]
+    lacking = [column for column in columns if column not in values]
+    if lacking == columns:
+        return {**values, "output": size}, units, flags
+    if lacking:
+        raise bc.InputError(
+            f"{file}: a known direction needs {', '.join(columns)}, and {', '.join(lacking)} is missing: add it, or "
+            "take the others out, and directions are unknown"
+        )
+    return *_pose_readings(outputs, size, values, units, file), flags
+
+
+def _pose_readings(
+    outputs: Float[np.ndarray, "n 3"],
+    size: Float[np.ndarray, "n"],
+    values: Values,
+    units: Units,
+    file: str,
+) -> tuple[Values, Units]:
+    """Return the magnitude of each pose and two projections across its known direction."""
     direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
-    none = "a direction of length zero: give the direction of what acts, in the body's axes"
-    direction = direction / _require_lengths(direction, file, ws.DIRECTION, none)[:, None]
-    across = np.stack([np.zeros_like(y), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
-    outputs = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], y)])
+    direction = direction / _require_lengths(direction, NO_DIRECTION, file)[:, None]
+    across = np.stack([np.zeros_like(outputs), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
+    scalar = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], outputs)])
     angle = values[POSE_UNCERTAINTY] * ws.magnitude(values)
-    output_sd = values.get(ws.UNCERTAINTY, np.zeros(len(y)))
+    output_sd = values.get(ws.UNCERTAINTY, np.zeros(len(outputs)))
     uncertainty = np.stack([output_sd, *2 * [np.hypot(output_sd, angle)]], axis=1)
-    values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
-    readings = _repeat(values, across, outputs, ("magnitude", "across", "across too"))
+    readings = _repeat(values, direction, across, scalar, ("magnitude", "across", "across too"))
     readings |= {ws.UNCERTAINTY: uncertainty.ravel()}
-    reading_units |= {
-        **dict.fromkeys(ws.ACROSS, "1"),
-        ws.UNCERTAINTY: reading_units["output"],
-        ws.OF: None,
-    }
-    return readings, reading_units
+    new_units = {**dict.fromkeys(ws.ACROSS, "1"), ws.UNCERTAINTY: units["output"], ws.OF: None}
+    return readings, {**units, **new_units}
+
+
+def _component_readings(
+    outputs: Float[np.ndarray, "n 3"], values: Values, units: Units, file: str
+) -> tuple[Values, Units]:
+    """Return each of three outputs as a reading of its own, of a known rate about a direction in the body's axes.
+
+    Readings about one direction, forward or back, are of one mounting, unless a column says which are. Raises
+    InputError for a rate without its direction, or about one of no length.
+    """
+    direction = np.zeros_like(outputs)
+    if all(name in values for name in ws.DIRECTION):
+        direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
+    length = _require_lengths(direction, NO_DIRECTION, file, needed=values[ws.RATE] != 0)
+    direction = direction / np.where(length > 0, length, 1.0)[:, None]
+    across = np.broadcast_to(np.eye(3), (len(outputs), 3, 3))
+    readings = _repeat(values, direction, across, outputs, ws.AXES)
+    if MOUNTING not in values:
+        first = np.argmax(np.abs(direction) > 0.5, axis=1)  # one sign for both ways round
+        way = direction * np.sign(direction[np.arange(len(outputs)), first])[:, None]
+        labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in axis) for axis in np.round(way, 3)]
+        readings[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
+    new_units = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.OF: None}
+    return readings, {**units, **new_units}
 
 
 def _repeat(
     values: Values,
+    direction: Float[np.ndarray, "n 3"],
     across: Float[np.ndarray, "n 3 3"],
     outputs: Float[np.ndarray, "n 3"],
     labels: Sequence[str],
 ) -> dict[str, np.ndarray]:
-    """Return three readings for each row: outputs, directions of projection, labels."""
+    """Return three readings for each row: unit directions, outputs, directions of projection, labels."""
+    values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
     columns = {name: np.repeat(v, 3) for name, v in values.items()}
     columns |= {name: across[:, :, i].ravel() for i, name in enumerate(ws.ACROSS)}
     return columns | {"output": outputs.ravel(), ws.OF: np.tile(labels, len(outputs))}
@@ -114,54 +136,16 @@ def _mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
 
 
 def _require_lengths(
-    vectors: Float[np.ndarray, "n 3"], file: str, names: Sequence[str], none: str
+    vectors: Float[np.ndarray, "n 3"],
+    problem: str,
+    file: str,
+    needed: Bool[np.ndarray, "n"] | bool = True,
 ) -> Float[np.ndarray, "n"]:
-    """Return the lengths of vectors in columns `names`; raise InputError for a length of zero."""
+    """Return the lengths of vectors; raise InputError for a length of zero where one is needed."""
     length = np.linalg.norm(vectors, axis=1)
-    if not np.all(length > 0):
-        row = int(np.argmin(length > 0)) + 1
-        raise bc.InputError(f"{file}, row {row}, columns {', '.join(names)}: {none}")
+    if np.any(missing := needed & ~(length > 0)):
+        raise bc.InputError(f"{file}, row {int(np.argmax(missing)) + 1}, {problem}")
     return length
-
-
-def component_readings(
-    names: Sequence[str], values: Values, units: Units, file: str
-) -> tuple[Values, Units]:
-    """Return each of three outputs as a reading of its own, of a known rate about a direction in the body's axes.
-
-    Readings about one direction, forward or back, are of one mounting, unless a column says which are. Arguments as
-    `scalar_readings`; raises InputError for a rate without its direction, or about one of no length.
-    """
-    count = len(values[names[0]])
-    turning = values[ws.RATE] != 0
-    lacking = [name for name in ws.DIRECTION if name not in values]
-    if lacking and turning.any():
-        row = int(np.argmax(turning)) + 1
-        raise bc.InputError(
-            f"{file}, row {row}, column {ws.RATE}: a rate needs the direction that it is about, and "
-            f"{', '.join(lacking)} is missing: give the table's axis in the body's axes, of length one"
-        )
-    direction = np.zeros((count, 3))
-    if not lacking:
-        direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
-    length = np.linalg.norm(direction, axis=1)
-    if np.any(turning & ~(length > 0)):
-        row = int(np.argmax(turning & ~(length > 0))) + 1
-        raise bc.InputError(
-            f"{file}, row {row}, columns {', '.join(ws.DIRECTION)}: a rate about a direction of length zero: give the "
-            "table's axis in the body's axes"
-        )
-    direction = direction / np.where(length > 0, length, 1.0)[:, None]
-    values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
-    outputs = np.stack([values[n] for n in names], axis=1)
-    readings = _repeat(values, np.broadcast_to(np.eye(3), (count, 3, 3)), outputs, ws.AXES)
-    if MOUNTING not in values:
-        first = np.argmax(np.abs(direction) > 0.5, axis=1)  # one sign for both ways round
-        way = direction * np.sign(direction[np.arange(count), first])[:, None]
-        labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in axis) for axis in np.round(way, 3)]
-        readings[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
-    new_units = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.OF: None}
-    return readings, {**units, **new_units, "output": units[names[0]]}
 
 
 def tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

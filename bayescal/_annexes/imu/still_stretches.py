@@ -35,12 +35,8 @@ class StillStretches(NamedTuple):
 
     first: Int[np.ndarray, "k"]  # first, last: their first sample and the one after the last (k,)
     last: Int[np.ndarray, "k"]
-    # mean, uncertainty: of each output (k, m), and its standard uncertainty, one for all outputs (k,)
-    mean: Float[np.ndarray, "k m"]
-    uncertainty: Float[np.ndarray, "k"]
+    uncertainty: Float[np.ndarray, "k"]  # standard, of the mean of each output
     of_second: float  # standard uncertainty of a mean over one second, of white noise
-    ratio: float  # of it to that of independent samples
-    shortest: float  # of these stretches, s, as asked or chosen
     left_out: tuple[float, ...]  # duration of each shorter one of a second or more, s
 
 
@@ -94,15 +90,11 @@ def still_stretches(
     block_means = [mean[a:b] for a, b in middle]
     spent = sum(len(o) - 1 for o in block_means) * mean.shape[1]
     between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in block_means) / spent
-    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in middle]))
     return StillStretches(
         first=first * size,
         last=last * size,
-        mean=np.stack([mean[a:b].mean(axis=0) for a, b in ends]),
         uncertainty=np.sqrt(between / (last - first)),
         of_second=float(np.sqrt(between * size * step)),
-        ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
-        shortest=shortest,
         left_out=shorter,
     )
 
@@ -116,10 +108,15 @@ def shorter_stretches_note(left_out: Sequence[float]) -> str:
 class LoggedRun(NamedTuple):
     """One run of a log: its samples and still stretches."""
 
-    time: Float[np.ndarray, "n"]
+    samples: bc.Measurements
+    time: Float[np.ndarray, "n"]  # s
     outputs: Float[np.ndarray, "n 3"]
-    temperature: Float[np.ndarray, "n"] | None
     at_rest: StillStretches
+
+    @property
+    def temperature(self) -> Float[np.ndarray, "n"] | None:
+        """Return the temperature of each sample, °C; None where none was logged."""
+        return self.samples["temperature"] if self.samples.has("temperature") else None
 
     def ends(self) -> Float[np.ndarray, "k 2"]:
         return np.stack([self.time[self.at_rest.first], self.time[self.at_rest.last - 1]], axis=1)
@@ -132,25 +129,25 @@ class LoggedRun(NamedTuple):
         return slice(int(first), int(last) + 1)
 
 
-def per_sample(log: bc.Measurements) -> bc.Measurements:
-    """Return one row a sample, where each is three readings; raise InputError without a column `time`."""
+def logged_runs(
+    log: bc.Measurements, names: tuple[str, ...], shortest: float | None, factor: float = 1.0
+) -> dict[str, LoggedRun]:
+    """Return the samples, outputs times a factor, and still stretches of each run, by its label.
+
+    Raises:
+        InputError: no column `time`, or as of `still_stretches`.
+    """
     if not log.has("time"):
         raise bc.InputError(f"{log.file}: still stretches need the column 'time', in s")
-    return log.select(np.arange(0, len(log), 3)) if log.has(ws.ACROSS[0]) else log
-
-
-def logged_runs(
-    log: bc.Measurements, names: tuple[str, ...], shortest: float | None
-) -> dict[str, LoggedRun]:
-    """Return the samples and still stretches of each run, by its label."""
+    if log.has(ws.ACROSS[0]):  # each sample is three readings
+        log = log.select(np.arange(0, len(log), 3))
     labels, codes = log.groups("run")
     runs = {}
     for k, label in enumerate(labels):
-        rows = np.flatnonzero(codes == k)
-        outputs = np.stack([log[name][rows] for name in names], axis=1)
-        warm = log["temperature"][rows] if log.has("temperature") else None
-        stretches = still_stretches(log["time"][rows], outputs, shortest)
-        runs[label] = LoggedRun(log["time"][rows], outputs, warm, stretches)
+        samples = log.select(codes == k)
+        outputs = factor * np.stack([samples[name] for name in names], axis=1)
+        stretches = still_stretches(samples["time"], outputs, shortest)
+        runs[label] = LoggedRun(samples, samples["time"], outputs, stretches)
     return runs
 
 
@@ -204,22 +201,17 @@ def poses(
         raise bc.InputError(
             f"instrument {instrument.name!r} has one output: poses are of three axes"
         )
-    log = per_sample(log)
-    codes = log.groups("run")[1]
-    runs = [run.at_rest for run in logged_runs(log, instrument.vector.outputs, shortest).values()]
+    runs = logged_runs(log, instrument.vector.outputs, shortest).values()
     names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS)]
     parts = [
-        averaged(log.select(codes == code), names, map(slice, stretches.first, stretches.last))
-        for code, stretches in enumerate(runs)
+        {ws.UNCERTAINTY: run.at_rest.uncertainty}
+        | averaged(run.samples, names, map(slice, run.at_rest.first, run.at_rest.last))
+        for run in runs
     ]
-    columns = {ws.UNCERTAINTY: np.concatenate([stretches.uncertainty for stretches in runs])}
-    columns |= {name: np.concatenate([part[name] for part in parts]) for name in names}
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     readings = as_readings(columns, instrument, log)
-    ratio = np.mean([stretches.ratio for stretches in runs])
-    note = (
-        f"{len(readings['output'])} readings of {len(columns[ws.UNCERTAINTY])} poses found in {log.file}; means of "
-        f"blocks scatter {ratio:.1f} times as much as for independent samples"
-    )
-    left_out = [seconds for stretches in runs for seconds in stretches.left_out]
+    count = len(columns[ws.UNCERTAINTY])
+    note = f"{len(readings['output'])} readings of {count} poses found in {log.file}"
+    left_out = [seconds for run in runs for seconds in run.at_rest.left_out]
     short = (f"{log.file}: {shorter_stretches_note(left_out)}",) if left_out else ()
     return replace(readings, sources=log.sources, flags=(*log.flags, *readings.flags, note, *short))

@@ -124,13 +124,6 @@ class VectorCorrection(ws.CorrectionInUse):
         """Return the order of the equation in the input, 1, 2 or 3."""
         return 1 + SIZES.index(self.terms.shape[1] - 9 * bool(self.beside))
 
-    def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
-        k, p = self.terms.shape
-        powers = self.powers(np.atleast_1d(np.asarray(temperature, float)))
-        blocks = self.covariance.reshape(k, p, k, p)
-        return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
-
     def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
         """Return the powers of T − T0 for temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
@@ -146,25 +139,24 @@ class VectorCorrection(ws.CorrectionInUse):
         return {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
 
     @property
+    def range(self) -> tuple[float, float]:
+        """Return the calibrated temperatures, lowest and highest, °C; infinite where none was recorded."""
+        if self.low is None or self.high is None:
+            return -np.inf, np.inf
+        return self.low, self.high
+
+    @property
     def calibrated_at(self) -> str:
         """State the temperatures of the calibration in words."""
-        if self.low is None or self.high is None:
+        if self.low is None:
             return "temperature not recorded"
-        several = f"{self.low:.4g} to " if self.high > self.low else ""
-        return f"calibrated at {several}{self.high:.4g} °C"
+        ends = dict.fromkeys(f"{end:.4g}" for end in self.range)
+        return f"calibrated at {' to '.join(ends)} °C"
 
     @property
     def assumed(self) -> float:
         """Return the temperature where none is given, °C: T0 clamped to the calibrated range."""
-        if self.low is None or self.high is None:
-            return self.reference
-        return min(max(self.reference, self.low), self.high)
-
-    def is_outside(self, temperature: Float[np.ndarray, "n"]) -> np.ndarray:
-        """Mark temperatures, °C, outside the calibrated range; none where none was recorded."""
-        if self.low is None or self.high is None:
-            return np.zeros(len(temperature), bool)
-        return (temperature < self.low) | (temperature > self.high)
+        return float(np.clip(self.reference, *self.range))
 
     @cached_property
     def offset(self) -> np.ndarray:
@@ -215,12 +207,13 @@ class VectorCorrection(ws.CorrectionInUse):
             InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
         """
         force, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
-        cov = self.at(temperatures)[1]
+        powers, blocks = self.powers(temperatures), self.covariance.reshape(2 * self.terms.shape)
+        cov = np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
         sd = self.noise if noise is None else noise
-        covariance = slope @ cov @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
-            0, 2, 1
-        )
-        return CorrectedVector(force, covariance, self.unit, self.is_outside(temperatures))
+        covariance = slope @ cov @ slope.mT + sd**2 * inverse @ inverse.mT
+        low, high = self.range
+        outside = (temperatures < low) | (temperatures > high)
+        return CorrectedVector(force, covariance, self.unit, outside)
 
     def in_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
@@ -247,7 +240,7 @@ class VectorCorrection(ws.CorrectionInUse):
         # pose of a log has too.
         noise = run.at_rest.of_second**2 / (windows[:, 1] - windows[:, 0])
         noise = noise + max(0.0, self.noise**2 - float(np.min(noise)))
-        pose_covs = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
+        pose_covs = noise[:, None, None] * inverse @ inverse.mT
         return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*pose_covs))
 
     def _invert(
@@ -293,28 +286,33 @@ class VectorCorrection(ws.CorrectionInUse):
 
 
 class TermRow(NamedTuple):
-    """A term of a correction: its name, the power of T − T0 that it multiplies, its value and unit."""
+    """A term of a correction."""
 
-    name: str
-    power: int
+    name: str  # with the power of T − T0 that it multiplies
     value: float
     uncertainty: float
     unit: str
-
-    def __str__(self) -> str:
-        return self.name + ("", " by T − T0", " by (T − T0)²", " by (T − T0)³")[self.power]
 
 
 def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
-        ws.TableColumn("correction", str),
+        ws.TableColumn("correction", lambda r: r.name),
         ws.TableColumn(
             "value ± standard uncertainty", lambda r: ws.with_error(r.value, r.uncertainty)
         ),
         ws.TableColumn("unit", lambda r: ws.unit_label(r.unit)),
     )
     return ws.ResultTable(columns, rows)
+
+
+# Of T − T0, in the name and in the unit of a term.
+POWERS = {
+    "": "",
+    " by T − T0": "/degC",
+    " by (T − T0)²": "/degC^2",
+    " by (T − T0)³": "/degC^3",
+}
 
 
 def term_rows(
@@ -331,16 +329,13 @@ def term_rows(
     if size > 30:
         names += [(f"cube {a}", f"1/{per}^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
-    rows = zip(range(4), terms, np.asarray(uncertainty, float), strict=False)
+    rows = zip(POWERS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
-        TermRow(name, power, float(value), float(sd), f"{its}{PER_DEGREE[power]}")
-        for power, values, sds in rows
+        TermRow(name + power, float(value), float(sd), its + per_power)
+        for (power, per_power), values, sds in rows
         for (name, its), value, sd in zip(names, values, sds, strict=True)
         if value or sd
     ]
-
-
-PER_DEGREE = ("", "/degC", "/degC^2", "/degC^3")
 
 
 def slopes_by_terms(

@@ -1,93 +1,112 @@
-"""A correction of three axes in reduced forms: a file for Kalibr, and the calibration parameters of autopilots.
+"""A correction of three axes as the calibration parameters of autopilots: offset and scale, and the error of that.
 
-Equations of these readers, and their sources:
-
-* Kalibr (imu_models, scale-misalignment): a_measured = M·a + b + n, M lower triangular, the body's x axis that of the
-  sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
-  there. A gyroscope has that rotation, ω_measured = M·C_gyro_i·ω + A·C_gyro_i·a + b, in rad/s and m/s².
 * PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
-  OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
-* ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
-  in rad/s; for a compass DIA/ODI·(raw + OFS), symmetric, in mG.
+  OFF of a gyroscope, in rad/s.
+* ArduPilot (AP_InertialSensor_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS in rad/s.
 
-Each gets the least-squares projection on its form, with a note of what that leaves out.
+With ⟨·⟩ the mean over the calibrated temperatures, and over all directions of what acts, as large as it was at most in
+the calibration (r), least squares of h on an offset and a scale factor of each axis gives
+
+    offset_i = ⟨offset_i⟩ + r²/3·Σ_a ⟨second_i,aa⟩,     scale_i = ⟨matrix_ii⟩ + 3/5·r²·⟨cube_i⟩,
+
+as ⟨x²⟩ = r²/3 and ⟨x⁴⟩ = r⁴/5 on a sphere. Of gyroscopes the offset is that at rest, where it is used: no square adds
+to it, and the scale factor is one.
 """
 
 from __future__ import annotations
 
-import re
-from typing import Any
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import polar
 
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
-from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
-from bayescal._annexes.imu.vector_correction import VectorCorrection
+from bayescal._annexes.imu.vector_correction import (
+    PAIRS,
+    ROUNDING,
+    VectorCorrection,
+    slopes_by_terms,
+)
 
-NONE_LEFT = "Nothing is left out."
-KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
+# Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
+# 26 (Zh. Vychisl. Mat. Mat. Fiz. 16 (1976) 293), the directions of axes, edges and corners of a cube.
+RANGE_NODES = np.array([-1.0, -((3 / 7) ** 0.5), 0.0, (3 / 7) ** 0.5, 1.0])
+RANGE_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
+CORNERS = np.array([c for c in product((-1.0, 0.0, 1.0), repeat=3) if any(c)])
+DIRECTION_WEIGHTS = np.array([1 / 21, 4 / 105, 9 / 280])[np.count_nonzero(CORNERS, axis=1) - 1]
+DIRECTIONS = CORNERS / np.linalg.norm(CORNERS, axis=1)[:, None]
+DIAGONAL = [3, 7, 11]  # terms of the matrix on its diagonal
 
 
-def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """Format the intrinsics as Kalibr defines them, in m/s² or rad/s where the unit converts to these.
+def offset_and_scale(
+    correction: VectorCorrection, has_scale: bool
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], str]:
+    """Project a correction on an offset and a scale factor of each axis, by least squares.
 
-    Others are in the same body axes, such as gyroscopes by moves between poses of these accelerometers: Kalibr's axes
-    are then those of the first.
+    Args:
+        correction: to project.
+        has_scale: whether the form has a scale factor; else it is one, and the offset that at rest.
+
+    Returns:
+        Offsets, in the unit of the outputs; scale factors; what is left out and how large it is, in a sentence.
     """
-    corrections = (correction, *others)
-    frames = np.eye(3), *[_split(_in_kalibr(correction).matrix)[1]] * len(others)
-    triads = [_intrinsics(c, frame) for c, frame in zip(corrections, frames, strict=True)]
-    filters = {"row": _list, "rows": _rows, "comment": ws.c_comment}
-    layout = ws.template("bayescal._annexes.imu", "intrinsics.yaml.jinja", filters)
-    notes = dict.fromkeys(note for c in corrections for note in c.notes)
-    return layout.render(version=bc.__version__, notes=notes, triads=triads)
+    (k, p), radius, order = correction.terms.shape, correction.reach, correction.order
+    warm, shares = np.array([correction.assumed]), np.ones(1)
+    if correction.low is not None and correction.high is not None:
+        half = 0.5 * (correction.high - correction.low)
+        warm, shares = correction.low + half * (1 + RANGE_NODES), RANGE_WEIGHTS
+    powers = correction.powers(warm)  # of T − T0
+    first = [0, 1, 2, *DIAGONAL]
+    mean_terms = np.eye(p)[first]  # offset and scale by the terms, at one temperature
+    for i in range(3):
+        if order > 1 and has_scale:
+            mean_terms[i, [12 + 6 * i + PAIRS.index((a, a)) for a in range(3)]] = radius**2 / 3
+        if order > 2:
+            mean_terms[3 + i, 30 + i] = 0.6 * radius**2
+    if not has_scale:
+        mean_terms[3:] = 0.0
+    to_form = np.kron(shares @ powers, mean_terms)
+    acts = DIRECTIONS if correction.beside else None
+    slopes = slopes_by_terms(radius * DIRECTIONS, order, acts)
+    # Of outputs by the terms at each temperature and direction, less what the form has of them.
+    residual_slopes = np.einsum("tk,dip->tdikp", powers, slopes)
+    residual_slopes -= (slopes[..., first] @ to_form).reshape(len(DIRECTIONS), 3, k, p)
+    causes = np.full((k, p), "dependence on temperature", dtype=object)
+    of_matrix = "misalignments" if has_scale else "scale factors and misalignments"
+    causes[0], causes[:, 12:30], causes[:, 30:33] = of_matrix, "second order", "third order"
+    if correction.beside:
+        causes[:, -9:] = "what acts beside (of size 1)"
+    label, omissions = ws.unit_label(correction.unit), list[str]()
+    for cause in dict.fromkeys(causes.ravel()):
+        slope = residual_slopes * (causes == cause)
+        mean = np.einsum("tdikp,kp->tdi", slope, correction.terms)
+        if cause == of_matrix and not has_scale:
+            mean = mean - radius * DIRECTIONS
+        slope = slope.reshape(*mean.shape, -1)
+        square = mean**2 + np.sum((slope @ correction.covariance) * slope, axis=-1)
+        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", shares, DIRECTION_WEIGHTS, square)))
+        if rms > ROUNDING * radius:
+            # Over the posterior too: the uncertainty of a poorly known term counts.
+            sizes = (ws.number(float(size), 2) for size in (rms, np.sqrt(np.max(square))))
+            omissions.append(f"{cause}, {f' {label} rms and up to '.join(sizes)} {label}")
+    over = f"over all directions of {ws.number(radius)} {label}, {correction.calibrated_at}"
+    omitted = f"Left out, for want of a place: {'; '.join(omissions)} ({over})." * bool(omissions)
+    offset, scale = (to_form @ correction.terms.ravel()).reshape(2, 3)
+    return offset, scale if has_scale else np.ones(3), omitted
 
 
-def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
-    return plain_correction(correction, with_secondary=si_of(correction.unit)[1] == "rad/s")
-
-
-def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Factor a matrix into a lower triangle times a rotation."""
-    lower = np.linalg.cholesky(matrix @ matrix.T)
-    return lower, np.linalg.solve(lower, matrix)
-
-
-def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> dict[str, Any]:
-    """Return the template's values of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
-    factor, unit = si_of(correction.unit)
-    plain, kind = _in_kalibr(correction), KINDS.get(unit)
-    lower, turn = _split(plain.matrix)
-    by_force = None
-    if kind == "gyroscope" and correction.beside:
-        by_force = plain.terms[12:].reshape(3, 3) * factor / ws.STANDARD_GRAVITY @ turn.T
-    return {
-        "name": f"{kind}s" if kind else ws.identifier(correction.instrument),
-        "calibrated_at": correction.calibrated_at,
-        "left_out": plain.omitted or NONE_LEFT,
-        **{"kind": kind, "unit": unit, "lower": lower, "turn": turn @ frame.T},
-        **{"bias": plain.offset * factor, "bias_uncertainty": plain.uncertainty[:3] * factor},
-        "matrix": plain.matrix,
-        "matrix_uncertainty": plain.uncertainty[3:12].reshape(3, 3),
-        "by_force": by_force,
-    }
-
-
-# Of the first sensor of a kind: offset, scale, and what stands beside the diagonal, each for an axis.
+KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
+# Of the first sensor of a kind: offset and scale, each for an axis.
 PARAMETERS = {
     "px4-params": {
         "accelerometer": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
         "gyroscope": ("CAL_GYRO0_{}OFF",),
-        "magnetometer": ("CAL_MAG0_{}OFF", "CAL_MAG0_{}SCALE", "CAL_MAG0_{}ODIAG"),
     },
     "ardupilot-params": {
         "accelerometer": ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
         "gyroscope": ("INS_GYROFFS_{}",),
-        "magnetometer": ("COMPASS_OFS_{}", "COMPASS_DIA_{}", "COMPASS_ODI_{}"),
     },
 }
 
@@ -97,56 +116,30 @@ def autopilot_parameters(
 ) -> tuple[dict[str, float], str]:
     """Return parameters of an autopilot's first sensor by name, and a sentence on what they leave out."""
     factor, unit = si_of(correction.unit)
-    kind = "magnetometer" if ws.same_dimension(unit, "uT") else KINDS.get(unit, "")
-    if kind == "accelerometer":
-        plain = plain_correction(correction, "diagonal", with_secondary=False)
-        values, omission = (plain.offset * factor, 1 / np.diag(plain.matrix)), plain.omitted
-    elif kind == "gyroscope":
-        plain = plain_correction(correction, "none", with_secondary=False)
-        values, omission = (plain.offset * factor,), plain.omitted
-    elif kind:
-        values, omission = _symmetric(correction, -1e3 if autopilot == "ardupilot-params" else 1.0)
-    else:
+    if unit not in KINDS:
         raise bc.InputError(
-            f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs "
-            f"are in [{correction.unit}]"
+            f"{autopilot}: there are parameters for accelerometers and gyroscopes, and these outputs are in "
+            f"[{correction.unit}]"
         )
-    named = zip(PARAMETERS[autopilot][kind], values, strict=True)
+    names = PARAMETERS[autopilot][KINDS[unit]]
+    offset, scale, omitted = offset_and_scale(correction, has_scale=len(names) > 1)
     return {
         name.format(axis): float(value)
-        for name, by_axis in named
+        for name, by_axis in zip(names, (offset * factor, 1 / scale), strict=False)
         for axis, value in zip("XYZ", by_axis, strict=True)
-    }, omission
-
-
-def _symmetric(
-    correction: VectorCorrection, per_gauss: float
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], str]:
-    """Return offset, diagonal and off-diagonal of the symmetric matrix of magnetometers; what that leaves out."""
-    from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
-
-    plain = plain_correction(correction, with_secondary=False)
-    turn, symmetric = polar(np.linalg.inv(plain.matrix))
-    hand = np.sign(np.linalg.det(turn))
-    angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
-    turned = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
-    omission = f"{plain.omitted} The axes keep {turned} to those of this calibration.".lstrip()
-    offset = per_gauss * np.asarray(ws.convert(plain.offset, correction.unit, "gauss"))
-    return (offset, np.diag(symmetric), symmetric[[0, 0, 1], [1, 2, 2]]), omission
+    }, omitted
 
 
 def left_out(correction: VectorCorrection, format: str) -> str:
     """State what a format cannot hold and how large it is, in a sentence; empty where it holds the whole correction."""
-    if format in AUTOPILOTS:
-        return autopilot_parameters(correction, format)[1]
-    return _in_kalibr(correction).omitted if format == "yaml" else ""
+    return autopilot_parameters(correction, format)[1] if format in AUTOPILOTS else ""
 
 
 def parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     """Format the parameter file of an autopilot."""
-    values, omission = autopilot_parameters(correction, autopilot)
+    values, omitted = autopilot_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
-    comments = map(ws.c_comment, (*head, omission or NONE_LEFT))
+    comments = map(ws.c_comment, (*head, omitted or "Nothing is left out."))
     return AUTOPILOTS[autopilot].text(comments, dict(values))
 
 
@@ -156,14 +149,3 @@ def si_of(unit: str) -> tuple[float, str]:
         if ws.same_dimension(unit, target) or (target == "m/s^2" and ws.same_dimension(unit, "g")):
             return float(np.asarray(ws.convert(np.ones(1), unit, target))[0]), target
     return 1.0, unit
-
-
-def _list(values: np.ndarray) -> str:
-    """Format numbers for YAML 1.1, which needs a decimal point before an exponent."""
-    written = (f"{v:.15g}" for v in values)
-    pointed = (re.sub(r"^(-?[0-9]+)e", r"\1.0e", v) for v in written)
-    return f"[{', '.join(pointed)}]"
-
-
-def _rows(matrix: np.ndarray) -> str:
-    return "\n".join(f"    - {_list(row)}" for row in matrix)

@@ -33,10 +33,6 @@ ORDERS = 3  # of the temperature
 TEMPERATURE = "temperature"  # known in use, as is the secondary input
 SHARED_SIZES = 3.0  # plausible sizes of a common scale factor, above which input is doubtful
 MENTIONED_SHARE = 0.1  # of a standard uncertainty: larger effects of the test are noted
-UNKNOWN_DIRECTIONS = (
-    "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane of "
-    "sensors y and z), without an uncertainty."
-)
 OfTest = dict[str, dict[str, float]]  # effect → slot → standard deviation of its contribution
 
 
@@ -69,19 +65,17 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
     taylor, of_test = _taylor(calibration, grid, gravity)  # (draws, grid, p)
-    powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
     samples = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
-        basis = powers[:, : order + 1]
-        q, r = np.linalg.qr(basis)  # least squares of all draws at once
-        fitted = np.linalg.solve(r, q.T @ samples)
-        beyond = samples - basis @ fitted  # what no polynomial of this order holds
+        powers = np.vander(grid - reference, order + 1, increasing=True)
+        fitted = np.linalg.lstsq(powers, samples)[0]  # of all draws at once
+        beyond = samples - powers @ fitted  # what no polynomial of this order holds
         if np.max(np.abs(beyond)) <= EXACT_SHARE * np.max(np.abs(taylor)):
             beyond = np.zeros_like(beyond)
             break
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
     beyond = beyond.reshape(len(grid) * len(taylor), -1)
-    reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
+    reach = np.max(np.abs(powers), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
     if not np.any(terms[:, :, 30:33]):
         terms, beyond = (np.delete(a, slice(30, 33), axis=-1) for a in (terms, beyond))
@@ -90,11 +84,11 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     spread = terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(spread.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += beyond.T @ beyond / len(beyond)
-    relative, scale_notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    relative, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
     size = mean.shape[1] - 9 * bool(gravity)
-    powers = np.zeros(mean.shape[1])  # of what acts, in each term
-    powers[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
-    shift = relative * (mean * powers).ravel()
+    orders = np.zeros(mean.shape[1])  # in what acts, of each term
+    orders[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
+    shift = relative * (mean * orders).ravel()
     correction = VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
@@ -110,15 +104,13 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     )
     if np.any(beyond):
         rms = np.sqrt(np.mean(beyond[:, :3] ** 2, axis=0))
-        scale_notes = (
-            *scale_notes,
+        notes.append(
             f"What depends on the temperature by more than its power {ORDERS} is not corrected, and is in the "
-            f"uncertainty (of offsets, rms, {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} at "
-            "most).",
+            f"uncertainty (of offsets, rms, {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} at most)."
         )
     against = ws.why_not(calibration)
-    notes = (f"{ws.NOT_RELIABLE}{against}",) * bool(against)
-    notes = (*scale_notes, *notes, *_notes(calibration, correction, of_test))
+    notes += [f"{ws.NOT_RELIABLE}{against}"] * bool(against)
+    notes = (*notes, *_notes(calibration, correction, of_test))
     return replace(correction, reach=_reach(correction, readings), notes=notes, against=against)
 
 
@@ -133,7 +125,7 @@ def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
 
 def _common_scale(
     calibration: bc.Calibration, matrix: Float[np.ndarray, "3 3"]
-) -> tuple[float, tuple[str, ...]]:
+) -> tuple[float, list[str]]:
     """Return the relative uncertainty of the common scale factor in excess of that of each, and notes on it.
 
     It is that of data sheets where the magnitude of the input is unknown, and zero where it is known.
@@ -147,19 +139,19 @@ def _common_scale(
         size = float(np.mean(ws.magnitude(readings)))
         what = f"the magnitude {instrument.column(ws.MAGNITUDE).meaning}"
         if not readings.has(ws.MAGNITUDE):
-            return plausible, (
+            return plausible, [
                 f"{what.capitalize()} is not known and taken as the outputs read it, {size:.4g} {unit}: scale factors "
                 f"are ratios to their mean. The absolute scale is unknown, plausibly by {100 * plausible:.2g} %, which "
-                "is in the uncertainty of magnitudes and in that of no direction.",
-            )
+                "is in the uncertainty of magnitudes and in that of no direction."
+            ]
         stated = f" ({size:.4g} {unit}; {size * common:.3g} {unit} would fit)"
     if not plausible or abs(common - 1) <= SHARED_SIZES * plausible:
-        return 0.0, ()
+        return 0.0, []
     three = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
-    return 0.0, (
+    return 0.0, [
         f"All three scale factors differ from nominal by one factor, {common:.3g} ({three}), more than is plausible: "
-        f"{what}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it.",
-    )
+        f"{what}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it."
+    ]
 
 
 def _notes(
@@ -169,7 +161,10 @@ def _notes(
     if calibration.readings.has(ws.TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
     elif not calibration.readings.has(ws.ACROSS[0]):
-        notes.append(UNKNOWN_DIRECTIONS)
+        notes.append(
+            "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane "
+            "of sensors y and z), without an uncertainty."
+        )
     if len(result.terms) > 1:
         notes.append(f"Valid from {result.low:.4g} to {result.high:.4g} °C.")
     else:

@@ -135,36 +135,32 @@ def _unit(written: str, text: str) -> str:
 
 @dataclass(frozen=True)
 class SpreadOfDevices:
-    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`."""
+    """Devices of one kind: mean and standard deviation of a quantity, in `unit`."""
 
-    quantity: str  # whose it is; "" for every limit whose unit it has
     mean: float | None  # None for the middle of the limits, which is where a maker aims
     sd: float  # sd, unit: of the devices
     unit: str
-    text: str = ""  # as written
 
 
 _DEVICES = re.compile(
-    rf"(?:(?P<quantity>.+):)?\s*(?:mean\s+(?P<mean>{_NUMBER})\s*,?\s*)?sd\s+(?P<sd>{_NUMBER})(?P<unit>.*)"
+    rf"\s*(?:mean\s+(?P<mean>{_NUMBER})\s*,?\s*)?sd\s+(?P<sd>{_NUMBER})(?P<unit>.*)"
 )
 
 
 def spread_of_devices(text: str) -> SpreadOfDevices:
-    """Parse a population: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", "bias: sd 0.2 °/s".
+    """Parse a population: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s".
 
     Raises:
         InputError: the text is none, or its standard deviation is not positive.
     """
     match = _DEVICES.fullmatch(text.strip().replace("−", "-"))
     if match is None:
-        raise bc.InputError(
-            f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s"'
-        )
+        raise bc.InputError(f'population {text!r}: write "sd 0.2 °/s" or "mean 0.1 sd 0.2 °/s"')
     sd = float(match["sd"])
     if not 0 < sd < math.inf:
         raise bc.InputError(f"population {text!r}: a standard deviation is positive and finite")
-    mean, quantity = match["mean"] and float(match["mean"]), (match["quantity"] or "").strip()
-    return SpreadOfDevices(quantity, mean, sd, _unit(match["unit"], text), text)
+    mean = float(match["mean"]) if match["mean"] else None
+    return SpreadOfDevices(mean, sd, _unit(match["unit"], text))
 
 
 # Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
@@ -317,6 +313,7 @@ READING, MEAN = "corrected reading", "corrected mean"
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
 PLACES = {1: 33, 2: 9, 3: 5}
 
+MARGIN_SHARE = 0.01  # of a calibrated range, tolerated beyond its ends for the noise of readings
 FIXED_NOTE = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
 
 
@@ -547,7 +544,8 @@ def _uncalibrated(chosen: bc.Compensator, name: str, low: float, high: float) ->
     else:
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
-    first, last = ws.limits(span[:2])
+    margin = MARGIN_SHARE * (span[1] - span[0])
+    first, last = span[0] - margin, span[1] + margin
     settled = {i.name for i in chosen.inputs if i.settled}
     if first <= low and (high <= last or name in settled):
         return []
@@ -561,11 +559,9 @@ def with_population(
     quantity: LimitedQuantity, devices: SpreadOfDevices
 ) -> tuple[float, float] | None:
     """Return mean and standard deviation of the quantity over devices, in its unit; None for another population."""
-    limit = quantity.limit
-    if quantity.is_error or any(r.high > r.low for r in limit.over):
-        return None
     unit, target = devices.unit or "1", quantity.unit or "1"
-    if devices.quantity not in ("", limit.quantity) or not ws.same_dimension(unit, target):
+    over_range = any(r.high > r.low for r in quantity.limit.over)
+    if quantity.is_error or over_range or not ws.same_dimension(unit, target):
         return None
     sd = float(ws.convert(devices.sd, unit, target, difference=True))
     if devices.mean is not None:

@@ -1,10 +1,9 @@
 """Decisions on conformity to limits, with the rule, guard band and risks of each; recalibration intervals.
 
-Three rules, one of which the laboratory and its customer agree on beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
+Two rules, one of which the laboratory and its customer agree on beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
 
-- *simple*: accept where the estimate is inside the limits, whatever its uncertainty (JCGM 106:2012, 8.2);
-- *shared-risk*: the same, agreed on because the uncertainty is small: where the capability index
-  (7.6), the tolerance over two expanded uncertainties, k = 2, is below a stated one, nothing is decided;
+- *simple*: accept where the estimate is inside the limits, whatever its uncertainty, the risk being shared (JCGM
+  106:2012, 8.2);
 - *guarded*: accept where the probability of a false acceptance is at most the stated one, that is, where the estimate
   is inside the limits by the guard bands; reject where the probability of a false rejection is; between them,
   undecided (8.3; ILAC-G8:09/2019 calls it a non-binary statement with guard bands).
@@ -20,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from bayescal._annexes.metrology.conformity import (
     GlobalRisks,
     LimitedQuantity,
     Limits,
+    SpreadOfDevices,
     acceptance,
     edge,
     global_risks,
@@ -185,7 +185,7 @@ class Decision:
 class Decisions(ws.Printed):
     """Decisions about the limits of one device."""
 
-    rule: str  # "simple", "guarded" or "shared-risk"
+    rule: str  # "simple" or "guarded"
     rule_in_words: str  # as a certificate states it
     false_accept: float  # the probability of a false acceptance that is allowed
     decisions: tuple[Decision, ...]  # one of each limit, in their order
@@ -295,9 +295,9 @@ def statement_lines(d: Decision) -> list[str]:
         of_one = f"; single readings scatter by {scatter}: u and p are of one reading"
         lines.append(f"  at {_places(d.at)}{of_one * (d.scatter > 0)}{worst_at}")
     if (g := d.global_risks) is not None:
-        which = f" {ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
+        which = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(
-            f"  of devices{which or ' calibrated so, whatever their spread'}: {percent(g.conforming)} conform, "
+            f"  of devices {which}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
@@ -324,11 +324,15 @@ def percent(p: float, error: float = 0.0) -> str:
     return f"{100 * p:.2f} %" if p < 0.1 or p > 0.9 else f"{100 * p:.1f} %"
 
 
-Rule = Literal["simple", "guarded", "shared-risk"]
+Rule = Literal["simple", "guarded"]
+# As a certificate states them.
+RULES = {
+    "guarded": "guarded acceptance, probability of false acceptance at most {:g} %, undecided where neither acceptance "
+    "nor rejection has so low a risk (JCGM 106:2012, 8.3; ILAC-G8:09/2019)",
+    "simple": "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)",
+}
 # What a guard band of one expanded uncertainty, k = 2, comes to about (JCGM 106, 8.3.2; ILAC-G8 gives < 2.5 %).
 FALSE_ACCEPT = 0.025
-# Where U, k = 2, is at most a third of the maximum permissible error, as OIML R 111-1 asks of weights (JCGM 106, 8.2).
-CAPABILITY = 3.0
 CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual coverage of a statement
 
 
@@ -338,8 +342,7 @@ def decide(
     *,
     rule: Rule = "guarded",
     false_accept: float = FALSE_ACCEPT,
-    population: str | Sequence[str] | None = None,
-    capability: float = CAPABILITY,
+    population: str | None = None,
     conformity: float = CONFORMITY,
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
@@ -349,11 +352,10 @@ def decide(
     Args:
         calibration: a fit, or an average over structures.
         limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `stated_limit`).
-        rule: "guarded", "simple" or "shared-risk".
+        rule: "guarded" or "simple".
         false_accept: probability of a false acceptance (and, of a false rejection) that "guarded" allows.
-        population: devices of this kind, for global risks: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", or one for a limit by
-            name ("bias: sd 0.2 °/s").
-        capability: least ratio of the tolerance to 2U, k = 2, with which "shared-risk" decides.
+        population: devices of this kind, for global risks of the limits in its unit: "sd 0.2 °/s", "mean 0.1 sd 0.2
+            °/s".
         conformity: probability of which the recalibration interval is stated.
         members: which member of a group is used, such as {"device": "A17"}; every other counts as new.
         local_gravity: m/s², for limits in m/s² on accelerations in g.
@@ -362,31 +364,35 @@ def decide(
         InputError: a limit, population, rule or probability that is none; says which and what to write.
         ModelError: the instrument does not say what it measures, and a limit is on something in use.
     """
-    how = _How(rule, false_accept, capability, conformity)
+    if rule not in RULES:
+        raise bc.InputError(f"rule {rule!r} is none: choose {', '.join(RULES)}")
+    if not 0 < false_accept < 0.5:
+        raise bc.InputError(
+            f"false_accept = {false_accept:g}: expected a probability above 0 and below 0.5, such as 0.025"
+        )
+    if not 0.5 <= conformity < 1:
+        raise bc.InputError(
+            f"conformity = {conformity:g}: expected a probability from 0.5 and below 1, such as 0.95"
+        )
     stated = [limits] if isinstance(limits, str) else list(limits)
     if not stated:
         raise bc.InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
-    several = [population] if isinstance(population, str) else population or []
-    devices = [spread_of_devices(text) for text in several]
+    devices = None if population is None else spread_of_devices(population)
     where: dict[str, Any] = {"members": members, "local_gravity": local_gravity}
-    decisions, used = [], set[int]()
+    decisions = []
     for text in stated:
         quantity = limited_quantity(calibration, stated_limit(text), **where)
-        spread = None
-        for i, group in enumerate(devices):
-            if (spread := with_population(quantity, group)) is not None or quantity.is_error:
-                used.add(i)
-                break
-        decisions.append(_decision_on(calibration, quantity, how, spread, bool(devices)))
-    for i, group in enumerate(devices):
-        if i not in used:
-            raise bc.InputError(
-                f"population {group.text!r} is of no limit that is given: global risks are stated for a slot or an "
-                "unknown at one point, in its unit, with a mean where there is one limit only"
-            )
+        decisions.append(
+            _decision_on(calibration, quantity, rule, false_accept, conformity, devices)
+        )
+    if devices is not None and all(d.global_risks is None for d in decisions):
+        raise bc.InputError(
+            f"population {population!r} is of no limit that is given: global risks are stated for a slot or an unknown "
+            "at one point, in its unit, with a mean where there is one limit only"
+        )
     return Decisions(
         rule=rule,
-        rule_in_words=how.in_words,
+        rule_in_words=RULES[rule].format(100 * false_accept),
         false_accept=false_accept,
         decisions=tuple(decisions),
         calibration=ws.identity(calibration),
@@ -394,71 +400,29 @@ def decide(
     )
 
 
-@dataclass(frozen=True)
-class _How:
-    """A decision rule, with its numbers."""
-
-    rule: str
-    false_accept: float
-    capability: float
-    conformity: float
-
-    def __post_init__(self) -> None:
-        if self.rule not in get_args(Rule):
-            raise bc.InputError(f"rule {self.rule!r} is none: choose {', '.join(get_args(Rule))}")
-        small, usual = 0 < self.false_accept < 0.5, 0.5 <= self.conformity < 1
-        for name, right, expected in (
-            ("false_accept", small, "a probability above 0 and below 0.5, such as 0.025"),
-            ("conformity", usual, "a probability from 0.5 and below 1, such as 0.95"),
-            ("capability", 0 < self.capability < math.inf, "a positive ratio, such as 3"),
-        ):
-            if not right:
-                raise bc.InputError(f"{name} = {getattr(self, name):g}: expected {expected}")
-
-    @property
-    def in_words(self) -> str:
-        """State the rule as on a certificate."""
-        if self.rule == "guarded":
-            return (
-                f"guarded acceptance, probability of false acceptance at most {100 * self.false_accept:g} %, undecided "
-                "where neither acceptance nor rejection has so low a risk (JCGM 106:2012, 8.3; ILAC-G8:09/2019)"
-            )
-        if self.rule == "simple":
-            return "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)"
-        return (
-            f"shared risk, simple acceptance agreed on with a capability index T/(4u) of at least {self.capability:g} "
-            "(JCGM 106:2012, 7.6 and 8.2)"
-        )
-
-
 def _decision_on(
     calibration: bc.Calibration,
     quantity: LimitedQuantity,
-    how: _How,
-    devices: tuple[float, float] | None,
-    has_devices: bool,
+    rule: str,
+    false_accept: float,
+    conformity: float,
+    devices: SpreadOfDevices | None,
 ) -> Decision:
     drawn, limits = quantity.drawn(), quantity.limits
     p = drawn.probability(limits)
-    guarded = acceptance(drawn, limits, how.false_accept)
-    accepted = guarded if how.rule == "guarded" else limits
-    decision, why = _decide_limit(calibration, quantity, drawn, p, how)
+    guarded = acceptance(drawn, limits, false_accept)
+    accepted = guarded if rule == "guarded" else limits
+    decision, why = _decide_limit(calibration, quantity, drawn, p, rule, false_accept)
     uncertainty, notes = drawn.uncertainty, list(quantity.notes)
     mean, u = drawn.values.mean(axis=0), np.hypot(drawn.values.std(axis=0), drawn.scatter)
     i = int(np.argmin(np.minimum(limits.high - mean, mean - limits.low) - 2 * u))
     worst_places = {name: values[i : i + 1] for name, values in quantity.places.items()}
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
-    risks = None
-    if devices is not None:
-        risks = global_risks(*devices, uncertainty, limits, within)
-    elif has_devices and quantity.is_error:
-        # Each device is corrected by what was found of it: its error is estimated as zero, and the decision the same.
-        took = decision == ACCEPT
-        risks = GlobalRisks(p, float(took), (1 - p) * took, p * (not took))
-    elif has_devices:
+    spread = None if devices is None else with_population(quantity, devices)
+    if devices is not None and spread is None:
         notes.append(
-            "No global risk is stated: the population is of another quantity, or the limit holds over a range, of "
-            "which one standard deviation says nothing."
+            "No global risk is stated: the population is of another quantity, or the limit is on a correction, or over "
+            "a range, of which one standard deviation says nothing."
         )
     return Decision(
         limit=quantity.limit.text,
@@ -477,9 +441,9 @@ def _decision_on(
         risk={ACCEPT: 1 - p, REJECT: p}.get(decision),
         at=quantity.place,
         worst_at=replace(quantity, places=worst_places).place,
-        population=devices,
-        global_risks=risks,
-        recalibration=recalibration(quantity, limits, calibration, how.conformity),
+        population=spread,
+        global_risks=None if spread is None else global_risks(*spread, uncertainty, limits, within),
+        recalibration=recalibration(quantity, limits, calibration, conformity),
         notes=tuple(notes),
     )
 
@@ -489,7 +453,8 @@ def _decide_limit(
     quantity: LimitedQuantity,
     drawn: DrawnQuantity,
     p: float,
-    how: _How,
+    rule: str,
+    false_accept: float,
 ) -> tuple[str, str]:
     """Return the decision on a limit, and the reason in words."""
     limits, error = quantity.limits, drawn.probability_error(p)
@@ -497,44 +462,25 @@ def _decide_limit(
         return UNDECIDED, NOT_RELIABLE.format(reason.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
-    options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
+    options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": false_accept}
     if untold := ws.find_not_measured(calibration, drawn.values, **options):
-        values, risk = untold.by_readings_alone(calibration, drawn.values), how.false_accept
+        values, risk = untold.by_readings_alone(calibration, drawn.values), false_accept
         alone = replace(drawn, values=values).probability(limits)
         same = (p >= 1 - risk) == (alone >= 1 - risk) and (p <= risk) == (alone <= risk)
         if untold.hyperparameter or not (same and abs(p - alone) <= risk):
             return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
     conforms, fails = percent(p, error), percent(1 - p, error)
-    if how.rule == "guarded":
-        if p >= 1 - how.false_accept:
+    if rule == "guarded":
+        if p >= 1 - false_accept:
             return ACCEPT, f"specific risk of false acceptance {fails}"
-        if p <= how.false_accept:
+        if p <= false_accept:
             return REJECT, f"specific risk of false rejection {conforms}"
         return UNDECIDED, (
             f"it conforms with probability {conforms}: to accept or to reject it, "
-            f"{100 * (1 - how.false_accept):g} % are needed"
+            f"{100 * (1 - false_accept):g} % are needed"
         )
-    if how.rule == "shared-risk":
-        index = capability_index(drawn, limits)
-        if index is None:
-            why = "a capability index needs two limits, and there is one: agree on another rule"
-            return UNDECIDED, why
-        if index < how.capability:
-            return UNDECIDED, (
-                f"the capability index T/(4u) = {ws.number(index)} is below {how.capability:g}, on which the risk is "
-                "shared"
-            )
     if limits.hold(*drawn.estimate):
         where, decided, risk = "inside", ACCEPT, f"acceptance {fails}"
     else:
         where, decided, risk = "outside", REJECT, f"rejection {conforms}"
     return decided, f"the estimate is {where} the limits; specific risk of false {risk}"
-
-
-def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
-    """Return the width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
-    width = limits.high - limits.low
-    u = math.hypot(drawn.uncertainty, float(drawn.scatter.max()))
-    if math.isinf(width):
-        return None
-    return width / (4 * u) if u > 0 else math.inf

@@ -22,10 +22,9 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
     limit: list[str] = ws.opt(
         '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.', ...
     )
-    population: list[str] | None = ws.opt(
-        'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
+    population: str | None = ws.opt(
+        'Devices of this kind, for global risks: "mean 0.1 sd 0.2 °/s".'
     )
-    capability: float = ws.opt("Least T/(4u) with which 'shared-risk' decides.", 3.0)
     conformity: float = ws.opt("Probability of which the next calibration is stated.", 0.95)
     out: Path | None = ws.opt("JSON file to write the decisions to.", None, "--out", "-o")
     local_gravity: float | None = ws.Shared.local_gravity
@@ -35,8 +34,7 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
             ws.load_saved(self.calibration, self),
             self.limit,
             **self.deciding(),
-            population=self.population or None,
-            capability=self.capability,
+            population=self.population,
             conformity=self.conformity,
             members=self.members,
             local_gravity=self.local_gravity or ws.STANDARD_GRAVITY,
@@ -56,8 +54,6 @@ def certified(command: ws.ExportCommand) -> ws.Answer:
         raise bc.InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
         )
-    if path.suffix.lower() == ".json":
-        raise bc.InputError("an export is no calibration: give the saved calibration (.nc)")
     calibration = ws.load_saved(path, command)
     if command.limit:
         how = {"members": command.members, "local_gravity": gravity, **command.deciding()}

@@ -18,7 +18,8 @@ from bayescal._annexes.metrology.certificate import D_SI
 
 DCC, ERROR = "{https://ptb.de/dcc}", "basic_measurementError"
 ROOT = f"{DCC}digitalCalibrationCertificate"
-KINDS = ERROR, "basic_referenceValue", "basic_measuredValue"
+REFERENCE, MEASURED = "basic_referenceValue", "basic_measuredValue"
+KINDS = ERROR, REFERENCE, MEASURED
 EXPANDED, STANDARD = ("uncertainty", "valueExpandedMU"), ("standardUnc", "valueStandardMU")
 MAX_BYTES = 50_000_000  # of a certificate, with its pictures
 MAX_POINTS = 14  # as many as one formula holds
@@ -102,37 +103,30 @@ def _name(element: ET.Element) -> str:
 
 
 def _errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray, ...] | None:
-    """Return indications, errors and standard uncertainties of a table; None where it states none."""
-    kinds, sign = {kind: [] for kind in KINDS}, 1.0
+    """Return indications, errors and standard uncertainties of a table; None where it states no errors."""
+    columns: dict[str, np.ndarray] = {}  # (2, n): values and standard uncertainties
     for quantity in table.findall(f"{DCC}quantity"):
         for kind in quantity.get("refType", "").split():
-            plain = "_".join(kind.split("_")[:2])  # without "_error" or "_correction"
+            name = kind.removesuffix("_error").removesuffix("_correction")
             try:
-                values = _values(quantity, unit, plain == ERROR) if plain in kinds else None
+                values = _values(quantity, unit, name == ERROR) if name in KINDS else None
             except (ValueError, KeyError) as error:
                 expected = "numbers, with one uncertainty or one for each"
                 raise _refusal(path, f"dcc:quantity {kind}", str(error), expected) from None
             if values is not None:
-                kinds[plain].append(values)
-                sign = -1.0 if kind.endswith("_correction") else sign
-    error, reference, measured = (np.hstack(v) if v else None for v in kinds.values())
-    sizes = {v.shape[1] for v in (error, reference, measured) if v is not None}
-    if error is None and (reference is None or measured is None):
+                values[0] *= -1.0 if kind.endswith("_correction") else 1.0
+                columns[name] = np.hstack([columns.get(name, values[:, :0]), values])
+    if (error := columns.get(ERROR)) is None:
         return None
-    if len(sizes) > 1:
-        raise _refusal(path, ERROR, f"values at {sorted(sizes)} points", "as many of each")
-    if error is None:
-        error = np.array([measured[0] - reference[0], np.fmax(measured[1], reference[1])])
     if not np.all(error[1] > 0):
         came = "no coverage factor" if np.isnan(error[1]).any() else "no uncertainty"
         expected = f"si:{' or si:'.join(EXPANDED)} with si:coverageFactor, or si:{STANDARD[0]}"
         raise _refusal(path, f"dcc:quantity {ERROR}", came, expected)
-    error[0] *= sign
-    if measured is None:
-        measured = reference + error if reference is not None else np.zeros((1, 1))
-    if measured.shape[1] != error.shape[1]:
-        raise _refusal(path, ERROR, "no points", f"a dcc:quantity {KINDS[2]} or {KINDS[1]}")
-    return measured[0], *error
+    points = columns.get(MEASURED, columns.get(REFERENCE, np.zeros((2, 1))))[0]
+    if len(points) != error.shape[1]:
+        came, expected = f"{error.shape[1]} errors at {len(points)} points", "as many of each"
+        raise _refusal(path, f"dcc:quantity {MEASURED} or {REFERENCE}", came, expected)
+    return points + (error[0] if MEASURED not in columns and REFERENCE in columns else 0.0), *error
 
 
 def _values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
