@@ -458,7 +458,7 @@ def _by_axis(
     loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
 ) -> dict[str, bc.Compensator]:
     """Return calibrations by axis, as their readings or the user name it."""
-    compensators, files = dict[str, bc.Compensator](), dict[str, Path]()
+    compensators = dict[str, bc.Compensator]()
     candidates = [(axis_of(c.calibration), p, c) for p, c in loaded]
     pairs = ws.named_values(cmd.axis, "--axis").items()
     candidates += [(name, Path(p), ws.compensator_from(Path(p), cmd)) for name, p in pairs]
@@ -469,10 +469,9 @@ def _by_axis(
             )
         if name in compensators:
             raise bc.InputError(
-                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
-                f"(--axis gyro_y={path})"
+                f"{path} is of {name}, as another file is: give one, or its axis (--axis gyro_y={path})"
             )
-        compensators[name], files[name] = compensator, path
+        compensators[name] = compensator
     return compensators
 
 
