@@ -158,10 +158,6 @@ def report(
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"a report is HTML: name the file …html, not {path.name!r}")
-    if not path.parent.is_dir():
-        raise InputError(
-            f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
-        )
     if isinstance(certificate, str | Path):
         certificate = first_offered("certificate", "certificate=")(certificate)
     results = given if isinstance(given, list | tuple) else [given]
