@@ -228,17 +228,17 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_056,
+    "bayescal/_core": 2_055,
     "bayescal/_tables": 1_487,
     "bayescal/_data": 4_117,
     "bayescal/_model": 5_470,
     "bayescal/effects": 653,
     "bayescal/_inference": 6_036,
-    "bayescal/_calibration": 4_573,
-    "bayescal/_use": 2_829,
+    "bayescal/_calibration": 4_547,
+    "bayescal/_use": 2_805,
     "bayescal/_search": 5_680,
-    "bayescal/_report": 1_672,
-    "bayescal/_cli": 1_688,
+    "bayescal/_report": 1_668,
+    "bayescal/_cli": 1_676,
     "bayescal/_annexes/fleet": 1_719,
     "bayescal/_annexes/imu": 2_716,
     "bayescal/_annexes/metrology": 1_579,
@@ -248,7 +248,7 @@ CEILINGS = {
     "tests": 23_063,
     "benchmarks": 10_609,
 }
-WORDS = 49_275  # of docs/, README.md and CHANGELOG.md together
+WORDS = 49_027  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
