@@ -103,14 +103,3 @@ def test_every_command_helps_with_an_example() -> None:
         done = run(name, "--help")
         assert done.status == 0 and f"Example: bayescal {name}" in " ".join(done.out.split())
         assert "--json" in done.out or name in ("export", "workbench")
-
-
-def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    printed = []
-    for columns in ("40", "300"):
-        monkeypatch.setenv("COLUMNS", columns)
-        printed.append(run("effects", *GYRO).out)
-    assert printed[0] == printed[1]
-    widths = [len(line) for line in printed[0].splitlines() if line.startswith("──")]
-    assert widths
-    assert max(widths) <= 120
