@@ -42,7 +42,7 @@ def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:
         seen.page.get_by_role("button", name="Go back 0").click()
         seen.page.locator('tr[data-row="0"][aria-current]').wait_for()
         seen.looked().add("bias.thermal_lag")
-        assert "├" in seen.steps()[-1][0], "a branch begins where one went back to"
+        assert "(from 0)" in seen.steps()[-1][0], "a branch begins where one went back to"
 
         seen.page.get_by_role("button", name="Go back 2").click()
         seen.page.locator('tr[data-row="2"][aria-current]').wait_for()

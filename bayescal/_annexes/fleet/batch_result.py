@@ -202,12 +202,10 @@ class BatchResult:
 
     def __getitem__(self, device: str | int) -> DeviceResult:
         """Return one device's result, by its name or its place; raise InputError if there is none."""
-        if isinstance(device, int) and -len(self) <= device < len(self):
-            return self.results[device]
-        if device not in self._by_name:
+        if device not in (*self._by_name, *range(-len(self), len(self))):
             names = ", ".join(self.devices[:5])
             raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
-        return self._by_name[str(device)]
+        return self.results[device] if isinstance(device, int) else self._by_name[device]
 
     def table(self) -> pd.DataFrame:
         """Return one row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.

@@ -17,6 +17,7 @@ import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
+from bayescal.workshop import Place, Source, backward_time, same_temperature
 
 DEVICE = "device"
 
@@ -215,7 +216,7 @@ def devices_of(
         if why := _useless(device, name, "temperature" in needed and "temperature" in device):
             refused[name] = why
         else:
-            source = ws.Source(f"{table.file}, device {name}", table.sha256, int(end - first))
+            source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
             by_name[name] = bc.Measurements(device, units, (source,), output=output)
     return Devices(names, by_name, refused)
 
@@ -262,6 +263,6 @@ def _convert_usable(
 def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:
     """Return that a device has one temperature only, where it needs more, or time running backwards; "" otherwise."""
     file = f"device {name}"
-    problems = [*ws.same_temperature(columns, file)] if warm else []
-    problems += ws.backward_time(columns, lambda row: ws.Place(f"reading {row + 1}", file))
+    problems = [*same_temperature(columns, file)] if warm else []
+    problems += backward_time(columns, lambda row: Place(f"reading {row + 1}", file))
     return str(problems[0]) if problems else ""

@@ -20,9 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -30,6 +31,7 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import DeviceResult
 from bayescal._annexes.fleet.engine import NOT_REACHED
+from bayescal.workshop import build_frame, reference_of
 
 Reference = dict[str, Any]  # constants of bases
 
@@ -53,7 +55,7 @@ class FitOptions:
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the constants of a device."""
-        of_readings = ws.reference_of(readings)
+        of_readings = reference_of(readings)
         return of_readings | {n: v for n, v in self.reference.items() if n in of_readings}
 
 
@@ -135,18 +137,18 @@ def _fit_plain(
     if not isinstance(options.method, bc.LeastSquares) or len(different) != 1:
         return
     (model,) = different.values()
-    columns = {c.name for c in model.instrument.columns} | model.columns
+    columns = ({c.name for c in model.instrument.columns} | model.columns) - {ws.UNCERTAINTY}
     groups: dict[Any, list[str]] = {}
     for name, device in devices.items():
         numbers = {n for n in device.columns if device.unit(n) is not None}
-        if numbers <= columns - {ws.UNCERTAINTY} and {*model.columns} <= {*device.columns}:
+        if numbers <= columns and {*model.columns} <= {*device.columns}:
             groups.setdefault((len(device), *device.columns), []).append(name)
     for (count, *_), names in groups.items():
         some = [devices[name] for name in names]
         if model.with_nuisances(some[0]) is not model:
             continue
         references = [options.reference_for(device) for device in some]
-        frames = [ws.build_frame(d, r) for d, r in zip(some, references, strict=True)]
+        frames = [build_frame(d, r) for d, r in zip(some, references, strict=True)]
         problem = _together(model, some[0], frames)
         if problem is None:
             continue
@@ -161,13 +163,6 @@ def _fit_plain(
             names[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
             for k in np.flatnonzero(plain)
         }
-
-
-def _stacked(arrays: Sequence[Any]) -> Any:
-    """Return arrays of several devices with a leading axis, also within dictionaries."""
-    if isinstance(arrays[0], dict):
-        return {name: _stacked([array[name] for array in arrays]) for name in arrays[0]}
-    return np.stack(arrays)
 
 
 def _together(
@@ -185,8 +180,8 @@ def _together(
     ):
         return None
     try:
-        by_field = ((f.name, [getattr(g, f.name) for g in frames]) for f in fields(bc.Frame))
-        together = bc.Frame(**{name: _stacked(values) for name, values in by_field})
+        stacked = jax.tree.map(lambda *arrays: np.stack(arrays), *map(vars, frames))
+        together = bc.Frame(**stacked)
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (

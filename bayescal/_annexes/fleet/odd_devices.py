@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -75,20 +74,13 @@ def odd_devices(
     return odd
 
 
-class Predicted(NamedTuple):
-    """What the others of a fleet let one expect of each device: two-sided p of its value, and their mean."""
-
-    p: Float[np.ndarray, "n"]
-    mean: float
-
-
 def predicted(
     values: Float[np.ndarray, "n"],
     variance: Float[np.ndarray, "n"],
     freedom: Float[np.ndarray, "n"] | float,
     least: float,
-) -> Predicted:
-    """Compare each value with the predictive distribution of the usual ones.
+) -> tuple[Float[np.ndarray, "n"], float]:
+    """Return the two-sided p of each value in the predictive distribution of the usual ones, and their mean.
 
     Args:
         values: one of each device.
@@ -98,7 +90,7 @@ def predicted(
     """
     p, mean = np.ones(len(values)), float("nan")
     if len(values) < FEWEST_DEVICES:
-        return Predicted(p, mean)
+        return p, mean
     digits = np.finfo(float).eps * float(np.max(np.abs(values)))
     variance = np.maximum(variance, max(digits**2, 1e-200))
     away = np.abs(values - np.median(values))
@@ -119,4 +111,4 @@ def predicted(
         if now.sum() < FEWEST_DEVICES or (now == usual).all():
             break
         usual = now
-    return Predicted(p, mean)
+    return p, mean

@@ -5,6 +5,7 @@ Changes of a model by name; and the outputs of a session, report and exports, as
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -142,7 +143,7 @@ class Session:
         Args:
             model, readings, holdout, effects: as of `calibrate`.
             folder: where every state is kept; None: a temporary one.
-            origin: where all this comes from; None: readings are written to the folder.
+            origin: where all this comes from; None: readings in memory.
             settings: of `calibrate`, see `SearchOptions`.
 
         Raises:
@@ -156,8 +157,10 @@ class Session:
         if holdout is not None:
             model.require(holdout)
             held_out = bc.set_aside(holdout, spikes)
-        folder = store.make_folder(folder)
-        origin = origin or Origin.write(model.instrument, readings, holdout, folder, spikes)
+        folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        name = model.instrument.name
+        origin = origin or Origin(name if name in ws.installed_names() else "")
         by_name = {e.name: e for e in effects}
         session = cls(bc.set_aside(readings, spikes), held_out, folder, options, origin, by_name)
         if (folder / store.SESSION).is_file():
@@ -203,23 +206,9 @@ class Session:
         ]
 
     def go_to(self, number: int) -> State:
-        """Make another state the current one; what is done next branches off there.
-
-        Raises:
-            InputError: there is no such state.
-        """
+        """Make another state the current one; what is done next branches off there."""
         with self._lock:
-            if number not in self._states:
-                raise bc.InputError(
-                    f"there is no step {number}: there are 0 to {max(self._states)}"
-                )
             return self._be(number)
-
-    @property
-    def laws(self) -> Mapping[str, bc.Noise]:
-        """Return the noise laws that the readings identify, by name, that of the first model among them."""
-        first = self.states[0].calibration
-        return {first.model.noise.name: first.model.noise, **ws.laws_over(first.model, first.frame)}
 
     def preview(self, kind: str, *arguments: Any) -> Preview:
         """Return a preview of `act`: the changed model is fitted, and made no state."""
@@ -246,10 +235,9 @@ class Session:
             case ("free", str(name)):
                 return Change(model.free(name), in_words=f"{name} estimated again")
             case ("noise", str(name)):
-                if (law := self.laws.get(name)) is None:
-                    raise bc.ModelError(
-                        f"no noise law is called {name!r} here; there are: {', '.join(self.laws)}"
-                    )
+                first = self.states[0].calibration
+                laws = ws.laws_over(first.model, first.frame)  # that the readings identify
+                law = {first.model.noise.name: first.model.noise, **laws}[name]
                 return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
             case ("fix", str(name), value):
                 text = f"{name} = {ws.number(float(value), 6)} fixed"
@@ -287,7 +275,7 @@ class Session:
     fix = partialmethod(act, "fix")  # (coefficient, value in the unit in which it is reported)
     free = partialmethod(act, "free")  # (coefficient)
     resize = partialmethod(act, "resize")  # (effect, plausible size of its first coefficient)
-    noise = partialmethod(act, "noise")  # (name, of `laws`)
+    noise = partialmethod(act, "noise")  # (name of one that the readings identify)
 
     def look(self) -> bc.Discovery:
         """Search for effects missing from the current state; the discovery is cached in the state."""

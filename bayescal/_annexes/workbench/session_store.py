@@ -8,7 +8,6 @@ result_000/                reports and exports of a state, when they were asked 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -24,7 +23,7 @@ class Origin:
     """Sources of a session for its script: instrument, files and options of reading."""
 
     instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty where made in Python
-    files: tuple[str, ...]  # files, holdout: of readings, in full
+    files: tuple[str, ...] = ()  # files, holdout: of readings, in full; none of those in memory
     holdout: tuple[str, ...] = ()
     # Arguments of `bayescal.read` that are not its usual ones.
     read: Mapping[str, Any] = field(default_factory=dict)
@@ -51,25 +50,6 @@ class Origin:
         changed = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
         effects = tuple(str(Path(p).resolve()) for p in effect_files)
         return cls(instrument, *full, read=changed, effect_files=effects, **settings)
-
-    @classmethod
-    def write(
-        cls,
-        instrument: bc.Instrument,
-        readings: bc.Measurements,
-        holdout: bc.Measurements | None,
-        folder: Path,
-        keep_spikes: bool,
-    ) -> Origin:
-        """Write readings in memory to a folder, and return them as sources.
-
-        Raises:
-            InputError: it cannot be written to.
-        """
-        files = [readings.write(folder / "readings.csv")]
-        held_out = [] if holdout is None else [holdout.write(folder / "holdout.csv")]
-        name = instrument.name if instrument.name in ws.installed_names() else ""
-        return cls.of(name, files, held_out, keep_spikes=keep_spikes)
 
 
 @dataclass(frozen=True)
@@ -149,20 +129,6 @@ class SavedSession:
             raise ValueError(f"there is no step {self.current}")
 
 
-def make_folder(folder: str | Path | None) -> Path:
-    """Create the folder of a session if need be, a temporary one for None.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise bc.InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
-    return folder
-
-
 def fit_path(folder: Path, number: int) -> Path:
     """Return the path of a state's calibration."""
     return folder / f"state_{number:03d}.nc"
@@ -223,6 +189,7 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         entry=None if file or not origin.instrument else installed[name],
         own_files=list(origin.effect_files),
         parts={"readings": list(origin.files), "holdout": list(origin.holdout)},
+        first=steps[0]["file"],
         read=origin.read,
         average=origin.average,
         spikes={"keep_spikes": True} if origin.keep_spikes else {},

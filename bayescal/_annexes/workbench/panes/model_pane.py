@@ -9,8 +9,6 @@ import panel as pn
 from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, field, row, words
 
-COEFFICIENTS_IN_A_ROW = 6  # coefficients of one effect that stand in its row
-LEAST_PROBABILITY = 0.005  # probability of a noise law that is shown
 NUMBER = {"kind": "value number"}
 
 
@@ -146,13 +144,10 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
             _, value, unit, *_ = curves[effect.name]
             terms = []
             cells.append({"text": f"{value} [{unit}]", **NUMBER})
-        for t in terms[:COEFFICIENTS_IN_A_ROW]:
+        for t in terms:
             short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
             value = f"{short if len(terms) > 1 else ''} {_value(t)}".strip()
             cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
-        if len(terms) > COEFFICIENTS_IN_A_ROW:
-            number = len(terms) - COEFFICIENTS_IN_A_ROW
-            cells.append({"text": f"… and {number} more", "kind": "value"})
         fixed = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
         cells += [{"text": f"held: {', '.join(fixed)}", **NUMBER}] if fixed else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
@@ -182,8 +177,6 @@ def noise_rows(state: Any) -> list[dict[str, Any]]:
     rows = []
     for name in dict.fromkeys((used.law, *laws)):
         law, in_use = laws.get(name), name == used.law
-        if law is not None and not in_use and law.probability < LEAST_PROBABILITY:
-            continue
         cells: list[dict[str, Any]] = [
             {"text": used.in_words if law is None else law.in_words, "kind": "name"}
         ]

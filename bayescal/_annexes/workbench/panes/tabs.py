@@ -68,25 +68,6 @@ class ErrorPane(Pane):
         self.progress.object = text
 
 
-def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:
-    """Return (number, tree lines before it) of the states, each after its parent.
-
-    A first child stands in its parent's column; every other begins a branch, drawn between the two.
-    """
-    children: dict[int | None, list[int]] = {}
-    for n in sorted(states):
-        children.setdefault(states[n].parent, []).append(n)
-    order: list[tuple[int, str]] = []
-    waiting = [(n, "", "") for n in reversed(children.get(None, []))]
-    while waiting:
-        n, before, below = waiting.pop()
-        order.append((n, before))
-        first, others = children.get(n, [])[:1], children.get(n, [])[1:]
-        waiting += [(c, below, below) for c in first]
-        waiting += [(c, f"{below}├ ", f"{below}│ ") for c in reversed(others)]
-    return order
-
-
 COLUMNS = ("step", "as fitted", "new run", "held-out", "noise floor", "P(complete)")
 STEP_ACTIONS = [
     {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
@@ -98,11 +79,11 @@ TITLES = {"P(complete)": "probability that the model is complete"}
 def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the head, and a row for each state: its errors as `SearchPath` prints them, and its actions."""
     steps = []
-    for n, lines in in_order(states):
-        state, before = states[n], states.get(states[n].parent)
+    for n, state in sorted(states.items()):
+        before, branch = states.get(state.parent), state.parent not in (None, n - 1)
         row = state.step.row(before and before.step)
         complete = state.discovery and state.discovery.nothing_missing
-        title = {"number": f"{lines}{n} ", "title": state.title}
+        title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * branch}
         steps.append({**row, **title, "nothing_missing": complete, "state": n})
     table = ws.steps_table(steps)
     table = table.only(*(c.head for c in table.shown if c.head in COLUMNS))
