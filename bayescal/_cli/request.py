@@ -58,8 +58,6 @@ def open_channels(
     """Return instrument, models and readings of channels (none named: one, called ""), models tailored to them."""
     instrument = instrument_named(request.instrument)
     records = _read(request.files, instrument, request, names)
-    if not request.typed and instrument.tailor is None:  # what is typed may need the readings
-        compose(instrument, request, load_user_effects(request.effects_file))
     for record in records.values():
         # A triad's log is averaged over its stationary intervals.
         averages = request.average is not None or instrument.outputs
