@@ -238,7 +238,7 @@ CEILINGS = {
     "bayescal/_use": 2_805,
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_668,
-    "bayescal/_cli": 1_676,
+    "bayescal/_cli": 1_674,
     "bayescal/_annexes/fleet": 1_705,
     "bayescal/_annexes/imu": 2_716,
     "bayescal/_annexes/metrology": 1_579,
