@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, ConvertedColumns, Place, file_names
-from bayescal._data.records import PAUSE_STEPS, Columns, Records, distinct, equal_runs
+from bayescal._data.records import PAUSE_STEPS, RECORD, Columns, Records, distinct, equal_runs
 from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
 
@@ -264,9 +265,9 @@ class Anomaly(NamedTuple):
     """Readings at which a thermometer was wrong.
 
     Attributes:
-        code: "leap", "held" or "stuck".
+        code: "leap", "held", "stuck" or "run".
         description: in words, behind the name of the column.
-        rows: at which the column is certainly not the temperature.
+        rows: at which the column is certainly not the temperature; of a run, where it or another column is not.
     """
 
     code: str
@@ -307,7 +308,31 @@ def find_anomalies(
                 level = values[rows[0]]
                 text = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
                 anomalies.append(Anomaly("stuck", name, text, rows))
-        return anomalies
+        return [*anomalies, *_find_differing_run(columns, records, names)]
+
+
+MIN_RMS_RATIO = 5.0  # of the residuals with a run to those without it, above which the run differs
+
+
+def _find_differing_run(
+    columns: Columns, records: Records, names: Sequence[str]
+) -> Iterator[Anomaly]:
+    """Find the run without which a thermometer is one function of another and its rate: one of both differed there."""
+    time, runs = records.time, records.rows
+    if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
+        return
+    for name, other in permutations(names, 2):
+        basis, rms = np.column_stack([np.ones(len(time)), columns[other], time]), list[float]()
+        for rows in runs:
+            basis[rows, 2] = np.gradient(columns[other][rows], time[rows])
+        for rows in runs:
+            x, y = np.delete(basis, rows, axis=0), np.delete(columns[name], rows)
+            rms.append(float(np.sqrt(np.mean((y - x @ np.linalg.lstsq(x, y)[0]) ** 2))))
+        run, second = np.argsort(rms)[:2]
+        if rms[second] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
+            label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
+            text = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
+            yield Anomaly("run", name, text, runs[run])
 
 
 def off_path(values: np.ndarray, stretches: Sequence[np.ndarray], least: float = 0.0) -> np.ndarray:

@@ -38,7 +38,6 @@ from bayescal._data.unit_conversion import (
     parse,
     pretty,
     same_dimension,
-    spelled,
     unit_in,
 )
 from bayescal._tables.raw_table import (
@@ -555,8 +554,8 @@ class MatchedFile:
                 self._note_unclear(header, unit, possible)
             else:
                 without_unit.append(header.raw)
-        nameless = (i for i, h in enumerate(self.table.headers) if not h.name)
-        without_unit += [f"column {i + 1}, without a name" for i in nameless]
+        numbered = enumerate(self.table.headers, 1)
+        without_unit += [f"column {i}, without a name" for i, h in numbered if not h.name]
         if without_unit:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
             lacking = [n for n in needs_none if n not in self.positions]
@@ -591,7 +590,8 @@ class MatchedFile:
 
 def _known_unit(unit: str | None, kind: str = ANY) -> str | None:
     """Return the unit that a text may be meant as; None for none."""
-    return unit_in(unit or "", (kind,)) or spelled(unit or "")
+    spelled = [name for name, texts in WHERE_EXPECTED.items() if unit in texts]
+    return unit_in(unit or "", (kind,)) or (spelled[0] if len(spelled) == 1 else None)
 
 
 def _needed(column: Column) -> bool:

@@ -270,8 +270,14 @@ class Measurements(Printed):
         """
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
+        if name == "cell" and not self.has(MAY_BE_EMPTY):
+            return (), np.full(len(self), -1, dtype=np.int64)
         if name == "cell":
-            return self._cells()
+            runs, run = self.groups("run")
+            point, codes = self[MAY_BE_EMPTY], np.full(len(self), -1, dtype=np.int64)
+            has_point = ~np.isnan(point)
+            pairs, codes[has_point] = distinct([run[has_point], point[has_point]])
+            return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
         if not self.has(name) and name in ("run", "device", "axis"):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
@@ -280,15 +286,6 @@ class Measurements(Printed):
             )
         levels, codes = distinct([self[name]])
         return tuple(label for (label,) in levels), codes
-
-    def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
-        if not self.has(MAY_BE_EMPTY):
-            return (), np.full(len(self), -1, dtype=np.int64)
-        runs, run = self.groups("run")
-        point, codes = self[MAY_BE_EMPTY], np.full(len(self), -1, dtype=np.int64)
-        has_point = ~np.isnan(point)
-        pairs, codes[has_point] = distinct([run[has_point], point[has_point]])
-        return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
         """Select readings by a mask or by indices; InputError for a mask of another length, or for none chosen."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, overload
@@ -129,31 +129,20 @@ def read(  # pyright: ignore[reportInconsistentOverload]
 
     if outputs is None:
         return read_one(options)
-    return _read_outputs(outputs, options, instrument, read_one)
-
-
-def _read_outputs(
-    outputs: Sequence[str],
-    options: ReadOptions,
-    instrument: InstrumentLike,
-    read_one: Callable[[ReadOptions], Measurements],
-) -> dict[str, Measurements]:
-    """Read several outputs by `read_one`; raise InputError with the problems of all of them."""
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
-    problems, readings = Objections(), dict[str, Measurements]()
     if (output := output_name(instrument)) in options.columns:
         raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
         raise InputError(
             f"{name!r} is no channel: {instrument.name!r} reads it as what channels depend on"
         )
+    all_problems, readings = Objections(), dict[str, Measurements]()
     for name in outputs:
-        columns = {**options.columns, output: name}
-        others = frozenset(outputs) - {name}
-        with problems.collecting():
-            readings[name] = read_one(replace(options, columns=columns, others=others))
-    Objections(dict.fromkeys(problems)).refuse()
+        named, others = {**options.columns, output: name}, frozenset(outputs) - {name}
+        with all_problems.collecting():
+            readings[name] = read_one(replace(options, columns=named, others=others))
+    Objections(dict.fromkeys(all_problems)).refuse()
     return readings
 
 

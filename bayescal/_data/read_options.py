@@ -96,8 +96,7 @@ class ReadOptions:
         for name, words in allowed.items():
             if (value := getattr(self, name)) not in words:
                 argument = f"{name}={value!r} (--{name.replace('_', '-')})"
-                choices = ", ".join(map(repr, filter(None, words)))
-                raise InputError(f"{argument} is none of {choices}")
+                raise InputError(f"{argument} is none of {', '.join(filter(None, words))}")
 
     @classmethod
     def of(
@@ -237,8 +236,7 @@ def output_name(instrument: InstrumentLike) -> str:
 def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     """Return the instrument's columns, and those that every instrument may have."""
     expected = {column.name: column for column in instrument.columns}
-    time = expected.get("time")
-    if time is not None and time.high is None:
+    if (time := expected.get("time")) is not None and time.high is None:
         expected["time"] = replace(time, high=LATEST)
     for name in RECORD:
         expected.setdefault(name, Column(name, None, required=False))

@@ -109,7 +109,7 @@ def _find_wrong(readings: Measurements, needed: Collection[str], total: int) -> 
     For a thermometer that the model does not need, only where they are few. Where too many would go, or a device's
     readings or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
-    for odd in readings.oddities:
+    for odd in (o for o in readings.oddities if o.code != "run"):  # of which column is not known
         few = odd.code == "leap" and len(odd.rows) <= checks.LEAP_SHARE * total
         if (few or odd.column in needed) and _leaves_enough(readings.values, odd, total):
             rows = _format_rows_read(odd.rows, readings[odd.column], " °C")

@@ -284,12 +284,6 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
     return matches.pop() if len(matches) == 1 else None
 
 
-def spelled(text: str) -> str | None:
-    """Return the one unit that a text is another spelling of, such as degC of C; None if there is none or several."""
-    units = [unit for unit, texts in WHERE_EXPECTED.items() if text in texts]
-    return units[0] if len(units) == 1 else None
-
-
 def _is(unit: str, kinds: tuple[str, ...]) -> bool:
     """Return whether a text is a known unit of one of these kinds."""
     return any(is_convertible(unit, unit if kind == ANY else kind) for kind in kinds)
@@ -399,9 +393,8 @@ def basis_factor(
     factor = coef.factor / slot.factor * _ratios(unit, slot_unit, named, open_)
     clock = () if any(parse(u).powers == {"s": 1} for u in named) else ("s",)
     tried = [named, (*named, *clock)]
-    # m/s² of a column that no instrument declares is kept as local g
-    as_gravity = open_ and "m" in basis and basis.get("s") == -2 * basis["m"]
-    if open_ and not as_gravity:
+    # m/s² of a column that no instrument declares is kept as local g: write the coefficient per g
+    if open_ and not ("m" in basis and basis.get("s") == -2 * basis["m"]):
         tried.append((*named, *BASE))
     tried.append((*named, *clock, *others))
     for units in tried:
@@ -411,8 +404,6 @@ def basis_factor(
     raise InputError(
         f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(basis)}], and no product "
         f"of its columns' units ({_listed(named)}) is that"
-        + "; a column in m/s² that no instrument declares is kept in ug: write the coefficient per ug, mg or g"
-        * as_gravity
     )
 
 

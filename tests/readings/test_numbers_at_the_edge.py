@@ -1,8 +1,6 @@
-"""Numbers at the edge: ordinary ones in any unit, hold-out data not new."""
+"""Hold-out data that are readings of the fit are said to be so."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,17 +15,6 @@ INSTRUMENT = still_sensor.INSTRUMENT
 @pytest.fixture(scope="module")
 def readings() -> bc.Measurements:
     return still_sensor.simulate(seed=1)
-
-
-def said(readings: bc.Measurements, unit: str = "ug", **changed: np.ndarray) -> list[str]:
-    columns: dict[str, Any] = {n: readings[n] for n in readings.columns} | changed
-    flags = bc.Measurements.from_arrays(INSTRUMENT, units={"output": unit}, **columns).flags
-    return [flag.removeprefix("the given arrays: ") for flag in flags]
-
-
-def test_ordinary_numbers(readings: bc.Measurements) -> None:
-    for unit in ("ug", "deg/s", "rad", "V", "1"):
-        assert said(readings, unit) == [], unit
 
 
 def test_hold_out_data_that_are_the_readings(readings: bc.Measurements) -> None:

@@ -118,6 +118,13 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     assert bc.set_aside(readings) is readings
 
 
+def test_a_run_in_which_one_of_two_thermometers_was_different() -> None:
+    columns = columns_of(mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60)))
+    assert said_of(columns) == []
+    columns[TEMPERATURE][columns["run"] == "3"] *= 1.1
+    assert f"{TEMPERATURE} run" in said_of(columns)
+
+
 def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it() -> None:
     """Of a held one the first of each value stays."""
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
