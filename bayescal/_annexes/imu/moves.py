@@ -261,9 +261,9 @@ def _fit_run(
             "the outputs integrated over the moves do not lead from pose to pose, or not by one matrix: turn the unit "
             f"less between two poses, about all three axes, and hold it still for longer. {MOVES_ADVICE}"
         )
-    kinds = ("pose", "move")
     ends = {k: " to ".join(ws.number(end, 5) for end in session.spans[k]) for k in sorted(aside)}
-    return line, fit, [f"the {kinds[k >= len(windows)]} from {ends[k]} s" for k in ends]
+    kinds = {k: "pose" if k < len(windows) else "move" for k in ends}
+    return line, fit, [f"the {kinds[k]} from {ends[k]} s" for k in ends]
 
 
 class _Session(NamedTuple):
@@ -318,7 +318,8 @@ class _LinearModel(NamedTuple):
         length = session.windows[:, 1] - session.windows[:, 0]
         moving = closure.of_forces @ session.of_forces @ closure.of_forces.T
         moving += session.white * block_diag(*closure.of_noise)
-        known_cov = block_diag(np.diag(np.repeat(session.white / length, 3)), moving)
+        at_rest_cov = np.diag(np.repeat(session.white / length, 3))
+        known_cov = np.asarray(block_diag(at_rest_cov, moving))
         output = closure.residual + closure.design[:, :N_RATE] @ origin
         at_rest = _rest_design(origin[3:].reshape(3, 3), session.force, closure.world)
         duration = np.concatenate([np.full(3 * poses, np.inf), np.repeat(closure.duration, 2)])

@@ -29,8 +29,6 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST, SECOND = np.array(PAIRS).T
 RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON_STEPS = 4  # steps of the inverse: each squares the error
-
-
 Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
 
