@@ -240,7 +240,7 @@ CEILINGS = {
     "bayescal/_report": 1_668,
     "bayescal/_cli": 1_674,
     "bayescal/_annexes/fleet": 1_705,
-    "bayescal/_annexes/imu": 2_716,
+    "bayescal/_annexes/imu": 2_715,
     "bayescal/_annexes/metrology": 1_579,
     "bayescal/_annexes/validation": 745,
     "bayescal/_annexes/workbench": 2_498,
