@@ -56,7 +56,7 @@ def fit(
     Raises:
         InputError: `reference` has a name that is not a reference constant of these readings.
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
-            changes; the model is none.
+            changes; the model is none, or has an effect that is zero in every reading.
         NotConverged: the fit did not converge; its attribute is the calibration.
     """
     if not isinstance(model, Model):
@@ -102,6 +102,7 @@ def fit(
     )
     if outcome.layout is layout:
         vars(calibration)["problem"] = problem
+    _refuse_zero_effects(calibration)
     if strict and not calibration.verdict.ok:
         raise NotConverged(
             f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
@@ -109,6 +110,21 @@ def fit(
             calibration,
         )
     return calibration
+
+
+def _refuse_zero_effects(calibration: Calibration) -> None:
+    """Raise ModelError if a user's effect is zero in every reading: its posterior would be its prior."""
+    named, readings = calibration.model.instrument.known, calibration.readings
+    users = (e for e in calibration.model.effects if e.name not in named and not e.is_placeholder)
+    for effect in users:
+        linear = calibration.linear
+        indices = [i for i in range(linear.problem.size) if linear.owners[i] == effect.name]
+        if indices and not np.any(linear.nuisance[:, indices]):
+            raise ModelError(
+                f"Effect {effect.name!r} is zero in all {len(readings)} readings of {readings.file}: its coefficients "
+                "would stay at their priors, and the fit would seem to hold it. Look at its basis, and at the labels "
+                f"and columns that it asks for ({', '.join(effect.columns) or 'none is named'}), or leave it out"
+            )
 
 
 def _refuse_constant_output(readings: Measurements) -> None:

@@ -90,7 +90,8 @@ def load_calibration(
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
     if not path.is_file():
-        raise InputError(f"{path} is no file: give a calibration saved by bayescal (…nc)")
+        found = f"{path} is a folder" if path.is_dir() else f"there is no file {path}"
+        raise InputError(f"{found}: give a calibration saved by bayescal, such as calibration.nc")
     content = io.BytesIO(atomic_file.read_sealed(path, "a saved calibration", REPAIR_ADVICE))
     try:
         return _read_netcdf(path, content, effects, instruments)

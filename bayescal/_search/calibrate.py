@@ -280,7 +280,7 @@ class StepwiseSearch:
             names = {e.name: probabilities.get(e.name) for e in self.reconsidered}
             dropped = {n: p for n, p in names.items() if n not in last.calibration.model.names}
             listing = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
-            note = f"Weighed anew and left out of the model given: {listing}."
+            note = f"Reconsidered and left out of the given model: {listing}."
             last = last.with_notes([note] * bool(listing))
         used, shares = last.calibration, ()
         if self.max_effects > 0 and used.verdict.ok:

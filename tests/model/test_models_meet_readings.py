@@ -150,3 +150,10 @@ def test_an_effect_reads_only_the_columns_it_names(instrument, effect) -> None:
     basis = effect.evaluate(frame, shapes)
     assert basis.shape == (frame.size, len(effect.coefficients))
     assert np.isfinite(basis).all()
+
+
+def test_an_effect_that_is_zero_in_all_readings_is_refused() -> None:
+    coefficient = bc.Coefficient("deg/s", bc.Normal(0.0, 0.1))
+    silent = bc.Effect("silent", "bias", lambda r: 0.0 * r["temperature"], (coefficient,))
+    with pytest.raises(bc.ModelError, match="'silent' is zero in all 12 readings"):
+        bc.fit(BASELINE + silent, readings(), QUICK)
