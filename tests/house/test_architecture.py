@@ -245,7 +245,7 @@ CEILINGS = {
     "bayescal/_annexes/validation": 745,
     "bayescal/_annexes/workbench": 2_498,
     "models": 8_133,
-    "tests": 23_006,
+    "tests": 23_013,
     "benchmarks": 10_609,
 }
 WORDS = 49_021  # of docs/, README.md and CHANGELOG.md together
