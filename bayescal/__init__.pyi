@@ -105,7 +105,6 @@ from ._annexes.imu.firmware_parameters import FirmwareParameters as FirmwarePara
 
 # many devices at once
 from ._annexes.fleet.fit_batch import fit_batch as fit_batch
-from ._annexes.fleet.find_devices import Find as Find
 from ._annexes.fleet.devices import split_devices as split_devices
 from ._annexes.fleet.devices import Devices as Devices
 from ._annexes.fleet.batch_result import BatchResult as BatchResult

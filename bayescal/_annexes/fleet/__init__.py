@@ -1,1 +1,1 @@
-"""Many devices of one type: stacks, partitions, runs here or on Dask, populations, searches, results."""
+"""Many devices of one type: files split into devices, fits here or on Dask, searches, results."""

@@ -91,19 +91,16 @@ class Devices:
         if not entries or not all(isinstance(entry, bc.Measurements) for entry in entries):
             raise bc.InputError("fit_batch: give measurements, one a device, or paths of files")
         if isinstance(readings, Mapping):
-            by_name = {str(name): device for name, device in readings.items()}
+            names = [*map(str, readings)]
         else:
-            by_name = {_label(device, i): device for i, device in enumerate(entries)}
-            if len(by_name) < len(entries):
-                by_name = {str(i + 1): device for i, device in enumerate(entries)}
+            levels = [e.groups(DEVICE)[0] if e.has(DEVICE) else () for e in entries]
+            names = [v[0] if len(v) == 1 else str(i + 1) for i, v in enumerate(levels)]
+            if len({*names}) < len(names):
+                names = [str(i + 1) for i in range(len(entries))]
+        by_name = dict(zip(names, entries, strict=True))
         bad = {name: why for name, device in by_name.items() if (why := _not_finite(device))}
         accepted = {name: device for name, device in by_name.items() if name not in bad}
         return cls(tuple(by_name), accepted, bad)
-
-
-def _label(device: bc.Measurements, index: int) -> str:
-    levels = device.groups(DEVICE)[0] if device.has(DEVICE) else ()
-    return levels[0] if len(levels) == 1 else str(index + 1)
 
 
 def _not_finite(device: bc.Measurements) -> str:

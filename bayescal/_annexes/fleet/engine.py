@@ -1,8 +1,5 @@
 """Where tasks run: in this process, or on the workers of a Dask cluster. Results are the same bit for bit.
 
-Retries, restarts and the placing of tasks are the scheduler's (`distributed`); here its futures are waited for. A
-cluster is processes of this machine, or one that runs elsewhere.
-
 Whoever reaches a scheduler or a worker of Dask can have it run code. A local one listens on the loopback interface
 alone, takes only those who hold a key that never leaves memory (TLS, both sides), and serves no page.
 """

@@ -33,21 +33,7 @@ KEPT_PROBABILITY = 0.01
 BEHIND_NATS = 15.0
 
 KEPT_STRUCTURES = 50  # structures of a device
-
-
-@dataclass(frozen=True)
-class Find:
-    """What is looked for in each device.
-
-    Attributes:
-        effects: candidates of the user's own, beside the instrument's.
-        max_effects: most effects to add to a device.
-        widen_noise: whether other noise laws are weighed.
-    """
-
-    effects: tuple[bc.Effect, ...] = ()
-    max_effects: int = 3
-    widen_noise: bool = True
+MAX_EFFECTS = 3  # added to a device at most
 
 
 @dataclass(frozen=True)
@@ -72,7 +58,10 @@ class DeviceStructure:
 
 
 def search_device(
-    model: bc.Model, readings: bc.Measurements, find: Find, reference: Mapping[str, Any]
+    model: bc.Model,
+    readings: bc.Measurements,
+    candidates: tuple[bc.Effect, ...],
+    reference: Mapping[str, Any],
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
     """Search one device's structures; return the one to use, its model, and its φ by name at the mode.
 
@@ -83,10 +72,10 @@ def search_device(
     model.require(readings)
     constants = {**ws.reference_of(readings), **reference}
     structures, _ = ws.structures_over(
-        model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
+        model, readings, constants, effects=candidates, widen_noise=True
     )
     structures = replace(structures, near_best_only=True)
-    if stopped := ws.explore(ws.Library(structures), find.max_effects):
+    if stopped := ws.explore(ws.Library(structures), MAX_EFFECTS):
         raise ws.deadline.TimeIsUp(stopped)
     posterior = ws.Posterior.from_structures(structures)
     chosen = posterior.median_structure
@@ -190,11 +179,7 @@ def common_model(
 ) -> bc.Model:
     """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
 
-    Args:
-        model: that was given.
-        structures: of the devices.
-        table: of the effects, as of `effects_table`.
-        candidates: of the user's own.
+    `table` is that of `effects_table`; `candidates` are the user's own.
     """
     in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     named = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}

@@ -20,7 +20,7 @@ from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few
 from bayescal._annexes.fleet.devices import Devices, devices_of, files_of
 from bayescal._annexes.fleet.engine import run_tasks
-from bayescal._annexes.fleet.find_devices import Find, common_model, effects_table, search_device
+from bayescal._annexes.fleet.find_devices import common_model, effects_table, search_device
 from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailored
 from bayescal._annexes.fleet.odd_devices import odd_devices
 
@@ -41,7 +41,8 @@ class Request:
 
     model: bc.Model  # what is fitted
     fit_options: FitOptions  # of every fit
-    find: Find | None  # what is looked for in each device, if anything is
+    find: bool  # whether each device's missing effects are searched
+    candidates: tuple[bc.Effect, ...]  # of the user's own, which are searched too
     settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
 
@@ -51,9 +52,10 @@ def fit_part(request: Request, devices: Devices) -> list[DeviceResult]:
         results = {name: DeviceResult(reason=why) for name, why in devices.refused.items()}
         good, structures, starts = dict(devices.measurements), {}, dict[str, Mapping[str, float]]()
         models, options = dict.fromkeys(good, request.model), request.fit_options
-        for name, find in ((name, request.find) for name in [*good] if request.find):
+        for name in [*good] if request.find else ():
             try:
-                searched = search_device(request.model, good[name], find, options.reference)
+                arguments = good[name], request.candidates, options.reference
+                searched = search_device(request.model, *arguments)
                 structures[name], models[name], starts[name] = searched
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 results[name] = DeviceResult(reason=str(error))
@@ -134,7 +136,8 @@ def fit_batch(
     client: Client | None = None,
     out: str | Path | None = None,
     columns: Mapping[str, Any] | None = None,
-    find: bool | Find = False,
+    find: bool = False,
+    effects: Sequence[bc.Effect] = (),
 ) -> BatchResult:
     """Fit one model to many devices of one type, each by itself, in a few compiled programs.
 
@@ -159,7 +162,8 @@ def fit_batch(
         client: of a Dask cluster whose workers see the files under the same paths.
         out: where the result is saved, as by `BatchResult.save`.
         columns: how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
-        find: whether each device's missing effects are searched (about a second a device), or how.
+        find: whether each device's missing effects are searched (about a second a device).
+        effects: candidates of one's own for that search.
 
     Raises:
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
@@ -183,8 +187,8 @@ def fit_batch(
             devices = (
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
             )
-        search = Find() if find is True else find or None
-        request = Request(tailored_to_any(model, devices), options, search, ws.settings())
+        model = tailored_to_any(model, devices)
+        request = Request(model, options, find, tuple(effects), ws.settings())
         result = _fit(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
     if out is not None:
@@ -199,7 +203,7 @@ def _fit(
     missing: dict[str, str],
 ) -> BatchResult:
     """Fit all devices, and compare them; raise InputError if none can be used."""
-    model, options, find = request.model, request.fit_options, request.find
+    model, options = request.model, request.fit_options
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
     about = {
@@ -218,7 +222,7 @@ def _fit(
         raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
     structures = [fit.structure for fit in results if fit.structure is not None]
     effects = effects_table(structures, options.seed)
-    common = common_model(model, structures, effects, find.effects if find else ())
+    common = common_model(model, structures, effects, request.candidates)
     if shapes := _usual_shapes(common, model, results):
         common = common.fix(shapes)
     t0, compared = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
@@ -227,7 +231,7 @@ def _fit(
         reference = {**options.reference, "T0": float(t0.median().round())}
         options = replace(options, reference=reference, method=bc.LeastSquares())
     if t0_differs or common is not model:
-        request = replace(request, model=common, fit_options=options, find=None)
+        request = replace(request, model=common, fit_options=options, find=False)
         compared = fit_all(client, request, devices)
     odd = odd_devices(compared, t0, common.noise.parameters())
     return replace(result, odd=odd, checked=len(structures), effects=effects)

@@ -50,7 +50,8 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
                 client=client,
                 out=self.out,
                 columns=self.for_read(),
-                find=bc.Find(effects=effects) if self.find else False,
+                find=self.find,
+                effects=effects,
             )
         self.keep()
         bad, lost = len(batch) - batch.fitted, len(batch.missing)
