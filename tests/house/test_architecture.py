@@ -239,7 +239,7 @@ CEILINGS = {
     "bayescal/_search": 5_680,
     "bayescal/_report": 1_668,
     "bayescal/_cli": 1_674,
-    "bayescal/_annexes/fleet": 1_705,
+    "bayescal/_annexes/fleet": 1_689,
     "bayescal/_annexes/imu": 2_715,
     "bayescal/_annexes/metrology": 1_579,
     "bayescal/_annexes/validation": 745,
