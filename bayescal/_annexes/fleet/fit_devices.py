@@ -23,7 +23,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -60,10 +59,7 @@ class FitOptions:
 
 
 def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
-    """Return the model with its instrument tailored to one device's readings, if it can be.
-
-    What it has of the instrument's own (effects, the noise law) is that of the tailored one; what was changed stays.
-    """
+    """Return the model of the instrument tailored to one device's readings, if it can be; what was changed stays."""
     general = model.instrument
     specific = general.for_readings(readings)
     old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
@@ -78,10 +74,7 @@ def fit_devices(
     options: FitOptions,
     starts: Mapping[str, Mapping[str, float]],
 ) -> dict[str, DeviceResult]:
-    """Fit each device by its model, plain ones of a model together; refuse those that the deadline leaves out.
-
-    Their modes are looked for at `starts` first, where these are known.
-    """
+    """Fit each device by its model, from `starts`, plain ones together; refuse those that the deadline leaves out."""
     results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
         for some in _fit_plain(models, devices, options):
@@ -165,6 +158,13 @@ def _fit_plain(
         }
 
 
+def _stacked(arrays: Sequence[Any]) -> Any:
+    """Return arrays of several devices with a leading axis, also within dictionaries."""
+    if not isinstance(arrays[0], Mapping):
+        return np.stack(arrays)
+    return {name: _stacked([array[name] for array in arrays]) for name in arrays[0]}
+
+
 def _together(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
@@ -180,8 +180,7 @@ def _together(
     ):
         return None
     try:
-        stacked = jax.tree.map(lambda *arrays: np.stack(arrays), *map(vars, frames))
-        together = bc.Frame(**stacked)
+        together = bc.Frame(**_stacked([*map(vars, frames)]))
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (
