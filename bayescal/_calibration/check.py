@@ -18,6 +18,7 @@ from scipy.special import bdtr, kolmogorov, logsumexp, ndtr
 
 from bayescal._calibration import judgement
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import limit
 from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
@@ -30,6 +31,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import explained_sum_of_squares
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
+PIT = "leave-one-out probability integral transform"
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -167,7 +169,7 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
     lines.append(check_table(rows) if rows else "no covariate varies")
     strong = settings().strong_evidence
     depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
-    lines.append(folded(f"log Bayes factor above {strong:g}: {depends or 'none'}"))
+    lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {depends or 'none'}"))
     strongest = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
@@ -178,14 +180,13 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
     if max_rows is None:
         coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
-    lines += [
-        f"scatter changes with {name} (p = {p:.1g})" for name, p in check.scatter_with.items()
-    ]
+        fits = "fits" if check.pit_p >= limit("group.follows_column", "p") else "does not fit"
+        lines.append(f"noise law {fits}: p = {check.pit_p:.2g}, {PIT}")
+    scatter = check.scatter_with.items()
+    lines += [f"scatter changes with {name} (p = {p:.1g})" for name, p in scatter]
     if check.outliers:
         listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
-    if max_rows is None:
-        lines.append(f"test of the noise law (uniform leave-one-out PIT): p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     return lines

@@ -34,10 +34,7 @@ def unknowns_parts(
 ) -> list[str | ResultTable]:
     """Tabulate unknowns with standard uncertainties and 95 % intervals; list fixed values and constants."""
     rows = unknown_rows(calibration, effects)
-    head = [
-        *("unknown", "mean ± standard uncertainty", "unit"),
-        *("95 % credible interval", "contraction"),
-    ]
+    head = "unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"
     table = plain_table(head, rows.values()) if rows else "every unknown is fixed"
     model, lines = calibration.model, list[str]()
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
@@ -54,6 +51,8 @@ def unknowns_parts(
         f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.reference_constants.items()
     ]:
         lines.append("coefficients refer to " + ", ".join(constants))
+    if "noise.white" in rows:
+        lines.append("noise.white: standard deviation of one reading")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
@@ -90,13 +89,13 @@ def unknown_rows(
             continue
         if effect in curve_effects:
             rms, largest, covariate, worst_value = curve_range(calibration, effect)
-            location = point_text(calibration, covariate, worst_value)
-            extent = f"{number(rms, 2)} rms, {number(largest, 2)} at {location}"
+            extent = f"{number(rms, 2)} rms, {number(largest, 2)} at "
+            extent += point_text(calibration, covariate, worst_value)
             rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
             means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
-            mean_range = f"means {number(min(means), 3)} to {number(max(means), 3)}"
-            rows[key] = [f"{key} ({len(means)} members)", mean_range, unit, "–", "–"]
+            extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
+            rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
             (low, high), mean, sd = g["interval95"], g["mean"], g["sd"]
             skewed = low > 0 and sd > 0.5 * mean

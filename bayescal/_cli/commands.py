@@ -330,7 +330,7 @@ class DiscoverCommand(OwnParts, AsJson, Command):
         elif self.next_experiment:
             rivals = discovery.rivals
             ranked = bc.next_experiment(loaded, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+            text += f"\n\n{ranked or 'next experiment: none proposed: no other candidate is probable enough'}"
             data["next_experiment"] = None if ranked is None else experiment_data(ranked)
         return Answer(text, data)
 

@@ -388,7 +388,7 @@ class DecisionRule(Options):
     """Options of the decision rule for limits."""
 
     rule: str = opt("guarded or simple, as agreed on beforehand.", "guarded")
-    false_accept: float = opt("Probability of false acceptance of 'guarded'.", 0.025)
+    false_accept: float = opt("Largest probability of false acceptance; sets guard bands.", 0.025)
 
     def deciding(self) -> dict[str, Any]:
         """Return the options as keyword arguments of `decide`."""

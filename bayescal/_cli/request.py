@@ -110,7 +110,7 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
     if structure not in structures:
         raise InputError(
             f"instrument {instrument.name!r} has no structure {structure!r}; "
-            f"it has: {', '.join([*structures][1:])}"
+            f"it has: {', '.join(map(repr, [*structures][1:]))}"
         )
     model = structures[structure]()
     for name in request.add or []:

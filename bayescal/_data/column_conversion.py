@@ -278,7 +278,7 @@ class ColumnReader:
             if not (self.is_time and cells.bad and np.isnan(cells.values).all()):
                 like = self.column.example
                 cure = f"Write it in the header, such as '{self.header.name} [{like}]', or give UNIT, such as {like}"
-                self._problem("the header has no unit", "one", cure, suggestion)
+                self._problem("the header has no unit", "", cure, suggestion)
             return None  # dates of another form are said as such
         if self.column.unit != units.ANY:
             unit = units.unit_in(unit, (str(self.column.unit),)) or unit
@@ -390,7 +390,7 @@ class ColumnReader:
             scale_option = option("--nominal-scale", f"250 {unit}/{per}")
             hint = f" Or say how many {unit} one {target} is, such as {scale_option}"
         cure = f"Correct the header, or give the unit that is meant.{hint}"
-        came, expected = f"its unit is [{unit}]", f"{target}, a unit that converts to it{also},"
+        came, expected = f"its unit is [{unit}]", f"{target} or a unit that converts to it{also}"
         self._problem(came, expected, cure, suggestion)
         return None
 

@@ -348,8 +348,8 @@ class MatchedFile:
             wanted_header = in_one_line(theirs)
             position = called(self._headers, wanted_header)
             if position is None:
-                came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
-                self.problem(theirs, came, cure=f"It has: {names_in(self.table)}")
+                came = f"has no column {theirs!r} ({option('--columns', f'{ours}={theirs}')})"
+                self.problem("", came, cure=f"It has: {names_in(self.table)}")
             elif position not in self._free:
                 other = next(name for name, index in self.positions.items() if index == position)
                 came = f"both {other} and {ours} by --columns"

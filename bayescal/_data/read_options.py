@@ -296,8 +296,8 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
     arguments |= {n: option("--unwrap", f"{n}={text}") for n, text in options.unwrap.items()}
     for name in (n for n in arguments if n not in known_names):
         cure = f"It has: {names_in(tables[0])}" + "".join(f", nor has {file!r}" for file in others)
-        came = f"no such column, but {arguments[name]}"
-        problems.append(Objection(first, came, cure=cure, column=name))
+        came = f"has no column {name!r} ({arguments[name]})"
+        problems.append(Objection(first, came, cure=cure))
 
 
 def names_in(table: Table) -> str:

@@ -157,7 +157,7 @@ def effect(
             range of each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
 
     Raises:
-        InputError: the formula cannot be parsed, its units disagree, or a size is missing; ▸ marks the place.
+        InputError: the formula cannot be parsed, its units disagree, or a size is missing; says where.
     """
     return _TypedLine(name, formula, stated, readings, instrument).effect(source)
 
@@ -216,7 +216,8 @@ class _TypedLine:
             raise self.error_at(self.coefficients[""].at, why)
 
     def error_at(self, at: int, why: str) -> InputError:
-        return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
+        place = f", at {self.text[at:]!r}" * (0 < at < len(self.text))
+        return InputError(f"effect {self.text!r}{place}: {why}")
 
     def parse_tree(self) -> ast.expr:
         """Parse the formula to an AST whose names are keys of `names`; raise InputError, the place marked."""
@@ -277,7 +278,8 @@ class _TypedLine:
             with np.errstate(all="raise"):
                 value = float(_IMPLEMENTATIONS[function](*map(np.float64, trees)))
         except FloatingPointError as error:
-            raise self.error_at(at, f"this number is undefined: {error}") from None
+            why = str(error).partition(" encountered")[0].replace("divide", "division")
+            raise self.error_at(at, f"undefined: {why}") from None
         return FormulaPart(value, None, at)
 
     def to_linear(self, node: ast.expr) -> Linear:

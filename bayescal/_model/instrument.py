@@ -250,9 +250,8 @@ class Instrument:
         if name.endswith(FREED):
             return freed(self.effect(name.removesuffix(FREED), more))
         raise ModelError(
-            f"instrument {self.name!r} has no effect {name!r}; it has "
-            f"{', '.join(self.known)}. "
-            "Give a bayescal.Effect of your own, or load one with --effects"
+            f"instrument {self.name!r} has no effect {name!r}; it has {', '.join(self.known)}. "
+            "Define one of your own with --effects or --effect (in Python: a bayescal.Effect)"
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:

@@ -203,8 +203,7 @@ class Model(Printed):
                 if not readings.has(column):
                     raise ModelError(
                         f"Effect {effect.name!r} needs the column {column!r}, which {readings.file} lacks "
-                        f"(it has: {', '.join(readings.columns)}). Record it, or remove the effect: "
-                        f"model - {effect.name!r}"
+                        f"(it has: {', '.join(readings.columns)}). Record it, or remove the effect"
                     )
                 if effect.is_placeholder and readings.unit(column) is None:
                     raise ModelError(

@@ -311,7 +311,7 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
             texts.append(f"{name} {value} {unit_label(row['unit'])}".strip())
     texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
     if texts and effect_name.endswith(")"):  # with the probabilities of its forms
-        return f"{effect_name[:-1]}; with the first {', '.join(texts)})"
+        return f"{effect_name[:-1]}; of the first form: {', '.join(texts)})"
     return f"{effect_name} ({', '.join(texts)})" if texts else effect_name
 
 

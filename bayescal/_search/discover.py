@@ -19,6 +19,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import folded, number, probability, with_error
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
+from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitude_range, fill_amplitudes
@@ -160,7 +161,8 @@ class Discovery(Printed):
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
-        lines += [table] if table.rows else []
+        note = f"± standard uncertainty (k = 1); detectable: with probability {settings().power:.0%}"
+        lines += [table, note.replace("%", " %")] if table.rows else []
         if any(c["source"] == "refit" for c in table.rows):
             lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
         lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(rows)]
@@ -415,12 +417,10 @@ def _describe_findings(discovery: Discovery) -> list[str]:
         if c.role == "freed" and c.probability is not None:
             others = (r for r in discovery.candidates if r.role != "freed")
             rivals = [r for r in others if (r.probability or 0.0) >= SHOWN_PROBABILITY][:1]
-            lines.append(
-                f"{c.frees} contradicts its prior: its stated value is wrong "
-                f"({probability(c.probability)})"
-            )
+            text = f"{c.frees} contradicts its prior: its stated value is wrong ({probability(c.probability)})"
             for r in rivals:
-                lines[-1] += f", or {r.effect} is missing ({probability(r.probability)})"
+                text += f", or {r.effect} is missing ({probability(r.probability)})"
+            lines.append(text)
     return lines
 
 

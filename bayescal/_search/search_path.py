@@ -28,7 +28,8 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
-FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an error as fitted can be a little below it"
+FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an rms as fitted can be a little below it"
+COMPLETE_NOTE = "P(complete): probability that no effect is missing"
 
 
 @renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")
@@ -151,7 +152,7 @@ class SearchPath(Printed):
         text = f"{number(best.rms)} {unit} rms as fitted"
         if search.weighed == 1:
             return f"{search.seconds:.0f} s, first model: {text}"
-        share = f"probability {probability(best.probability)} of {search.weighed} structures"
+        share = f"probability {probability(best.probability)} among {search.weighed} structures"
         return f"{search.seconds:.0f} s, best so far: {best}, {text}, {share}"
 
     @property
@@ -196,7 +197,7 @@ class SearchPath(Printed):
         """Return the table of errors by step, and the effects found."""
         rows = self.rows
         note = f"{RISE_MARK.strip()} held-out error more than a twentieth above that of the step before"
-        lines = [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
+        lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
         lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
         level = settings().found_probability
@@ -227,8 +228,7 @@ class SearchPath(Printed):
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
         first, last = self.steps[0].rmse_fitted, self.final.rmse_fitted
-        errors = f"error as fitted {number(first)} → {number(last)} {unit}"
-        return f"{', '.join(s.title for s in self.steps)}; {errors}"
+        return f"{', '.join(s.title for s in self.steps)}; rms as fitted {number(first)} → {number(last)} {unit}"
 
 
 def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
@@ -258,7 +258,6 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the table of errors by step, of `Step.row` or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
-
     shows_new_run = new_run_differs(rows)
 
     def held_out(row: Mapping[str, Any]) -> str:
@@ -268,7 +267,7 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     columns = (
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
-        TableColumn("as fitted", "rmse_fitted", number, unit),
+        TableColumn("rms as fitted", "rmse_fitted", number, unit, name="as fitted"),
         TableColumn("new run", "rmse", number if shows_new_run else None, unit),
         TableColumn(
             scheme(group or "group"),

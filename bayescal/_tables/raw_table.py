@@ -51,7 +51,7 @@ class Objection:
     def __str__(self) -> str:
         where = f"{self.places[0]} of {self.file!r}" if self.places else f"{self.file!r}"
         where += f", column {self.column!r}:" * bool(self.column)
-        expected = f", {self.expected} was expected" * bool(self.expected)
+        expected = f"; expected: {self.expected}" * bool(self.expected)
         count = max(len(self.rows), len(self.places))
         others = f" (and in {count - 1} more)" * (count > 1)
         cure = f". {self.cure}" * bool(self.cure)

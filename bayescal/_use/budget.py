@@ -39,10 +39,10 @@ from bayescal._use.compensation_program import PAST, clock_note
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
 
-REMAINDER = "between-group sd, shapes, curvature"
+REMAINDER = "scatter between runs, time constants, nonlinearity"
 STRUCTURES = "choice of effects (average over structures)"
 FORM = "form of the model: effects outside the candidates"
-SHARES = "Shares of the variance add up to 100 %; by correlation one can be above 100 % or below 0."
+SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
 CERTIFICATE_PART = re.compile(r"(?<=\.certificate)\[.*")  # index of a reference's error
@@ -152,24 +152,24 @@ class Budget(Printed):
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
         omitted = len(b.coefficients) - len(by_coefficient.rows)
         note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
-        uncertainties = b.uncertainty, b.noise, b.expanded_reading / b.k
-        combined, noise, total = (f"{number(size)} {unit}" for size in uncertainties)
+        sizes = b.uncertainty, b.noise, b.expanded_reading / b.k, b.expanded, b.expanded_reading
+        combined, noise, total, expanded, of_reading = (f"{number(size)} {unit}" for size in sizes)
+        expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
+        coverage = [n for n in b.notes if getattr(n, "code", "") == "budget.few_groups"]
         parts = [
             folded(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
             folded(f"{SHARES}{note * (omitted > 0)}", ""),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
-            f"Expanded uncertainty (k = {b.k:g}): {number(b.expanded)} {unit}; with the noise of one reading: "
-            f"{number(b.expanded_reading)} {unit}.",
-            folded(" ".join(b.notes), ""),
+            folded(" ".join([expanded, *coverage]), ""),
+            folded(" ".join(note for note in b.notes if note not in coverage), ""),
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
     def _brief(self) -> str:
         b = self.in_output_unit()
-        unit = unit_label(b.unit)
-        return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit} (k = {self.k:g})"
+        return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit_label(b.unit)} (k = {self.k:g})"
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per coefficient, in fixed units."""

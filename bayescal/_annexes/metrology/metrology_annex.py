@@ -23,9 +23,9 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
         '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.', ...
     )
     population: str | None = ws.opt(
-        'Devices of this kind, for global risks: "mean 0.1 sd 0.2 °/s".'
+        'Mean and sd of devices of this kind, for global risks: "mean 0.1 sd 0.2 °/s".'
     )
-    conformity: float = ws.opt("Probability of which the next calibration is stated.", 0.95)
+    conformity: float = ws.opt("Recalibrate below this conformity probability (JCGM 106).", 0.95)
     out: Path | None = ws.opt("JSON file to write the decisions to.", None, "--out", "-o")
     local_gravity: float | None = ws.Shared.local_gravity
 
