@@ -51,7 +51,7 @@ def unknowns_parts(
         f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.reference_constants.items()
     ]:
         lines.append("coefficients refer to " + ", ".join(constants))
-    if "noise.white" in rows:
+    if model.noise.law == "white" and "noise.white" in rows:
         lines.append("noise.white: standard deviation of one reading")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})

@@ -161,8 +161,8 @@ class Discovery(Printed):
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
-        note = f"± standard uncertainty (k = 1); detectable: with probability {settings().power:.0%}"
-        lines += [table, note.replace("%", " %")] if table.rows else []
+        note = f"± standard uncertainty (k = 1); detectable: with probability {100 * settings().power:g} %"
+        lines += [table, note] if table.rows else []
         if any(c["source"] == "refit" for c in table.rows):
             lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
         lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(rows)]
