@@ -236,7 +236,7 @@ CEILINGS = {
     "bayescal/_inference": 6_036,
     "bayescal/_calibration": 4_564,
     "bayescal/_use": 2_805,
-    "bayescal/_search": 5_680,
+    "bayescal/_search": 5_679,
     "bayescal/_report": 1_668,
     "bayescal/_cli": 1_674,
     "bayescal/_annexes/fleet": 1_689,
