@@ -42,7 +42,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
         total += size
         if total > max_bytes:
             limit = f"the limit is {bytes_text(max_bytes)}, and nothing was loaded"
-            cure = "Average the readings, read fewer files, or raise max_bytes"
+            cure = "Average the readings, read fewer files, or raise max_bytes in Python"
             raise unusable(name, f"brings all files to {bytes_text(total)}, {limit}", cure)
     return names
 

@@ -287,7 +287,7 @@ def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
     refuse_many(file, columns)
     if (size := 8 * rows * columns) > max_bytes:
         came = f"holds {rows} rows of {columns} columns, {bytes_text(size)} in memory"
-        cure = "Average or split it, or raise max_bytes"
+        cure = "Average or split it, or raise max_bytes in Python"
         raise unusable(file, f"{came}; the limit is {bytes_text(max_bytes)}", cure)
 
 
