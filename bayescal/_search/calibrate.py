@@ -44,9 +44,6 @@ from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore, find_path
 
 QUICK = LeastSquares(draws=500)
-NO_SEARCH = "Nothing was looked for."
-NOT_AVERAGED = "Not averaged over the structures ({}): this is the one shown, alone."
-BASE = Structure()
 UNFINISHED = Gate(False, "The search is under way: this model is not its end.")
 
 
@@ -234,14 +231,14 @@ class StepwiseSearch:
         return discover.find_missing(self.library, structure, self.untestable, self.stopped)
 
     def iterate_path(
-        self, goal: Structure, start: Structure = BASE
+        self, goal: Structure, start: Structure | None = None
     ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
         """Yield each previous structure, structure, and its missing effects up to a goal; fewer where time is short."""
         assert self.library is not None
         with_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
-        previous, steps = None, [start, goal]
+        previous, steps = None, [start or Structure(), goal]
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
-            steps = steps if self.stopped else find_path(self.library, goal, start)
+            steps = steps if self.stopped else find_path(self.library, goal, steps[0])
         for structure in dict.fromkeys(steps):
             if previous is None or structure == goal or not half.over:
                 yield previous, structure, self.find_missing(structure) if with_discovery else None
@@ -250,7 +247,7 @@ class StepwiseSearch:
     def fit_path(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
         """Fit the models on the path to the structure to use; only the best one if the search ended early."""
         if self.library is None:
-            reason = f"{NO_SEARCH} {' '.join(map(str, self.steps[0].failures))}"
+            reason = f"Nothing was looked for. {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=reason)
             return SearchPath(*assess_steps(self.steps), self.holdout, None, search)
         # If the search ended early nothing more is evaluated: the best structure at its end is used.
@@ -265,7 +262,7 @@ class StepwiseSearch:
             self.steps = [self.fit_structure(goal, None, is_last=True)]
         pairs = zip(self.steps, discoveries, strict=True)
         path = self.average_path([replace(s, discovery=d) for s, d in pairs], goal, search)
-        self.structures.record.clear_cache()
+        self.structures.clear_cache()
         return path
 
     def average_path(
@@ -287,7 +284,7 @@ class StepwiseSearch:
             try:
                 used, shares = average_models(used, structures, goal.noise, self.seed)
             except deadline.TimeIsUp as early:
-                last = last.with_notes([NOT_AVERAGED.format(early)])
+                last = last.with_notes([f"Not averaged over structures ({early})."])
                 used = last.calibration
             single, used = add_latent_effects(last.calibration, used, structures, goal)
             last = replace(last, calibration=single)

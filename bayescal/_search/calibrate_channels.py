@@ -19,7 +19,6 @@ from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference import memory
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
@@ -206,7 +205,6 @@ def calibrate_channels(
         for i, c in enumerate(channels):
             with stage(f"{c.name}, channel {i + 1} of {count}"), deadline.sooner(1 / (count - i)):
                 paths[c.name] = c.search.fit_path(partial(follow, c.name))
-            memory.trim()
     return Channels(paths, tuple(shared.values()))
 
 
@@ -312,7 +310,7 @@ class _Channel:
         shared = self.shared.items()
         self.evidence = {n: evaluate_shape(self.search.structures, n, s) for n, s in shared}
         if shared:
-            self.search.structures.record.clear_cache()
+            self.search.structures.clear_cache()
 
 
 class _Unit:

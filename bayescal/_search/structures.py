@@ -21,6 +21,7 @@ from bayescal._calibration.judgement import stands_in_for_effect
 from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
+from bayescal._inference import memory
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -385,6 +386,14 @@ class Structures:
         single = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
         ungrouped = (t.x_slice.start for t in single if t.effect.weights is None)
         return any(abs(shift[i]) > linear.uncertainty(i) for i in ungrouped)
+
+    def clear_cache(self) -> None:
+        """Drop cached columns, Jacobians and the structures over block means; they are recomputed on demand."""
+        self.record.clear_cache()
+        for fit in (*self.visited.values(), *self.previous_round.values()):
+            vars(fit.problem).pop("_static_jacobian", None)
+        vars(self).pop("on_means", None)
+        memory.trim()
 
     def store_score(self, structure: Structure, total: float) -> None:
         """Store the log posterior of a structure by score, the highest if called again; a fit takes its place."""

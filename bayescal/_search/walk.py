@@ -15,7 +15,6 @@ from typing import NamedTuple
 from bayescal._core import deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage, tell
-from bayescal._inference import memory
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import MAX_STARTS, ScoredPoint, Scorer, mean_log_bayes_factor
@@ -68,9 +67,7 @@ def explore(
         if limit.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
-    structures.record.clear_cache()
-    vars(structures).pop("on_means", None)
-    memory.trim()
+    structures.clear_cache()
     return reason
 
 
