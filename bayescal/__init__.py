@@ -29,5 +29,5 @@ def __getattr__(name: str) -> object:
         if not str(error.name).startswith("bayescal._annexes"):
             raise
         raise ImportError(
-            f"bayescal.{name} is of an annex that is not there ({error}): install bayescal whole"
+            f"bayescal.{name} needs a component that is not installed ({error}): install all of bayescal"
         ) from None

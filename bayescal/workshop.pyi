@@ -42,11 +42,11 @@ from ._cli.request import CALIBRATION as CALIBRATION
 from ._cli.request import compensator_from as compensator_from
 from ._cli.request import compose as compose
 from ._cli.request import instrument_named as instrument_named
+from ._cli.request import load_effects as load_effects
 from ._cli.request import load_saved as load_saved
 from ._cli.request import method_named as method_named
 from ._cli.request import of_units as of_units
 from ._cli.request import open_request as open_request
-from ._cli.request import own_effects as own_effects
 from ._cli.request import reliable as reliable
 from ._cli.request import searched as searched
 
@@ -159,7 +159,7 @@ from ._search.calibrate import QUICK as QUICK
 from ._search.calibrate import StepwiseSearch as StepwiseSearch
 from ._search.calibrate import step_of as step_of
 from ._search.discover import SEARCH_TIME_SHARE as SEARCH_TIME_SHARE
-from ._search.discover import structures_over as structures_over
+from ._search.discover import enumerate_structures as enumerate_structures
 from ._search.gate import assess_steps as assess_steps
 from ._search.library import Library as Library
 from ._search.noise_laws import laws_over as laws_over

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayescal._data.set_aside import set_aside
 from bayescal._model.frame import reference_of
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.scores import Library, Scorer
 from bayescal._search.structures import Structure
 from benchmarks.bank import Bank
@@ -42,7 +42,7 @@ def measure(task: tuple[str, Case]) -> dict[str, Any]:
     name, case = task
     readings = set_aside(simulated(instrument_named(name), case))
     model = instrument_named(name).for_readings(readings).baseline()
-    structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
+    structures, _ = enumerate_structures(model, readings, reference_of(readings), widen_noise=False)
     base, library = structures.evaluate(Structure()), Library(structures)
     truth = structures.evaluate(Structure(frozenset(case.hidden)), base)
     noise, view = truth.phi["noise.white"], Scorer(library, base)

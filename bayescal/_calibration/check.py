@@ -223,7 +223,7 @@ DEGREE = 2  # of the polynomial along each covariate of an interaction
 def check(calibration: Calibration) -> Check:
     """Check a fitted model's residuals against every covariate.
 
-    With fixed coefficients the reference noise is that of the same model with free ones, as misfit inflates their own.
+    If coefficients are fixed, the reference noise is that of the same model with free ones: misfit would inflate it.
     """
     judged_fit, free_noise = _with_reference_noise(calibration)
     linear = judged_fit.linear

@@ -351,8 +351,8 @@ def explain_missing_noise(fit: Fitted) -> str:
         return ""
     if math.isnan(noise):
         return (
-            f"{fit.readings.file}: no fit of the model to these readings is finite: the output covers "
-            f"{number(np.ptp(output))} {unit}, which the model cannot be. Check its unit, the nominal zero and scale "
+            f"{fit.readings.file}: every fit of the model gave non-finite values: the output spans "
+            f"{number(np.ptp(output))} {unit}, more than it can represent. Check its unit, nominal zero and scale "
             "(--unit, --nominal-zero, --nominal-scale)"
         )
     grid = rounding_step(output)

@@ -42,8 +42,7 @@ def unknowns_parts(
     if model.noise_as_stated:
         squares, dof, p = calibration.chi_squared
         lines.append(
-            f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (as much or more by chance in "
-            f"{p:.2g} of cases)"
+            f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (p-value {p:.2g})"
         )
     if any(row[-1].startswith("-") for row in rows.values()):
         lines.append("contraction below 0: the posterior is wider than the prior")

@@ -224,7 +224,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             models, readings, holdout = request.searched(names, self)
             name, first_readings = next(iter(readings.items()))
             settings = {
-                "effects": request.own_effects(self, models[name].instrument, first_readings),
+                "effects": request.load_effects(self, models[name].instrument, first_readings),
                 "method": request.method_named(self.method),
                 "reference": dict(named_numbers(self.reference, "--reference")),
                 **self.settings(),
@@ -318,7 +318,7 @@ class DiscoverCommand(OwnParts, AsJson, Command):
 
     def answer(self) -> Answer:
         loaded = request.load_saved(self.calibration, self)
-        effects = request.own_effects(self, loaded.model.instrument, loaded.readings)
+        effects = request.load_effects(self, loaded.model.instrument, loaded.readings)
         allowed = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
         discovery = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
         from bayescal._report.result_json import experiment_data, missing_data
@@ -359,7 +359,7 @@ class CompareCommand(ReadRequest, AsJson, Command):
     def answer(self) -> Answer:
         chosen, _, readings = request.open_request(self)
         names = self.structures or [name for name, _ in chosen.structures]
-        effects = request.own_effects(self, chosen, readings)
+        effects = request.load_effects(self, chosen, readings)
         models = {}
         for name in names:  # "line+bias.thermal_lag"
             first, *added = (part.strip() for part in name.split("+"))

@@ -30,7 +30,7 @@ Texts = list[str] | None
 
 
 def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
-    """Parse name=value options, every value of a name; raise InputError for another form."""
+    """Parse repeated name=value options into the values of each name; raise InputError if one has another form."""
     values = dict[str, list[str]]()
     for text in texts or []:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -237,7 +237,7 @@ class Shared:
     )
     method = opt("marginal, least-squares or nuts.", "marginal", callback=refuse_unknown_method)
     average = opt("1s, 0.5s or 2min: fit means over this time, spikes set aside.", metavar="TIME")
-    channels = opt("Outputs of one unit, searched together: gyro_x,gyro_y.", metavar="NAME,NAME,…")
+    channels = opt("Outputs of a device, searched together: gyro_x,gyro_y.", metavar="NAME,NAME,…")
     max_effects = opt("Most effects that may be missing.", 5, min=1)
     covariates = opt(
         "Of the columns unknown to the instrument, those that may be causes; else all but other channels.",

@@ -69,14 +69,14 @@ def open_channels(
     models = {}
     for name, record in readings.items():
         tailored = instrument.for_readings(record)
-        models[name] = compose(tailored, request, own_effects(request, tailored, record))
+        models[name] = compose(tailored, request, load_effects(request, tailored, record))
         flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.is_reference_error)
         readings[name] = replace(record, flags=(*record.flags, *flags))
     request.keep()
     return instrument, models, readings
 
 
-def own_effects(
+def load_effects(
     request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
     """Load user-defined effects, of a file and typed; raise InputError for an invalid file or formula."""

@@ -58,7 +58,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Make a folder with its parents, if named; remove it on failure; raise InputError if it cannot be made."""
+    """Create a folder with its parents, if one is given; remove it on failure; raise InputError if that fails."""
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:

@@ -1,10 +1,10 @@
-"""Every error that bayescal raises on purpose.
+"""Exceptions that bayescal raises.
 
 BayescalError
 ├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
 ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
-├── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
-└── NotDrawn        a picture or a page failed; the result that it is of is written (exit status 1)
+├── NotConverged    a fit did not converge; carries the calibration                 (exit status 1)
+└── NotDrawn        a figure or a page failed; its result has been written          (exit status 1)
 """
 
 from __future__ import annotations

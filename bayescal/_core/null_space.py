@@ -17,7 +17,7 @@ from scipy import linalg
 
 EXACT_SHARE = 3e-14  # singular value over the largest, of normalised columns: rounding
 DUST_SHARE = 1e-9  # entry over a direction's largest: rounding
-TRACE_SHARE = 1e-4  # entry over the largest: possibly a remnant of a nearly null direction
+NEGLIGIBLE_SHARE = 1e-4  # entry over the largest: possibly a remnant of a nearly null direction
 # Information in nats, below which no evidence can decide on a group of columns.
 UNDECIDED_NATS = 0.5
 UNDECIDED_SHARE = 0.01  # residual over total sum of squares of a group in the span of others
@@ -30,14 +30,14 @@ def exact(columns: np.ndarray) -> np.ndarray:
     norm = np.where(norm > 0, norm, 1.0)
     reduced = _r_factor(columns / norm)
     basis = echelon(linalg.null_space(reduced, rcond=EXACT_SHARE).T)
-    basis = np.array([_remove_traces(reduced, row) for row in basis]).reshape(basis.shape)
+    basis = np.array([_drop_negligible_entries(reduced, row) for row in basis]).reshape(basis.shape)
     basis = _sort_rows(basis / norm)
     return basis / np.abs(basis).max(axis=1, keepdims=True, initial=1e-300)
 
 
-def _remove_traces(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the null direction of a row's large entries alone, if there is one; otherwise the row."""
-    large = np.abs(row) > TRACE_SHARE * np.abs(row).max()
+def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return a null vector supported on the row's large entries alone, if one exists; otherwise the row."""
+    large = np.abs(row) > NEGLIGIBLE_SHARE * np.abs(row).max()
     if large.all():
         return row
     null = linalg.null_space(_r_factor(columns[:, large]), rcond=EXACT_SHARE)

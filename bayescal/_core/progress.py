@@ -45,7 +45,7 @@ def show_bar(text: str, share: float | None = None) -> None:
     _bar = _bar if text else None
 
 
-def quiet() -> float:
+def seconds_since_output() -> float:
     """Return the time since the last progress line, s."""
     return time.monotonic() - _last_line
 
@@ -61,7 +61,7 @@ def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
     start = time.monotonic()
     for i, item in enumerate(items):
         elapsed = time.monotonic() - start
-        if min(quiet(), elapsed) >= INTERVAL_SECONDS:
+        if min(seconds_since_output(), elapsed) >= INTERVAL_SECONDS:
             left = elapsed * (len(items) / i - 1)
             tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left", i / len(items))
         yield item
@@ -76,12 +76,12 @@ def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
         pause, printed = first, first >= INTERVAL_SECONDS
         while not done.wait(pause):
             now = time.monotonic()
-            quiet = now - max(_last_line, start)
-            if _open[-1:] == [done] and (quiet >= INTERVAL_SECONDS or not printed):
+            idle_seconds = now - max(_last_line, start)
+            if _open[-1:] == [done] and (idle_seconds >= INTERVAL_SECONDS or not printed):
                 so_far = f", {now - start:.0f} s so far" if printed else ""
                 tell(f"{what}{so_far}")
-                quiet, printed = 0.0, True
-            pause = max(INTERVAL_SECONDS - quiet, 0.5)
+                idle_seconds, printed = 0.0, True
+            pause = max(INTERVAL_SECONDS - idle_seconds, 0.5)
 
     _open.append(done)
     threading.Thread(target=watch, daemon=True, name="bayescal progress").start()

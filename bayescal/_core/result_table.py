@@ -58,27 +58,27 @@ class ResultTable:
     fold: int = 0
 
     @property
-    def shown(self) -> list[TableColumn]:
+    def printed_columns(self) -> list[TableColumn]:
         """Return the columns that are printed."""
         return [c for c in self.columns if c.show is not None]
 
     @property
     def head(self) -> list[str]:
-        return [f"{c.head} [{c.unit}]" if c.unit else c.head for c in self.shown]
+        return [f"{c.head} [{c.unit}]" if c.unit else c.head for c in self.printed_columns]
 
     @property
     def cells(self) -> list[list[str]]:
         """Return the rows formatted for people; a line break in a cell stays one."""
-        return [[c.show(c.value(row)) for c in self.shown if c.show] for row in self.rows]
+        return [[c.show(c.value(row)) for c in self.printed_columns if c.show] for row in self.rows]
 
     @property
     def flush_left(self) -> list[bool]:
-        flush = [i == 0 if c.left is None else c.left for i, c in enumerate(self.shown)]
+        flush = [i == 0 if c.left is None else c.left for i, c in enumerate(self.printed_columns)]
         return [*flush[:-1], flush[-1] or self.fold > 0]
 
     def only(self, *heads: str) -> ResultTable:
         """Select columns, in this order."""
-        printed = {c.head: c for c in self.shown}
+        printed = {c.head: c for c in self.printed_columns}
         return replace(self, columns=tuple(printed[head] for head in heads), fold=0)
 
     def data(self) -> dict[str, list[Any]]:

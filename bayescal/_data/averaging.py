@@ -18,7 +18,7 @@ SET_JUMPS_SHARE = 0.1
 
 
 def duration(text: str | float) -> float:
-    """Parse a time such as "1 s", "0.5s", "2 min", or a number of seconds, in s; raise InputError for none above 0."""
+    """Parse a duration such as "1 s", "0.5s", "2 min" or 1.0; return it in s; raise InputError if not positive."""
     with suppress(InputError):
         number, unit = quantity(f"{text} s" if isinstance(text, int | float) else text)
         seconds = float(convert(number, unit, "s"))

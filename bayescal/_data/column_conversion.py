@@ -145,8 +145,8 @@ def _note_channels(
     if converted.other_channels:
         names = ", ".join(sorted(converted.other_channels))
         converted.flags.append(
-            f"{file.table.file}: {names}: other channels beside the output {output_header!r}, not taken as its causes "
-            "(--covariates NAME, in Python covariates=, to let one be)"
+            f"{file.table.file}: {names}: not covariates, as they look like channels beside output {output_header!r} "
+            "(to use one as a covariate: --covariates NAME, in Python covariates=)"
         )
 
 
@@ -458,7 +458,7 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
     whole = ConvertedColumns(tuple(table for part in parts for table in part.tables))
     whole.flags = [flag for part in parts for flag in part.flags]
     whole.other_channels = set().union(*(part.other_channels for part in parts))
-    whole.origin = _on_one_clock(parts)
+    whole.origin = _align_time_origins(parts)
     for name, unit in {name: unit for part in parts for name, unit in part.units.items()}.items():
         for part in parts:
             if part.units.get(name, unit) != unit:
@@ -508,8 +508,8 @@ def _first_files(
     return first.get(True), first.get(False)
 
 
-def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
-    """Shift the times of files that count from dates to the earliest, and return it; None without dates."""
+def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
+    """Shift the times of dated files to a common origin, the earliest date; return that date, or None without dates."""
     timed = [part for part in parts if "time" in part.values]
     origins = [part.origin for part in timed if part.origin is not None]
     if not origins:

@@ -73,7 +73,7 @@ MAX_PAUSE_STEPS = 1e4
 
 
 def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
-    """Yield an objection where time, s, runs backwards, or leaps by years, within a run of a device and axis.
+    """Yield an objection where time, s, runs backwards, or jumps by years, within a run of a device and axis.
 
     `where` names a reading's file and row.
     """
@@ -93,7 +93,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     before, undo = int(order[at]), ""
     if far.any():
         rows = rows[:1]
-        came = f"leaps by {step[at] / 3.156e7:.3g} years from {where(before)} on, within one run"
+        came = f"jumps by {step[at] / 3.156e7:.3g} years from {where(before)} on, within one run"
         came += ": the clock was set there"
         cure = (
             "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where "
@@ -103,7 +103,7 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
         cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
         inside = f" within {', '.join(labels)}" * bool(labels)
-        came = f"reads {values[index]:.12g} s after {values[before]:.12g} s in {where(before)}: "
+        came = f"falls to {values[index]:.12g} s from {values[before]:.12g} s in {where(before)}: "
         came += f"time runs backwards{inside}"
         usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
         for name, period in CLOCK_PERIODS.items():
@@ -178,7 +178,7 @@ MAX_STEP_DEGREES = 40.0  # °C, between neighbours: no body changes by more
 def _find_leaps(
     converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
 ) -> Iterator[str]:
-    """Yield a warning of leaps beyond error values and silences: as a rule, of counters that wrapped."""
+    """Yield a warning of jumps other than error values and gaps: mostly wrap-around of a counter."""
     errors = {a.column: a.rows for a in anomalies if a.code == "leap"}
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
@@ -189,7 +189,7 @@ def _find_leaps(
                 at = int(np.argmax(leap))
                 place, undo = converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
                 yield (
-                    f"column {name!r} leaps by {leap[at]:.4g} °C at {place}: a counter that began anew? "
+                    f"column {name!r} jumps by {leap[at]:.4g} °C at {place}: wrap-around of a counter? "
                     f"{option('--unwrap', undo)} undoes it"
                 )
                 break
@@ -281,7 +281,7 @@ def find_anomalies(
 ) -> list[Anomaly]:
     """Find the anomalies of the columns of `thermometers`, °C; none without a column `time`.
 
-    A leap that the output follows was the body's.
+    A jump that the output follows is a real change of temperature, hence no anomaly.
     """
     if "time" not in columns or not (whole := records.stretches()):
         return []
@@ -302,11 +302,11 @@ def find_anomalies(
                 text = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
                 anomalies.append(Anomaly("leap", name, text, leaps))
             if len(rows := held_rows(values, pieces)):
-                text = "repeats a value until the next leap: it was held, or asked seldom"
+                text = "repeats a value until the next jump: held, or sampled seldom?"
                 anomalies.append(Anomaly("held", name, text, repeats(values, pieces, rows)))
             elif len(rows := standing_rows(values, pieces)):
                 level = values[rows[0]]
-                text = f"stands at {level:g} in {len(rows)} readings, and hardly anywhere else: at its end, or stuck?"
+                text = f"stands at {level:g} in {len(rows)} readings, and seldom repeats elsewhere: saturated, stuck?"
                 anomalies.append(Anomaly("stuck", name, text, rows))
         return [*anomalies, *_find_differing_run(columns, records, names)]
 

@@ -563,7 +563,7 @@ class MatchedFile:
             meant = f"to say what one is: {meant}; " * bool(lacking)
             message = (
                 f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
-                f"({meant}to keep one beside the instrument's, write 'name [unit]' or give units=)"
+                f"({meant}to keep one in addition to the instrument's, write 'name [unit]' or give units=)"
             )
             flags.append(Flag(message, "column.ignored", *without_unit))
         return columns, flags

@@ -135,7 +135,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
         raise InputError(
-            f"{name!r} is no channel: {instrument.name!r} reads it as what channels depend on"
+            f"{name!r} is not an output channel: {instrument.name!r} uses it as a covariate"
         )
     all_problems, readings = Objections(), dict[str, Measurements]()
     for name in outputs:

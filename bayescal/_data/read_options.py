@@ -137,7 +137,7 @@ class ReadOptions:
     @property
     def headers(self) -> tuple[str, ...]:
         """Return all headers that the user names for columns."""
-        return tuple(name for names in self.columns.values() for name in _several(names))
+        return tuple(name for names in self.columns.values() for name in _as_sequence(names))
 
     def of_file(self, table: Table, other_tables: Sequence[Table] = ()) -> ReadOptions:
         """Return the options for one file: of several headers of a column, the one that it has.
@@ -150,9 +150,9 @@ class ReadOptions:
             return [n for n in names if called(source.headers, in_one_line(n)) is not None]
 
         for ours, names in self.columns.items():
-            present = present_in(_several(names))
-            if present or not any(present_in(_several(names), other) for other in other_tables):
-                columns[ours] = (present or _several(names))[0]
+            present = present_in(_as_sequence(names))
+            if present or not any(present_in(_as_sequence(names), other) for other in other_tables):
+                columns[ours] = (present or _as_sequence(names))[0]
         raw, named = {header.raw for header in table.headers}, {*self.headers}
         for before in self.remembered:
             for ours, theirs in before.columns.items():
@@ -167,7 +167,7 @@ class ReadOptions:
         return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
 
 
-def _several(names: str | Sequence[str]) -> Sequence[str]:
+def _as_sequence(names: str | Sequence[str]) -> Sequence[str]:
     return [names] if isinstance(names, str) else names
 
 
@@ -182,8 +182,8 @@ def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, zero: str
     value, unit = _number_and_unit(zero, argument, f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"{argument} is in {unit}, the nominal scale is of a raw output in {scale.unit}: give the raw output at "
-            "zero in that unit"
+            f"{argument} is in {unit}, but the nominal scale is of a raw output in {scale.unit}: give the raw output "
+            f"at zero in {scale.unit}"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 

@@ -103,14 +103,14 @@ class Records:
         """Return the rows of each record, in the order of time."""
         return np.split(self.order, np.flatnonzero(self.step < 0)[1:])
 
-    def stretches(self, fewest: int = 3) -> list[np.ndarray]:
-        """Return the rows of each stretch without a pause, of `fewest` readings or more, in the order of time."""
+    def stretches(self, min_readings: int = 3) -> list[np.ndarray]:
+        """Return the row indices of each segment without a gap, of at least `min_readings` readings, in time order."""
         parts = []
         for rows in self.in_time:
             steps = np.diff(self.time[rows])
             median = np.median(steps) if steps.size else 0.0
             parts += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * median))
-        return [rows for rows in parts if len(rows) >= fewest]
+        return [rows for rows in parts if len(rows) >= min_readings]
 
     def starts(self, record: Records | None = None) -> np.ndarray:
         """Return the start time of each record, s: its first reading, or the start of the fitted run that it continues.

@@ -158,14 +158,14 @@ def _find_outliers(y: np.ndarray, most: float) -> np.ndarray:
         inner = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
         heights = np.concatenate([inner[:1], inner, inner[-1:] * (1.0 + 1e-12)])
         scale = scale or 1.4826 * float(np.median(heights))
-        worst = (heights > 0) & (heights >= MIN_SPIKE_SD * scale)
+        is_spike = (heights > 0) & (heights >= MIN_SPIKE_SD * scale)
         few = len(remaining) < SPIKE_NEIGHBOURS
-        if few or scale == 0 or len(outliers) > most or not worst.any():
+        if few or scale == 0 or len(outliers) > most or not is_spike.any():
             return outliers
-        around = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
-        before, after = around[:, :SPIKE_NEIGHBOURS], around[:, SPIKE_NEIGHBOURS + 1 :]
-        worst &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
-        outliers, remaining = np.concatenate([outliers, remaining[worst]]), remaining[~worst]
+        windows = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
+        before, after = windows[:, :SPIKE_NEIGHBOURS], windows[:, SPIKE_NEIGHBOURS + 1 :]
+        is_spike &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
+        outliers, remaining = np.concatenate([outliers, remaining[is_spike]]), remaining[~is_spike]
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

@@ -162,10 +162,10 @@ class ParsedUnit:
     """A parsed unit.
 
     Attributes:
-        factor: in base units.
-        powers: of the base units.
+        factor: conversion factor to base units.
+        powers: exponents of the base units.
         offset: zero of a temperature scale, K.
-        names: that it is written with, each with its power, whether or not they cancel.
+        names: unit names as written, each with its exponent, before any cancel.
     """
 
     factor: float
@@ -390,7 +390,7 @@ def basis_factor(
     coef, slot = parse(unit), parse(slot_unit)
     basis = {n: slot.powers.get(n, 0) - coef.powers.get(n, 0) for n in {*slot.powers, *coef.powers}}
     basis = {name: power for name, power in basis.items() if power}
-    factor = coef.factor / slot.factor * _ratios(unit, slot_unit, named, open_)
+    factor = coef.factor / slot.factor * _ratio_unit_factor(unit, slot_unit, named, open_)
     clock = () if any(parse(u).powers == {"s": 1} for u in named) else ("s",)
     tried = [named, (*named, *clock)]
     # m/s² of a column that no instrument declares is kept as local g: write the coefficient per g
@@ -407,17 +407,17 @@ def basis_factor(
     )
 
 
-def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
+def _ratio_unit_factor(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
     """Return the product of the units of ratio columns (%, ppm, ppb, 1), each to the power that the coefficient has."""
     ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
     written = [power for name, power in parse(unit).names if not parse(name).powers]
     below, above = (sum(max(sign * power, 0.0) for power in written) for sign in (-1.0, 1.0))
     # a ratio's own coefficient has one above its stroke: the unit of the output
-    beyond = above - (0.0 if parse(slot_unit).powers else min(above, 1.0))
-    if not ratios or not (below or beyond):
+    excess_exponent = above - (0.0 if parse(slot_unit).powers else min(above, 1.0))
+    if not ratios or not (below or excess_exponent):
         return 1.0
-    if len(ratios) == 1 and not (below and beyond):
-        return min(ratios) ** (below - beyond)
+    if len(ratios) == 1 and not (below and excess_exponent):
+        return min(ratios) ** (below - excess_exponent)
     raise InputError(
         f"a coefficient in [{unit}] on a slot in [{slot_unit}] does not say which of its columns, ratios in "
         f"{_listed(named)}, it is per: declare them in [1]"

@@ -87,7 +87,7 @@ class Expansion:
         return Factors(value, first[None] / self.half, second[None, None] / self.half**2)
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
-        """Evaluate the r factors at b coordinates inside the expansion's box (b, r)."""
+        """Evaluate the r factors of the expanded columns at b points of the expansion's box, (b, r)."""
         if not self.half:
             return np.broadcast_to(_taylor_terms(v.shape[1], self.rank).value, (len(v), self.rank))
         return chebvander((v[:, 0] - self.middle[0]) / self.half, COUNT)[:, self.orders]

@@ -26,7 +26,7 @@ XTOL_SD = 1e-4  # convergence: largest change per round, posterior standard devi
 MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ from which the start is selected
 SCAN_GRID = np.arange(-3.5, 3.5, 0.02)  # coordinates scanned along a shape with many modes
-HALVINGS = 8  # of a rejected step, at most
+MAX_HALVINGS = 8  # of a rejected step, at most
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 MIN_GAIN_NATS = 1e-8  # convergence: smallest increase of the log density per round
 
@@ -149,7 +149,7 @@ def _climb(
     density, value = _expand_about(problem, x, v, flat, xtol, near)
     for _ in range(MAX_ROUNDS):
         target = climb(density, v, coarse_below, ftol)
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             trial, height = _expand_about(problem, density.x, target, flat, xtol, density.nearby)
             if height > value - min_gain:
                 break
@@ -235,7 +235,7 @@ def mode_of_x(
         if np.max(np.abs((target - x) / sd), initial=0.0) < 0.1 * xtol:
             return x
         extra = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             trial = x + fraction * (target - x)
             trial_squares, conditional = evaluate(trial, extra)
             if trial_squares <= squares or not math.isfinite(squares):

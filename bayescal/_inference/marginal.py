@@ -32,7 +32,7 @@ NOT_SAMPLED = (
 )
 NO_MORE = "Importance weights are uneven ({}), and chains, which would be exact, were not run to their end ({})."
 FEW = "{:.0f} effective draws, and no more ({})."
-PATIENCE = "{:g} s were too few; a time limit gives them more"
+TOO_FEW = "{:g} s were too few; a time limit gives them more"
 # Largest number of proposals if k̂ is sound but effective draws are too few: NUTS would need more evaluations, 1,500
 # iterations of four chains with seven or more gradients each.
 MOST_DRAWS = 65_536
@@ -140,13 +140,13 @@ class Marginal(Method):
         )
 
     def _run_nuts(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
-        """Run NUTS; limited to `nuts_chains.PATIENCE` unless it or a time limit was requested."""
+        """Run NUTS; limited to `nuts_chains.TIME_LIMIT` unless it or a time limit was requested."""
         layout, is_unlimited = problem.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whiten_posterior(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
-            with deadline.until(None if is_unlimited else nuts_chains.PATIENCE, words=PATIENCE):
+            with deadline.until(None if is_unlimited else nuts_chains.TIME_LIMIT, words=TOO_FEW):
                 chains = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
             to_unknowns = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
             x, v = to_unknowns(chains.draws.reshape(-1, start.size))

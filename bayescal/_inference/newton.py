@@ -238,17 +238,17 @@ class ByValues:
 
     def _seed_hessian(self, v: np.ndarray, diagonal: Float[np.ndarray, "d"]) -> np.ndarray:
         """Return second differences: the diagonal, cross terms by correlations of a similar density, otherwise NaN."""
-        second, near = np.full((len(v), len(v)), np.nan), self._like
-        if near is not None:
-            scale = np.sqrt(np.maximum(np.diag(near.curvature), np.finfo(float).tiny))
-            curvature = near.curvature / np.outer(scale, scale)
-            usable = near.reliable & (diagonal > 0)
-            is_close = np.abs(v - near.v) * scale < UNMOVED
+        hessian, similar_density = np.full((len(v), len(v)), np.nan), self._like
+        if similar_density is not None:
+            scale = np.sqrt(np.maximum(np.diag(similar_density.curvature), np.finfo(float).tiny))
+            curvature = similar_density.curvature / np.outer(scale, scale)
+            usable = similar_density.reliable & (diagonal > 0)
+            is_close = np.abs(v - similar_density.v) * scale < UNMOVED
             reuse = (np.abs(curvature) < LOOSE) | np.outer(is_close, is_close)
             reuse &= np.outer(usable, usable)
-            second[reuse] = (curvature * np.sqrt(np.abs(np.outer(diagonal, diagonal))))[reuse]
-        np.fill_diagonal(second, diagonal)
-        return second
+            hessian[reuse] = (curvature * np.sqrt(np.abs(np.outer(diagonal, diagonal))))[reuse]
+        np.fill_diagonal(hessian, diagonal)
+        return hessian
 
 
 def _update_bfgs(

@@ -228,14 +228,14 @@ class DCTNodes(OneNode):
         return np.concatenate(parts)
 
 
-def dct_nodes(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
+def dct_nodes(time_order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
     """Return the nodes of stationary noise; None if steps are uneven or a run has fewer than 3 readings.
 
     Small jitter, and rounding of times that does not accumulate, count as even. `step`: time since the previous reading
     in time order, s; −1 at a run's first.
     """
     first, steps = np.flatnonzero(step < 0), step[step >= 0]
-    runs = np.split(order, first[1:])
+    runs = np.split(time_order, first[1:])
     if min(map(len, runs)) < 3 or (mean_step := float(np.mean(steps))) <= 0:
         return None
     if np.max(np.abs(steps - np.median(steps))) <= EVEN_STEPS * mean_step:
@@ -249,7 +249,7 @@ def dct_nodes(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTN
 
 
 class Products:
-    """Inner products of `width` columns at the nodes and with the ends of runs: TᵀΣ⁻¹T at any setting."""
+    """Cached inner products of `width` columns at spectral nodes and run ends: TᵀΣ⁻¹T for any noise parameters."""
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from bayescal._model import forward
 # Iterations per compiled block; the deadline and Ctrl-C are checked between blocks.
 BLOCK = 4
 FEWEST_STEPS = 7  # leapfrog steps per iteration for a lower bound of the run time: tree depth three
-PATIENCE = 300.0  # s, time limit of NUTS as a fallback without another limit
+TIME_LIMIT = 300.0  # s, time limit of NUTS as a fallback without another limit
 
 
 class Chains(NamedTuple):

@@ -225,7 +225,7 @@ class Problem:
     def slopes(
         self, x: Float[np.ndarray, "p"], hyper: Values
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
-        """Return the derivatives of the expected output by each slot and corrected column (n,) each."""
+        """Return the derivatives of the expected output with respect to each slot and corrected column, (n,) each."""
         terms = () if self.affine else self.terms
         composed = self.composed(terms, x, hyper, with_grad=True)
         return differentiate_output(self.host, terms, composed)[1]

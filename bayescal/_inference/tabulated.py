@@ -67,7 +67,7 @@ class TabulatedEffect(NamedTuple):
     owners: Int[
         np.ndarray, "m"
     ]  # index in x of each coefficient and member; p (the residual) if fixed
-    amounts: Float[np.ndarray, "m"]  # 1, or minus the value of a fixed coefficient
+    multipliers: Float[np.ndarray, "m"]  # 1, or minus the value of a fixed coefficient
 
     def expansion_at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
         """Return the expansion of the columns at φ."""
@@ -112,7 +112,7 @@ class Tabulated:
                 else np.full(t.size, problem.size)
                 for t in terms
             ]
-            amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
+            multipliers = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             parts.append(
                 TabulatedEffect(
                     table.number((terms[0].columns.key, fixed_shapes, *config)),
@@ -120,7 +120,7 @@ class Tabulated:
                     tuple(terms),
                     [self.places[n] for n in names if n not in fixed],
                     np.concatenate(owners),
-                    np.concatenate(amounts),
+                    np.concatenate(multipliers),
                 )
             )
         return parts
@@ -160,7 +160,7 @@ class Tabulated:
         for part in self.parts:
             expansion = part.expansion_at(v, False)
             inside = part.owners < problem.size
-            coefficients = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
+            coefficients = np.where(inside, np.append(x, 0.0)[part.owners], -part.multipliers)
             if (number := self._block(part, expansion)) in explained:
                 explained[number] = coefficients
             else:
@@ -385,13 +385,13 @@ class Tabulated:
         A deviation that depends on several shapes is a product of functions of one shape each.
         """
         problem, h = self.problem, DIFFERENCE
-        first, second = np.zeros((2, len(v), problem.size + 1))
+        first_derivatives, second_derivatives = np.zeros((2, len(v), problem.size + 1))
         for name, members in problem.sizes.learned_sd_masks.items():
             if (i := self.places.get(name)) is not None:
                 at = v[i] + np.array([-h, 0, h])
                 low, middle, high = np.log(problem.hypers[i].prior.value(at))
-                first[i, :-1] += (high - low) / (2 * h) * members
-                second[i, :-1] += (high - 2 * middle + low) / h**2 * members
+                first_derivatives[i, :-1] += (high - low) / (2 * h) * members
+                second_derivatives[i, :-1] += (high - 2 * middle + low) / h**2 * members
         for name in problem.sizes.weights_by_shape:
             if (i := self.places.get(name)) is not None:
                 value = problem.hypers[i].prior.value
@@ -399,9 +399,9 @@ class Tabulated:
                     problem.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
                     for s in (-h, 0.0, h)
                 )
-                first[i, :-1] += (high - low) / (2 * h)
-                second[i, :-1] += (high - 2 * middle + low) / h**2
-        return first, second
+                first_derivatives[i, :-1] += (high - low) / (2 * h)
+                second_derivatives[i, :-1] += (high - 2 * middle + low) / h**2
+        return first_derivatives, second_derivatives
 
 
 class PolynomialTable:
@@ -443,7 +443,7 @@ class _StructureRows:
             self.slices.append(slice(start, start + len(columns)))
             column.append(columns)
             owner.append(np.repeat(part.owners, r))
-            factors.append(np.repeat(part.amounts, r))
+            factors.append(np.repeat(part.multipliers, r))
             # Add back what was subtracted from the residual, relative to the origin of x.
             is_in_x = part.owners < p
             origin = tabulated.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0
@@ -464,7 +464,7 @@ class _StructureRows:
             start += width
         self.column = np.concatenate([*column, [start]]).astype(int)
         self.owner = np.concatenate([*owner, [p]]).astype(int)
-        self.amounts = np.concatenate([*factors, [1.0]])
+        self.multipliers = np.concatenate([*factors, [1.0]])
         self.width = start + 1
         self.owned = np.zeros((len(self.owner), p + 1))
         self.owned[np.arange(len(self.owner)), self.owner] = 1.0
@@ -495,21 +495,21 @@ class _StructureRows:
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
         """Return the factor d of each row at several φ (b, R), without prior deviations."""
-        factors = np.tile(self.amounts, (len(vs), 1))
+        factors = np.tile(self.multipliers, (len(vs), 1))
         for i, at, which in self._dynamic_rows:
             factors[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
         return factors
 
     def factors(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
-        """Return each row's factor, and per φ-dependent part: rows, indices in φ, first and second derivatives."""
-        factors, slopes = self.amounts.copy(), []
+        """Return each row's scale factor; per φ-dependent part: rows, indices in φ, derivatives of the factor."""
+        factors, slopes = self.multipliers.copy(), []
         for i, at, which in self._dynamic_rows:
             free = self.parts[i].free
             shares = self.expansions[i].factors(v[free])
             factors[at] *= shares.value[which]
             if with_grad:
                 first, second = shares.first[:, which], shares.second[:, :, which]
-                slopes.append((at, free, first * self.amounts[at], second * self.amounts[at]))
+                slopes.append((at, free, *(d * self.multipliers[at] for d in (first, second))))
         return factors, slopes
 
 

@@ -1,4 +1,4 @@
-"""The composition: the expected output of an instrument and its derivatives by every coefficient.
+"""The composition: the expected output of an instrument and its derivatives with respect to its coefficients.
 
     output = response(Σ columns · coefficients of each slot; the readings with their columns corrected)
 

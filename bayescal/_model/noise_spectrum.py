@@ -72,7 +72,7 @@ def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> 
 
 
 def _symbol(x: Any, lam: Lambda) -> Any:
-    """Return the symbol ν(λ) of an exponential correlation of unit variance with a = exp(x)."""
+    """Return the Toeplitz symbol ν(λ), λ = 2 − 2·cos ω, of the unit-variance correlation aᵏ at lag k, a = exp(x)."""
     one_minus_a = -np.expm1(x)
     return one_minus_a * (2 - one_minus_a) / (one_minus_a**2 + (1 - one_minus_a) * lam)
 

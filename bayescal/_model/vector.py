@@ -121,7 +121,7 @@ class Vector:
 
 
 def radial_residual(ratio: Any) -> Any:
-    """Return the radial residual g(ratio), ratio = length/true magnitude: g(1) = 0, g′(1) = 1, g″(1) = −2/3."""
+    """Return the residual g = x/2 + x/(2 + 4x/3), x = length/true magnitude − 1; at x = 0: g = 0, g′ = 1, g″ = −2/3."""
     x = ratio - 1
     return x / 2 + x / (2 + 4 * x / 3)
 

@@ -27,7 +27,7 @@ from bayescal._search.gate import WORSE
 from bayescal._search.search_path import format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
-MAX_SIGNED = 14  # coefficients on the page that is signed
+SIGNED_ROWS = 14  # coefficients on the page that is signed
 UNUSED = "recorded; the model does not use it"
 OUTPUT_PART = "what was read"
 DERIVED_PART = "follows from the above"
@@ -130,8 +130,8 @@ def signed(table: ResultTable, model: Model) -> ResultTable:
     """Tabulate the unknowns on the signed page, with nonlinear parameters (shapes) last, and fixed values."""
     chosen = [r for r in table.rows if "(" not in r["name"]]
     shapes = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
-    shaped = [r for r in chosen if r["name"] in shapes][:MAX_SIGNED]
-    chosen = [r for r in chosen if r["name"] not in shapes][: MAX_SIGNED - len(shaped)] + shaped
+    shaped = [r for r in chosen if r["name"] in shapes][:SIGNED_ROWS]
+    chosen = [r for r in chosen if r["name"] not in shapes][: SIGNED_ROWS - len(shaped)] + shaped
     rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in chosen]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
     return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)

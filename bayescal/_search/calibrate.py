@@ -176,7 +176,7 @@ class StepwiseSearch:
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
         named = [e for e in self.reconsidered if not e.is_placeholder]
         options = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
-        structures, self.untestable = discover.structures_over(
+        structures, self.untestable = discover.enumerate_structures(
             c.model, self.readings, c.reference, effects=(*effects, *named), **options
         )
         self.library = Library(structures)

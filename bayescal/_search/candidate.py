@@ -44,13 +44,13 @@ class Candidate:
         size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect: of the
             standard deviation between members; for an unknown dependence: of its amplitude.
         shape: shape parameters, in their units.
-        visibility: ratio of the information on the effect after and before the nuisances are integrated out.
+        visibility: ratio of the information on the effect with nuisances marginalised to that with them known.
         minimum_detectable: size in `unit` that would be found with 80 % power.
         kind: "finding", "lead", "not visible", "not testable", or None for no evidence.
         indistinguishable_from: other candidates that these readings cannot tell from it.
         reason: why it is not testable or not visible.
-        role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect freed of its stated
-            value: `frees` is then its name.
+        role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect whose stated value is
+            estimated: `frees` is its name.
     """
 
     effect: str

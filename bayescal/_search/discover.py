@@ -208,7 +208,7 @@ def discover(
     readings = restrict_causes(calibration.readings, model.instrument, ignore, covariates)
 
     with deadline.until(time_limit):
-        structures, untestable = structures_over(
+        structures, untestable = enumerate_structures(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library = Library(structures)
@@ -242,7 +242,7 @@ def find_missing(
         return summarise_discovery(library, structure, untestable, stopped, scored=False)
 
 
-def structures_over(
+def enumerate_structures(
     model: Model,
     readings: Measurements,
     reference: Reference,

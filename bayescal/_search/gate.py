@@ -90,10 +90,10 @@ def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
 
 
 def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where the last model's thermal terms may be errors of the thermometer or the logger.
+    """Yield a claim where the last model's thermal terms may be errors of the thermometer or the data logger.
 
-    A thermometer with a delay τ turns c·T into c·T − c·τ·dT/dt, as an early output does; a drifting thermometer looks
-    like a warm-up or another effect in time.
+    A thermometer delay τ makes c·T appear as c·T + c·τ·dT/dt of the recorded T, as does an output time-stamped too
+    early by τ; a drifting thermometer resembles a warm-up or another effect in time.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
     columns = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")

@@ -94,7 +94,7 @@ class Library:
                 self.width += sum(widths)
 
     def is_grouped(self, name: str) -> bool:
-        """Return whether a candidate's size is shared by many coefficients: a learned spread, or an amplitude."""
+        """Return whether a candidate's size is that of many coefficients: their standard deviation, or an amplitude."""
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 

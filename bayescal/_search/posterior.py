@@ -111,7 +111,7 @@ class Posterior:
         return self._sum_probability([s.noise == name for s in self.structures])
 
     def inclusion(self, *names: str) -> float:
-        """Return the probability that at least one of these effects is missing."""
+        """Return the posterior inclusion probability: that the structure has at least one of these effects."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
         return self._sum_probability(self._has_any(self.space.families(names)))
 

@@ -1,6 +1,6 @@
-"""CSV as a table. The file's bytes are held as one text; a first pass finds faults and their lines.
+"""CSV as a table. The file's bytes are held as one text; a first pass finds malformed lines.
 
-Columns are then parsed a stretch of rows at a time. The first line is row 1, as in an editor.
+Columns are then parsed in chunks of rows. The first line is row 1, as in an editor.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class Objections(list[Objection]):
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
-    """Return the InputError, to be raised, of a file as a whole or of the row at `place`; words as of `Objection`."""
+    """Return the InputError of a whole file, or of its row at `place`; `came`, `cure`: as in `Objection`."""
     places = (place,) if place else ()
     problem = Objection(file, came, cure=cure[:1].upper() + cure[1:], places=places)
     return InputError(str(problem), (problem,))
@@ -133,9 +133,9 @@ class Header:
 
     @classmethod
     def parse(cls, raw: str, unit: str | None = None) -> Header:
-        """Split `name [unit]`; a unit given beside the name counts where the name carries none.
+        """Split `name [unit]`; a separately given unit counts if the name has none.
 
-        Lines of a cell become one: what breaks a line, or cannot be seen, is a space.
+        Line breaks and invisible characters are replaced by spaces.
         """
         raw = in_one_line(raw)
         name, bracket, unit_text = raw.rpartition("[")
@@ -210,7 +210,7 @@ class Table:
     def __post_init__(self) -> None:
         """Raise InputError for no readings, or one name for two columns."""
         if self.rows < 1:
-            cure = "give a file with at least one row, in which none is missing"
+            cure = "give a file with at least one row without missing values"
             raise unusable(self.file, "holds no readings", cure)
         counts = Counter(header.name for header in self.headers if header.name)
         for name, count in counts.items():

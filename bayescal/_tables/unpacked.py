@@ -95,5 +95,5 @@ def refuse_matlab(path: Path, file: str) -> None:
                     form = f"{order}{size_bytes // 4}i"
                     count = math.prod(struct.unpack_from(form, data, match.start() + 24))
                 if holding > _MAX_CONTAINERS or 8 * count > len(data):
-                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or states more than it holds"
+                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
                     raise unusable(file, came, _AS_CSV)

@@ -103,7 +103,7 @@ def compensate_file(
     output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
     if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
         raise InputError(
-            f"{out.name!r}: {path.name!r} is compensated to a file {output_suffix} alone"
+            f"{out.name!r}: the output file of {path.name!r} must end in {output_suffix}"
         )
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None

@@ -251,7 +251,7 @@ def clock_words(calibration: Calibration) -> str:
     """Describe the origin of the calibration's time."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
-    return f"from {format_date(since)} UTC, as which dates without a zone count"
+    return f"from {format_date(since)} UTC (dates without a time zone are read as UTC)"
 
 
 def clock_note(equation: OperatingEquation) -> list[Claim]:
@@ -402,7 +402,7 @@ class CompensationProgram(CorrectionInUse):
             if op == "call":
                 raise ModelError(
                     f"the model cannot be exported: {args[0].why_not}. Write bases with arithmetic, powers, exp, sin "
-                    "and jnp.where, take the effect that has it out (model - name) and fit again, or compensate in "
+                    "and jnp.where; or remove the effect concerned (model - name) and fit again; or compensate in "
                     "Python: bayescal compensate"
                 )
         return self

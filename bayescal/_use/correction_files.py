@@ -178,8 +178,8 @@ def sensor_name(name: str | None, instrument: str) -> str:
         return identifier(instrument)
     if identifier(name.lower()) != name.lower():
         raise InputError(
-            f"{name!r} is no name in C and Python: letters, digits and _, a letter first, and no word of theirs, such "
-            "as gyro_x"
+            f"{name!r} is no identifier in C and Python: use letters, digits and _, a letter first, and no reserved "
+            "word (example: gyro_x)"
         )
     return name
 

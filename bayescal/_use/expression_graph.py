@@ -303,7 +303,7 @@ class Symbol:
         self.node = node
 
     def __bool__(self) -> bool:
-        raise NotExportable("a branch that depends on a covariate has no form in an export")
+        raise NotExportable("export of a branch on a covariate is impossible: use jnp.where")
 
     def __eq__(self, other: object) -> bool:
         return bool(self)
@@ -327,7 +327,7 @@ class Symbols(np.ndarray):
     def astype(self, dtype: Any, *args: Any, **how: Any) -> Any:
         """Convert between booleans and numbers."""
         if np.dtype(dtype).kind not in "fb":
-            raise NotExportable("a covariate turned into a whole number has no form in an export")
+            raise NotExportable("a covariate converted to an integer cannot be exported")
         return self != 0 if np.dtype(dtype).kind == "b" else self + 0.0
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:

@@ -131,9 +131,7 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
     """Move elements by evaluating a primitive on their indices; its index arguments are numbers."""
     moved = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
     if any(isinstance(a, Symbols) for a in arguments[len(moved) :]):
-        raise NotExportable(
-            "an element whose place depends on a covariate has no form in an export"
-        )
+        raise NotExportable("an element whose index depends on a covariate cannot be exported")
     graph = next(a.graph for a in moved if isinstance(a, Symbols))
     pool, indices = list[Any](), list[Any]()
     for argument in moved:

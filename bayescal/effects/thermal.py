@@ -1,4 +1,4 @@
-"""Thermal effects: temperature rate, hysteresis (direction of change), and lag of a body behind the thermometer."""
+"""Thermal effects: temperature rate, thermal hysteresis (direction of change), thermal lag behind the thermometer."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
 from bayescal._model.parameters import Layout
 from bayescal._model.summed_noise import OrnsteinUhlenbeck
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 
 WANDER = OrnsteinUhlenbeck.law
@@ -34,7 +34,7 @@ def by_law(
     laws, its diffusion and time by their priors; its white part stays the simulator's.
     """
     rng = np.random.default_rng([seed, 1])
-    structures, _ = structures_over(model, readings, reference_of(readings))
+    structures, _ = enumerate_structures(model, readings, reference_of(readings))
     odds = math.exp(structures.log_prior(Structure(noise=WANDER)))
     wanders = WANDER in structures.noise_laws and bool(rng.random() < odds / (1 + odds))
     barred = structures.excluded_candidates(Structure(noise=WANDER if wanders else ""))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bayescal as bc
 from bayescal._model.frame import reference_of
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.equivalence import find_equivalents, separating_experiments
 from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
 from benchmarks.pages import table
@@ -47,7 +47,7 @@ def _rows(name: str) -> list[list[str]]:
     instrument = instrument_named(name)
     readings = instrument.simulate(seed=SEED)
     model: bc.Model = instrument.for_readings(readings).baseline()
-    structures, _ = structures_over(model, readings, reference_of(readings))
+    structures, _ = enumerate_structures(model, readings, reference_of(readings))
     tests, rows = separating_experiments(structures), []
     for equivalent in find_equivalents(structures.spans):
         first, *others = (f"`{n}`" for n in equivalent.effects)

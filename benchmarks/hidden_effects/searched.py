@@ -16,7 +16,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.posterior import Finding, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import EvaluatedStructure, Structure, Structures
@@ -45,7 +45,7 @@ class Searched:
     def of(cls, model: bc.Model, readings: bc.Measurements, widen_noise: bool = True) -> Searched:
         """Search a record to the end."""
         readings = set_aside(readings)
-        structures, _ = structures_over(
+        structures, _ = enumerate_structures(
             model, readings, reference_of(readings), widen_noise=widen_noise
         )
         library = Library(structures)
@@ -121,6 +121,6 @@ class Later:
 
 def noise_of(model: bc.Model, readings: bc.Measurements) -> float:
     """Return the standard deviation of the baseline's white noise."""
-    structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
+    structures, _ = enumerate_structures(model, readings, reference_of(readings), widen_noise=False)
     base = structures.evaluate(Structure())
     return base.problem.hyper(base.mode.v)["noise.white"]

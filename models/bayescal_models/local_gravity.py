@@ -22,7 +22,7 @@ ASSUMED = bc.Column(
 )
 
 
-def uncertain(slot: str, size: float = PPM, unit: str = "ppm") -> bc.Effect:
+def make_nuisance_effect(slot: str, size: float = PPM, unit: str = "ppm") -> bc.Effect:
     """Return the nuisance effect of an instrument on which gravity acts.
 
     Args:

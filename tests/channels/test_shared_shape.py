@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.library import Library
 from bayescal._search.shared_shape import (
     SHARES,
@@ -92,7 +92,7 @@ def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> N
 
 def weighed(readings: bc.Measurements) -> Structures:
     model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
-    made, _ = structures_over(model, readings, constants_of(readings))
+    made, _ = enumerate_structures(model, readings, constants_of(readings))
     names = (LAG, "bias.temperature_quadratic", "bias.rate", "bias.drift")
     made.candidates = {n: made.candidates[n] for n in names}
     explore(Library(made), 3)

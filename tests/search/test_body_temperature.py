@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 import bayescal as bc
 from bayescal._model.frame import reference_of
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.structures import Structure
 from bayescal._search.walk import FORM_NATS
 from bayescal.effects.thermal import BODIES
@@ -59,7 +59,7 @@ BODY = "bias.thermal_lag.body"
 def test_block_means_tell_a_better_form_as_all_readings_do(monkeypatch) -> None:
     monkeypatch.setitem(globals(), "STEP", 15.0)
     readings = campaign(3)[0]
-    structures, _ = structures_over(GYRO.baseline(), readings, reference_of(readings))
+    structures, _ = enumerate_structures(GYRO.baseline(), readings, reference_of(readings))
     body = structures.evaluate(Structure(frozenset({BODY, "bias.temperature_quadratic"})))
     for to in structures.other_forms(body.structure, BODY):
         exact = structures.evaluate(to, body).log_posterior - body.log_posterior

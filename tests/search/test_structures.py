@@ -16,7 +16,7 @@ from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
 from bayescal._inference.problem import Problem
 from bayescal._search import library
-from bayescal._search.discover import structures_over
+from bayescal._search.discover import enumerate_structures
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import fit_to_residuals
 from bayescal._search.posterior import Posterior
@@ -39,7 +39,7 @@ FEW = (
 
 def structures(readings: bc.Measurements, names: tuple[str, ...] = (), **kwargs) -> Structures:
     model = INSTRUMENT.baseline()
-    made, _ = structures_over(model, readings, constants_of(readings), **kwargs)
+    made, _ = enumerate_structures(model, readings, constants_of(readings), **kwargs)
     if names:
         made.candidates = {n: made.candidates[n] for n in names}
     return made
@@ -219,7 +219,7 @@ def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest(
 def test_evidence_of_random_structures_is_that_of_readings(monkeypatch, of: Any) -> None:
     readings = of.simulate({}, seed=1)
     model = of.INSTRUMENT.for_readings(readings).baseline()
-    made = structures_over(model, readings, constants_of(readings))[0]
+    made = enumerate_structures(model, readings, constants_of(readings))[0]
     random = np.random.default_rng(1)
     laws = ["", *(n for n, law in made.noise_laws.items() if made.record.nodes(law) is not None)]
     for _ in range(3):

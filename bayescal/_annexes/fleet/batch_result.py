@@ -141,8 +141,8 @@ def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
     return pa.table([*zip(*rows, strict=True)] or [[]] * len(SCHEMA), schema=SCHEMA)
 
 
-def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
-    """Return the devices of such rows; raise ValueError if rows of one are missing, or stand apart."""
+def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
+    """Return the devices of a results table; raise ValueError if rows of one are missing or not contiguous."""
     fits = list[DeviceResult]()
     for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
         first, *_ = group_rows = [*group]
@@ -153,7 +153,7 @@ def _results_of(rows: pa.Table) -> tuple[DeviceResult, ...]:
         fields = (*names,), (*units,), *moments, first["readings"], first["T0"]
         fits.append(DeviceResult(name, first["reason"], *fields))
     if len({fit.device for fit in fits}) < len(fits):
-        raise ValueError("rows of a device stand apart")
+        raise ValueError("rows of a device are not contiguous")
     return tuple(fits)
 
 
@@ -315,7 +315,7 @@ def load_batch(path: str | Path) -> BatchResult:
             raise KeyError(head["schema"])
         content = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
-            _results_of(table.select(SCHEMA.names).cast(SCHEMA)),
+            _split_by_device(table.select(SCHEMA.names).cast(SCHEMA)),
             effects=pd.DataFrame(head["effects"], columns=EFFECTS),
             **{name: head[name] for name in content},
         )

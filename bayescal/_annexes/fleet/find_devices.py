@@ -71,7 +71,7 @@ def search_device(
     """
     model.require(readings)
     constants = {**ws.reference_of(readings), **reference}
-    structures, _ = ws.structures_over(
+    structures, _ = ws.enumerate_structures(
         model, readings, constants, effects=candidates, widen_noise=True
     )
     structures = replace(structures, near_best_only=True)

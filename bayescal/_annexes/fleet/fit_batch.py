@@ -1,6 +1,6 @@
-"""One verb for many devices of one type: `fit_batch`, in this process or on a cluster.
+"""Fit many devices of one type with `fit_batch`, in this process or on a cluster.
 
-Files are read one by one, devices are fitted some at a time: each file, and each part of the devices, is a task.
+A task reads one file, or fits one batch of devices.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Request:
     settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
 
 
-def fit_part(request: Request, devices: Devices) -> list[DeviceResult]:
-    """Search and fit some devices."""
+def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
+    """Search and fit one batch of devices."""
     with bc.use_settings(request.settings):
         results = {name: DeviceResult(reason=why) for name, why in devices.refused.items()}
         good, structures, starts = dict(devices.measurements), {}, dict[str, Mapping[str, float]]()
@@ -111,7 +111,7 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
     cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // most)) + 1
     parts = [devices.some(part.tolist()) for part in np.split(np.array(devices.names), cuts)]
     tasks, results = [(request, part) for part in parts], dict[str, DeviceResult]()
-    for i, fitted, error in run_each(client, fit_part, tasks, "parts of the devices"):
+    for i, fitted, error in run_each(client, fit_device_batch, tasks, "parts of the devices"):
         refused = {name: DeviceResult(name, error) for name in parts[i].names}
         results |= refused if error else {fit.device: fit for fit in fitted}
     return tuple(results[name] for name in devices.names)

@@ -77,7 +77,7 @@ def fit_devices(
     """Fit each device by its model, from `starts`, plain ones together; refuse those that the deadline leaves out."""
     results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
-        for some in _fit_plain(models, devices, options):
+        for some in _fit_linear_devices(models, devices, options):
             results |= some
             deadline.defer_interrupt()
             deadline.ask()
@@ -122,14 +122,14 @@ def _against(fitted: bc.Calibration) -> Sequence[Any]:
 # Devices all at once ----------------------------------------------------------------------------------------------
 
 
-def _fit_plain(
+def _fit_linear_devices(
     models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], options: FitOptions
 ) -> Iterator[dict[str, DeviceResult]]:
-    """Fit devices of which nothing but the effects of one model may have acted on the outputs, and these linearly."""
-    different = {id(model): model for model in models.values()}
-    if not isinstance(options.method, bc.LeastSquares) or len(different) != 1:
+    """Fit devices whose outputs depend on the effects of one model alone, and on these linearly."""
+    distinct_models = {id(model): model for model in models.values()}
+    if not isinstance(options.method, bc.LeastSquares) or len(distinct_models) != 1:
         return
-    (model,) = different.values()
+    (model,) = distinct_models.values()
     columns = ({c.name for c in model.instrument.columns} | model.columns) - {ws.UNCERTAINTY}
     groups: dict[Any, list[str]] = {}
     for name, device in devices.items():

@@ -34,7 +34,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
 
         _refuse_place(self.out, self.files)
         chosen = ws.instrument_named(self.instrument)
-        effects = ws.own_effects(self, chosen, None)
+        effects = ws.load_effects(self, chosen, None)
         model = ws.compose(chosen, self, effects)
         own_files = [] if self.effects_file is None else [self.effects_file]
         if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too

@@ -1,18 +1,17 @@
-"""Which devices of a fleet are not like the others, and in what: where they were measured, a coefficient, the noise.
+"""Outlying devices of a fleet: their reference temperature, a coefficient or the noise differs from the others'.
 
-All devices are fitted with one model at one reference temperature. Each of their quantities is compared with the
-predictive distribution that the others make: a value x, known to √v by itself, is one of a normal population, of which
+All devices are fitted with one model at one reference temperature. Each quantity of a device is compared with its
+predictive distribution given the other devices: for a value x of standard uncertainty √v in a normal population,
 
     (x − μ)/√(τ² + v + Var μ)  ~  t of ν degrees of freedom,     ν = (τ² + v)²/(1/Σw² + v²/r),     w = 1/(τ² + v)
 
-with μ and τ² by restricted likelihood from the devices that are alike, Var τ² = 2/Σw², and r the degrees of freedom
-that v is known by. Which are alike is found from the middle half of them, which no odd device moves, by taking in
-whatever is not beyond chance, until nothing changes; of one among them its own part in μ and τ² is taken off (of τ², by
-a step of Newton). So a device that lacks an effect which the others have has a coefficient near
-zero where theirs is not, and one that has a further effect the other way round. A noise σ of r degrees of freedom is
-compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
+with μ and τ² estimated from the inliers by restricted likelihood, Var τ² = 2/Σw², and r the degrees of freedom of v.
+The inliers are found by forward search: starting from the middle half, which no outlier moves, devices within the
+limits are added until the set is stable. For an inlier, μ and τ² are leave-one-out estimates (τ² by a Newton step).
+A device that lacks an effect of the others has a coefficient near zero where theirs is not; one with a further effect,
+the reverse. A noise σ of r degrees of freedom is compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
 
-The family-wise error is stated: over all devices and quantities, one plain fleet in a hundred has an odd device.
+The family-wise false-alarm rate is 1 %: over all devices and quantities, one fleet in 100 without outliers has one.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); F. E. Satterthwaite, Biometrics
 Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684.
 """

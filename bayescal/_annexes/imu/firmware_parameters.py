@@ -74,7 +74,7 @@ class ThermalPolynomial:
 
     @property
     def expected_error(self) -> float:
-        """Return the expected rms error of a corrected reading like those of the calibration, in the unit of `of`."""
+        """Return the expected rms error of a corrected reading under calibration conditions, in the unit of `of`."""
         return float(np.sqrt(self.of.noise**2 + self.of.uncertainty**2 + self.rms**2))
 
 
@@ -431,7 +431,7 @@ def _notes(polynomials: Polynomials, chosen: Mapping[Axis, bc.Compensator]) -> l
                 f"{p.high:.1f} °C."
             )
         if p.of.has_scale:
-            notes.append(f"{a}: the scale factor has no place here, and is left out.")
+            notes.append(f"{a}: these parameters have no scale factor; it is left out.")
         if why_not := chosen[a].why_not:
             notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
     return [*notes, "Beyond these temperatures the correction stays as at their ends."]

@@ -90,7 +90,7 @@ class TriadCommand(TriadOptions, ws.Command):
 
     example = "bayescal triad log.csv --instrument gyro_triad --out result"
     instrument: str = ws.opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
-    poses: bool = ws.opt("Each row is a pose or a rate; else steady stretches of a log.", False)
+    poses: bool = ws.opt("Rows are poses or rates (else: finds steady stretches of a log).", False)
     dry_run: bool = ws.opt("Say what these poses leave open and which to add; fit nothing.", False)
 
     def answer(self) -> ws.Answer:

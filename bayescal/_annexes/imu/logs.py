@@ -133,8 +133,8 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
         channels |= triad("acc", ACCELERATION, (samples[f"Acc{axis}"] for axis in "XYZ"), int(i))
         sensors.append(Sensor(samples["TimeUS"] * 1e-6, channels, samples["T"].astype(float)))
     return sensors, [
-        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction, and what is found here is "
-        "what that left"
+        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on: the effects found are those "
+        "that it left"
         for n in corrected
     ]
 
@@ -147,8 +147,8 @@ def _read_messages(log: Any, name: str) -> np.ndarray:
     places = places[places + layout.len <= log.data_len]  # the last may be cut short
     # of a `struct` layout: "<QB64s" as Q, B, 64s
     codes = re.findall(r"\d*[a-zA-Z]", layout.msg_struct)
-    kinds = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
-    row = np.dtype(list(zip(layout.columns, kinds, strict=True)))
+    dtypes = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
+    row = np.dtype(list(zip(layout.columns, dtypes, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
     begin = len(HEAD) + 1
     raw_bytes = content[places[:, None] + np.arange(begin, begin + row.itemsize)]

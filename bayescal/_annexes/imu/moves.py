@@ -432,7 +432,7 @@ class _Closure(NamedTuple):
 def _integrate_moves(
     path: _Moves, force: Float[np.ndarray, "k 3"], parameters: Float[np.ndarray, "12"]
 ) -> _Closure:
-    """Integrate the outputs of moves with a bias and a matrix; return closing errors and their sensitivities."""
+    """Integrate the gyro outputs of moves with a bias and a scale matrix; return closure errors and their Jacobian."""
     bias, matrix = parameters[:3], parameters[3:].reshape(3, 3)
     rate, turns = _attitude(path, matrix, bias)
     size, m, to_begin = np.linalg.norm(force, axis=1), len(rate), turns[:, -1]

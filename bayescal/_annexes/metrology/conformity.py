@@ -188,7 +188,7 @@ class Limits(NamedTuple):
     high: float
 
     def hold(self, low: float, high: float) -> bool:
-        """Return whether the interval from `low` to `high` is inside."""
+        """Return whether the interval [low, high] lies within the limits."""
         return self.low <= low and high <= self.high
 
 
@@ -241,37 +241,37 @@ class DrawnQuantity:
         return float(np.sqrt(max(p * (1 - p), 1 / count) / count))
 
 
-def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
+def acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
     """Return the acceptance interval of a probability α of false acceptance; None where no estimate reaches it."""
-    reach = FAR_SD * float(drawn.scatter.max())
+    reach = FAR_SD * float(quantity.scatter.max())
     # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
-    first = limits.low - float(drawn.values.min(axis=1).max()) - reach
-    last = limits.high - float(drawn.values.max(axis=1).min()) + reach
-    best = _most_favourable(drawn, limits, first, last)
+    first = limits.low - float(quantity.values.min(axis=1).max()) - reach
+    last = limits.high - float(quantity.values.max(axis=1).min()) + reach
+    best = _most_favourable(quantity, limits, first, last)
 
     def accepts(shift: float) -> bool:
-        return drawn.probability(limits, shift) >= 1.0 - false_accept
+        return quantity.probability(limits, shift) >= 1.0 - false_accept
 
     if not accepts(best):
         return None
     ends = first, last
     down, up = (e if np.isinf(e) else edge(accepts, best, e, EDGE_RTOL) for e in ends)
-    return Limits(drawn.estimate[0] + down, drawn.estimate[1] + up)
+    return Limits(quantity.estimate[0] + down, quantity.estimate[1] + up)
 
 
-def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
+def _most_favourable(quantity: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
     """Return the shift with the largest p_c."""
     if np.isinf(first) and np.isinf(last):
         return 0.0
-    reach = FAR_SD * float(drawn.scatter.max())
+    reach = FAR_SD * float(quantity.scatter.max())
     if np.isinf(first):  # one limit: all draws inside it
-        return limits.high - float(drawn.values.max()) - reach
+        return limits.high - float(quantity.values.max()) - reach
     if np.isinf(last):
-        return limits.low - float(drawn.values.min()) + reach
+        return limits.low - float(quantity.values.min()) + reach
     shifts = np.linspace(first, last, SHIFTS)
-    drawn = replace(drawn, values=drawn.values[:: -(-len(drawn.values) // SHIFT_DRAWS)])
+    quantity = replace(quantity, values=quantity.values[:: -(-len(quantity.values) // SHIFT_DRAWS)])
     # Of equally favourable ones the middle: about it p_c falls to both sides.
-    p = np.array([drawn.probability(limits, s) for s in shifts])
+    p = np.array([quantity.probability(limits, s) for s in shifts])
     return float(np.median(shifts[p == p.max()]))
 
 

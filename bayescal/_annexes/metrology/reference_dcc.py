@@ -1,7 +1,7 @@
-"""A reference's digital calibration certificate (DCC): its error, which all readings share.
+"""The digital calibration certificate (DCC) of a reference standard: its error, common to all readings.
 
 Elements: dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; types of reference (refType) of the PTB's good
-practice, such as basic_measurementError. A document type is refused, so that no entity is ever resolved.
+practice, such as basic_measurementError. A DOCTYPE is refused, so that no XML entity is ever resolved.
 """
 
 import re

@@ -113,8 +113,8 @@ def _fit_nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
 
 
 def _estimate(c: bc.Calibration, mean: Any, draws: Any, certified: Any, slopes: Any) -> Estimate:
-    noise, condition = float(c.samples("noise.white")[0]), float(np.linalg.cond(slopes))
-    return Estimate(mean, draws.std(axis=0, ddof=1), noise, c.verdict.ok, certified, condition)
+    noise, kappa = float(c.samples("noise.white")[0]), float(np.linalg.cond(slopes))
+    return Estimate(mean, draws.std(axis=0, ddof=1), noise, c.verdict.ok, certified, kappa)
 
 
 def relative_error(value: Any, certified: Any) -> float:

@@ -208,7 +208,7 @@ class Session:
     def go_to(self, number: int) -> State:
         """Make another state the current one; what is done next branches off there."""
         with self._lock:
-            return self._be(number)
+            return self._set_current(number)
 
     def preview(self, kind: str, *arguments: Any) -> Preview:
         """Return a preview of `act`: the changed model is fitted, and made no state."""
@@ -375,7 +375,8 @@ class Session:
         self._loops.clear()
         self._trails.clear()
         with self._lock:
-            self._be(self._at, {n: replace(s, discovery=None) for n, s in self._states.items()})
+            states = {n: replace(s, discovery=None) for n, s in self._states.items()}
+            self._set_current(self._at, states)
         return self.add(effect.name)
 
     def script(self) -> str:
@@ -383,12 +384,10 @@ class Session:
         return self._script(self.path())
 
     def trail(self, state: State | None = None) -> bc.SearchPath:
-        """Return the path to a state as `calibrate` does, its last model by the requested method; cached.
+        """Return the search path to a state (None: the current one), in the form that `calibrate` returns; cached.
 
-        Where the search is complete, the result in use is averaged over the evaluated structures.
-
-        Args:
-            state: which; None: the current one.
+        Its last model is fitted by the requested method. Where the search is complete, the result in use is averaged
+        over the evaluated structures.
         """
         state = state or self.current
         with self._fitting:
@@ -481,14 +480,14 @@ class Session:
                 )
             state.calibration.save(file)
             try:
-                self._be(number, {**self._states, number: state})
+                self._set_current(number, {**self._states, number: state})
             except bc.InputError:
                 file.unlink()
                 raise
             return state
 
-    def _be(self, number: int, states: dict[int, State] | None = None) -> State:
-        """Make a state the current one, of these states if they are others."""
+    def _set_current(self, number: int, states: dict[int, State] | None = None) -> State:
+        """Make a state the current one; replace all states by `states` if given."""
         states = self._states if states is None else states
         way = [states[n] for n in path_to(states, number)]
         store.save_session(self.folder, states, number, self._script(way))

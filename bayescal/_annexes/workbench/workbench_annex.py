@@ -59,7 +59,7 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
             model,
             readings,
             holdout=holdout,
-            effects=ws.own_effects(self, model.instrument, readings),
+            effects=ws.load_effects(self, model.instrument, readings),
             folder=folder / FIRST,
             origin=Origin.of(
                 self.instrument,

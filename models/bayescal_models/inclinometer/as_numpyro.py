@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of an inclinometer's zero offset against placement angle, for two axes.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Zero offset S of reading i on axis k in mounting j, arcsec, at the placement angle ω (source 4; mountings ours):
 

@@ -215,7 +215,7 @@ def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
 # The standard deviation between cells is known to within one or two orders of magnitude.
 OF_CELLS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
 LEARNED: dict[str, Any] = {"per": "cell", "learned": bc.HalfCauchy, "varies": ()}
-CELL, CELL_OF_BASE = effect(one, *OF_CELLS, **LEARNED), _base(one, *OF_CELLS, **LEARNED)
+CELL_EFFECT, BASE_CELL_EFFECT = effect(one, *OF_CELLS, **LEARNED), _base(one, *OF_CELLS, **LEARNED)
 SETTING = effect(one, "c, added to γ as γ2⊥ is", "tilt", slot="base_tilt_perp", varies=())
 LAG = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
 TURNED = effect(
@@ -273,14 +273,14 @@ EFFECTS = EffectTable.of(
     baseline=(
         ("bias.constant", catalogue.constant, 5000.0, "ug"),
         ("bias.temperature", catalogue.linear, 50.0, "ug/degC"),
-        ("bias.cell", CELL, 10.0, "ug"),
+        ("bias.cell", CELL_EFFECT, 10.0, "ug"),
         ("scale.constant", catalogue.constant, 10000.0, "ppm"),
         ("scale.temperature", catalogue.linear, 1000.0, "ppm/degC"),
-        ("scale.cell", CELL, 100.0, "ppm"),
+        ("scale.cell", CELL_EFFECT, 100.0, "ppm"),
         ("fixture_tilt.constant", catalogue.constant, 291.0, "urad", TWO_MINUTES),
-        ("fixture_tilt.cell", CELL, 5.0, "urad"),
+        ("fixture_tilt.cell", CELL_EFFECT, 5.0, "urad"),
         ("base_tilt.constant", LEVEL, 1.0, "arcsec"),
-        ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
+        ("base_tilt.cell", BASE_CELL_EFFECT, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),
     ),
@@ -345,7 +345,7 @@ INSTRUMENT = bc.Instrument(
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
-    nuisances=(local_gravity.uncertain("gravity"),),
+    nuisances=(local_gravity.make_nuisance_effect("gravity"),),
     noise=bc.White(bc.HalfCauchy(1.0)),
     nominal_scale=NOMINAL_SCALE,
     structures=(

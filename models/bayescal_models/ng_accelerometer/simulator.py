@@ -101,7 +101,7 @@ def _ones(w: World) -> Array:
 def _scatter(
     what: str, group: str, along: Callable[[World], Array] = _ones
 ) -> Callable[[World], Array]:
-    """Return one deviation for each cell or run; the size is their standard deviation."""
+    """Return a law of one standard normal deviate per cell or run; the size multiplies it."""
 
     def curve(w: World) -> Array:
         return (w.by_cell[what] if group == "cell" else w.by_run[what]) * along(w)

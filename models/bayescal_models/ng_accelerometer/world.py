@@ -23,7 +23,7 @@ from bayescal_models.simulated import (
     wandering_supply,
 )
 
-CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
+CHAMBER_TAU, DEVICE_TAU, FIXTURE_TAU = 180.0, 600.0, 900.0  # s, behind set point, air, air
 BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
 WANDER_TIME, LABORATORY_WANDER_TIME = 600.0, 2 * HOUR  # s, of the Ornstein–Uhlenbeck records
 REVERSAL = 1.0  # °C, over which hysteresis follows a reversal
@@ -81,15 +81,15 @@ class World:
         on = np.array([first for first, _ in done.power])[run][:, None]
         self.warmth = np.exp(-(self.time - on) / WARM_UP_TIME)
         wander = correlated(generators["chamber"], grid.size, WANDER_TIME, GRID)
-        calm = body(ramp_limited(grid, *zip(*done.goals, strict=True), plan.ramp), CHAMBER_TIME)
+        calm = body(ramp_limited(grid, *zip(*done.goals, strict=True), plan.ramp), CHAMBER_TAU)
         air = calm + plan.chamber_wander * wander
-        device = body(air, DEVICE_TIME)
+        device = body(air, DEVICE_TAU)
         self.device = device[index]
         self.element = body(device, LAG_TIME)[index]
-        self.fixture = body(air, FIXTURE_TIME)[index]
+        self.fixture = body(air, FIXTURE_TAU)[index]
         self.base = body(air, BASE_TIME)[index]
         self.heating = (np.gradient(device) * HOUR / GRID)[index]
-        self.direction = _hysteresis(grid, body(calm, DEVICE_TIME), done.power)[index]
+        self.direction = _hysteresis(grid, body(calm, DEVICE_TAU), done.power)[index]
         slow = correlated(generators["laboratory"], grid.size, LABORATORY_WANDER_TIME, GRID)
         daily = plan.laboratory_daily * np.cos(2 * np.pi * (BEGIN + grid / DAY))
         laboratory = plan.laboratory + plan.laboratory_wander * slow - daily

@@ -52,8 +52,8 @@ def derived(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, 
     )
 
 
-def made_in_moves(unit: str) -> tuple[bc.Column, ...]:
-    """Declare the columns of a mean output over a move, along a direction fixed in the unit."""
+def declare_move_columns(unit: str) -> tuple[bc.Column, ...]:
+    """Declare the basis columns of an output averaged over a move between poses, along an axis fixed in the sensor."""
     return (
         *(
             bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)

@@ -72,20 +72,20 @@ def bias_of(
     temperature: np.ndarray,
     progress: np.ndarray,
     lag: np.ndarray,
-    of_run: np.ndarray,
+    run_deviates: np.ndarray,
 ) -> np.ndarray:
     """Return the bias of each axis (n, 3), in the unit of its effects.
 
     Args:
-        sizes: of the members of each effect.
-        temperature, progress, lag: °C, share of the test, °C behind the thermometer, (n,) each.
-        of_run: standard normal numbers (n, 3), alike within a run.
+        sizes: effect → its true value on each axis (3,).
+        temperature, progress, lag: °C, (t − t̄)/duration of the test, °C of the body behind the thermometer, (n,) each.
+        run_deviates: standard normal deviates (n, 3), constant within a run.
     """
     warm = (temperature - REFERENCE)[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
     bias = bias + sizes["bias.temperature_quadratic"] * warm**2
     bias = bias + sizes["bias.thermal_lag"] * lag[:, None]
-    return bias + sizes["bias.drift"] * progress[:, None] + sizes["bias.run"] * of_run
+    return bias + sizes["bias.drift"] * progress[:, None] + sizes["bias.run"] * run_deviates
 
 
 def simulator_of(

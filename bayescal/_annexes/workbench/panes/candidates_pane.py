@@ -16,7 +16,7 @@ HINT = "Point at a candidate, with the pointer or with Tab and the arrows, to se
 
 
 class CandidatesPane(Pane):
-    """The right of the page."""
+    """Pane of the candidate effects, on the right of the page."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)

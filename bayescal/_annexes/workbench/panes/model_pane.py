@@ -163,7 +163,7 @@ def _contraction(share: float | None) -> dict[str, Any]:
     """Return the bar for the contraction from prior to posterior."""
     if share is None:
         return {"bar": None, "title": "no contraction: flat or learned prior"}
-    title = f"contraction {share:.3f}: how much narrower than the prior"
+    title = f"contraction {share:.3f}: 1 − posterior variance / prior variance"
     return {"bar": max(0.0, share), "title": title}
 
 

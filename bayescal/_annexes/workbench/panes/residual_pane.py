@@ -355,8 +355,8 @@ class ResidualPane(Pane):
             ],  # colour is never the only distinction
         }
         self._fill_curve()
-        count, drawn = now.residual.size, f"{rows.size:,} of {now.residual.size:,} readings drawn"
-        self.drawn.object = "" if rows.size == count else f"{drawn}: extremes, evenly spread"
+        count, drawn = now.residual.size, f"{rows.size:,} of {now.residual.size:,} readings plotted"
+        self.drawn.object = "" if rows.size == count else f"{drawn} (extremes of equal intervals)"
         range_over(now.residual, *([] if before is None else [before]), view=self._y)
 
     def _fill_curve(self) -> None:

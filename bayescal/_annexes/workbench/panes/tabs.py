@@ -86,7 +86,7 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
         title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * branch}
         steps.append({**row, **title, "nothing_missing": complete, "state": n})
     table = ws.steps_table(steps)
-    table = table.only(*(c.head for c in table.shown if c.head in COLUMNS))
+    table = table.only(*(c.head for c in table.printed_columns if c.head in COLUMNS))
     heads, rows = [c.head for c in table.columns], []
     rises = {"held-out": "more than a twentieth above the step before"}
     for row, (step, *cells) in zip(steps, table.cells, strict=True):
@@ -213,7 +213,7 @@ ERROR = "The error"
 
 
 class Tabs(Pane):
-    """The choice of the lower pane; each is updated when it is opened, not before."""
+    """Tabs that select the lower pane; a pane is updated when it is opened, not before."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)

@@ -1,1 +1,1 @@
-"""What the panes are made of: their style, text, buttons and rows; and what runs beside them."""
+"""Widgets of the panes (style, text, buttons, rows) and their background tasks."""

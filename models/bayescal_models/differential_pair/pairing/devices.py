@@ -140,7 +140,7 @@ def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tu
 
 @dataclass(frozen=True)
 class _Table:
-    """Records side by side: names, outer first; row of each reading (K, T); index of each device in the samples."""
+    """Records of K devices at T common times: names, outer ones first; rows of readings (K, T); index in the draws."""
 
     names: tuple[str, ...]
     outer: int

@@ -193,7 +193,7 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
         )
     if not best.environment_ratio.document_reliable:
         sentences.append(
-            f"The environment ratio of {best} by sums over the record ({best.environment_ratio.document:.3g}) is "
+            f"The environment ratio of {best} from sums over the record ({best.environment_ratio.document:.3g}) is "
             "unreliable, because its denominator is near zero: use the posterior."
         )
     return tuple(sentences)
