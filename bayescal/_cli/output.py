@@ -128,10 +128,7 @@ class ConsoleReporter:
         if line := path.progress:
             assert path.search is not None  # where it has a line
             state = (len(path.steps), str(path.search.structures[0]))
-            if (
-                state != self._printed.get(name)
-                or progress.seconds_since_output() >= progress.INTERVAL_SECONDS
-            ):
+            if state != self._printed.get(name) or progress.silence() >= progress.INTERVAL_SECONDS:
                 number_of = self.channels.index(name) + 1 if name else 0
                 prefix = f"{name}, channel {number_of} of {len(self.channels)}: " * bool(name)
                 progress.tell(prefix + line)

@@ -45,7 +45,7 @@ def show_bar(text: str, share: float | None = None) -> None:
     _bar = _bar if text else None
 
 
-def seconds_since_output() -> float:
+def silence() -> float:
     """Return the time since the last progress line, s."""
     return time.monotonic() - _last_line
 
@@ -61,7 +61,7 @@ def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
     start = time.monotonic()
     for i, item in enumerate(items):
         elapsed = time.monotonic() - start
-        if min(seconds_since_output(), elapsed) >= INTERVAL_SECONDS:
+        if min(silence(), elapsed) >= INTERVAL_SECONDS:
             left = elapsed * (len(items) / i - 1)
             tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left", i / len(items))
         yield item
