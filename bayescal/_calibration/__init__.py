@@ -1,1 +1,1 @@
-"""What a fit is: the verbs `fit`, `load`, `predict`, `check` and `compare`; draws with names, storage, guards."""
+"""Calibrations: the functions `fit`, `load`, `predict`, `check` and `compare`; draws with names, storage, guards."""

@@ -8,7 +8,7 @@ and the prior splits it. The squared shift, averaged over presence and absence o
 coefficient's variance. Posterior means stay those of the model, which compensate a sensor in its test conditions.
 
 A column that was rounded or truncated may be off by up to half a step in all readings alike. It is treated as a column
-whose effect is certain, with standard deviation step/√12 times the derivative of the output by the column.
+whose effect is certain, with standard deviation step/√12 times the derivative of the output with respect to the column.
 Source: J. Hoeting, D. Madigan, A. Raftery and C. Volinsky, Stat. Sci. 14 (1999) 382 (averaging over models).
 """
 

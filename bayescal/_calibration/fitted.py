@@ -118,7 +118,7 @@ class Fitted:
         return find_confounders(self.linear, columns, steps) if columns or steps else ()
 
     def _rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return rounding steps of thermometers and output, and the derivative of the output by each (n,)."""
+        """Return rounding steps of thermometers and output, and the derivative with respect to each (n,)."""
         readings, steps = self.readings, dict[str, tuple[float, np.ndarray]]()
         if step := resolution(readings["output"]):
             steps["output"] = step, np.ones(len(readings))

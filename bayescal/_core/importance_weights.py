@@ -110,7 +110,7 @@ def stacking_weights(log_densities: np.ndarray) -> np.ndarray:
     density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
 
     def loss(logits: np.ndarray) -> tuple[float, np.ndarray]:
-        # Softmax parametrisation: with g the gradient by the weights w, the gradient by the logits is w·(g − w·g).
+        # Softmax parametrisation: with g = ∂/∂w, w the weights, the gradient in the logits is w·(g − w·g).
         weight = np.exp(logits - logits.max())
         weight /= weight.sum()
         mixture = density @ weight

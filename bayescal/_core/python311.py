@@ -1,4 +1,4 @@
-"""What Python 3.11 alone needs. It goes in October 2027, when 3.11 ends, and `pyproject.toml`'s lines for it too."""
+"""Backports for Python 3.11. They go in October 2027, when 3.11 ends, and `pyproject.toml`'s lines for it too."""
 
 import os
 import sys

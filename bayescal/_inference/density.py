@@ -201,7 +201,7 @@ class Density(ByValues):
             return array if len(rows) == len(array) else array[rows]
 
         def evaluate(rows: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
-            """Return −2·log density, derivatives by residual, mixture weights, z and log|Σ| at rows of φ."""
+            """Return −2·log density, derivatives in the residual, mixture weights, z and log|Σ| at rows of φ."""
             r = select(residual, rows) - (select(jacobian, rows) @ shift[:, :, None])[:, :, 0]
             phi = {name: np.broadcast_to(v, (len(vs),))[rows] for name, v in hyper.items()}
             variance = extra[rows] if np.ndim(extra) else extra

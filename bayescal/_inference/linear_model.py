@@ -188,7 +188,7 @@ class LinearModel:
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
-        """Return the derivatives of the expected output by each slot, at the mode (n,) each."""
+        """Return the derivatives of the expected output with respect to each slot, at the mode (n,) each."""
         return self.problem.slopes(self.mode.x, self.problem.hyper(self.mode.v))
 
 

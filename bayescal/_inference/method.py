@@ -20,7 +20,7 @@ CHAINS = 4  # number of chains into which independent draws are split, for tools
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether to trust a fit, and why not.
+    """Reliability of a fit, with the reasons against it.
 
     Attributes:
         ok: nothing below stands against it.

@@ -163,7 +163,7 @@ def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.n
 
 
 class DensityTerms(NamedTuple):
-    """Log density of readings under independent noise, with its derivatives by the residual e of each reading.
+    """Log density of readings under independent noise, and its derivatives in the residual e of each reading.
 
     As a Gaussian scale mixture a reading has the precision slope/e (`weight`); `curvature` = −∂²/∂e² may be smaller,
     and is negative for an outlier.

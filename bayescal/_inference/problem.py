@@ -268,7 +268,7 @@ class Problem:
     def expected_with_slopes(
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
-        """Return the expected output of joint draws, and its derivatives by terms, as if all were of one member."""
+        """Return the expected output of joint draws, and its derivatives in the terms, as if all were of one member."""
         corrects = any(t.slot not in self.host.slots for t in terms)
         composed = self.composed(self.terms, x, hyper, corrects)
         mean, by_slot = differentiate_output(self.host, self.terms, composed)
@@ -289,7 +289,7 @@ class Problem:
 
 
 def differentiate(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
-    """Return the derivatives of f by each coordinate, by central differences with one step or one per coordinate."""
+    """Return the gradient of f by central differences, with one step or one per coordinate."""
     shifts = np.diag(np.broadcast_to(step, point.shape))
     return np.array([(f(point + s) - f(point - s)) / (2 * s.sum()) for s in shifts])
 

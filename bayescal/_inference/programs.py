@@ -100,7 +100,7 @@ class ResponseSpec(NamedTuple):
 def differentiate(
     what: ResponseSpec, frame: Frame, slots: ByName, shifts: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the expected output (n,), and its derivatives by each slot and shifted column (n,)."""
+    """Return the expected output (n,), and its derivatives with respect to each slot and shifted column (n,)."""
 
     def respond(slots: ByName, shifts: ByName) -> Array:
         return _respond(what.response, frame, (slots, shifts))

@@ -30,7 +30,7 @@ from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnSpec
 
 CACHE_BYTES = 256 * 2**20  # of cached columns at shapes, and of expansions
-DIFFERENCE = 1e-4  # difference step for derivatives by a column, in ranges of the column
+DIFFERENCE = 1e-4  # difference step of a column, in ranges of the column
 AFFINE = 1e-9  # relative change of derivatives, below which a response counts as affine
 DRAWS_A_CALL = 48  # draws per call of a program, at most,
 CALL_NUMBERS = 16_384  # or this many draws × readings, below which the overhead of a call dominates
@@ -212,7 +212,7 @@ class Record:
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Return expected output, and derivatives by each slot and shifted column, (n,) or (b, n) for draws."""
+        """Return the expected output and its gradient in slots and shifted columns, (n,), or (b, n) for draws."""
         if not shifts and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
@@ -242,7 +242,7 @@ class Record:
         return self._respond(slots, shifts), slopes
 
     def _difference_step(self, column: str) -> float:
-        """Return the difference step for derivatives by a column, in its unit."""
+        """Return the difference step for derivatives with respect to a column, in its unit."""
         return DIFFERENCE * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
     def _cached_response(self, slots, shifts):
@@ -339,7 +339,7 @@ class Record:
         return shifts
 
     def differentiate_columns(self, effect: ColumnSpec, values: Sequence[Any], shifts: Any) -> Any:
-        """Return `columns_of_draws` and their derivatives by each shift, by differences, (b, n, k) each."""
+        """Return `columns_of_draws` and their numerical derivatives in each shift, (b, n, k) each."""
         slopes = {}
         for name, shift in shifts.items():
             h = self._difference_step(name)

@@ -248,7 +248,7 @@ class Tabulated:
         dW = rows.owned.T @ (a[:, :, None] * U)  # (d, p + 1, p + 1)
         dW = dW + dW.transpose(0, 2, 1)
         B = (a @ Q) @ a.T
-        # Second derivatives of d times Q·d: by prior deviations, by shapes, mixed.
+        # Second derivatives of d times Q·d: with respect to prior deviations, to shapes, mixed.
         copied = first_logs.copy()
         e = d * y
         by_sd = copied[:, rows.owner]
@@ -370,7 +370,7 @@ class Tabulated:
         )
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return the log prior of φ, and its first and second derivatives by each coordinate (d,)."""
+        """Return the log prior of φ, and its first and second derivatives with respect to each coordinate (d,)."""
         h, log_priors = DIFFERENCE, np.empty((3, len(v)))
         for i, hyper in enumerate(self.problem.hypers):
             log_priors[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))

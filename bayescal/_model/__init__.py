@@ -1,1 +1,1 @@
-"""What a model is: priors, coefficients, effects, noise laws, instruments, and their one composition."""
+"""Models: priors, coefficients, effects, noise laws, instruments, and their one composition."""

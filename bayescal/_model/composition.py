@@ -33,7 +33,7 @@ class ColumnSource(Protocol):
     codes: Mapping[str, Any]  # group → index of each reading's member (n,), −1 for none
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
-        """Return the basis columns of a term's effect (…, n, k), and their derivatives by each corrected column."""
+        """Return the basis columns of a term's effect (…, n, k), and their derivatives in each corrected column."""
         ...
 
     def response(self, slots: dict, shifts: dict) -> Any:
@@ -41,7 +41,7 @@ class ColumnSource(Protocol):
         ...
 
     def differentiate_output(self, slots: dict, shifts: dict) -> tuple[Any, Mapping[str, Any]]:
-        """Return the expected output, and its derivatives by each slot and corrected column, (…, n)."""
+        """Return the expected output, and its derivatives with respect to each slot and corrected column, (…, n)."""
         ...
 
 
@@ -52,7 +52,7 @@ class Composed(NamedTuple):
     shifts: dict[str, Any]  # column of the readings → correction added to it (…, n)
     values: list[Any]  # each term's coefficient at each reading, (…, n), or one for all, (…, 1)
     columns: list[Any]  # each term's basis column (…, n), slot unit per reported unit
-    column_grads: list[Mapping[str, Any]]  # derivatives of each basis column by each shifted column
+    column_grads: list[Mapping[str, Any]]  # ∂(basis column)/∂(shifted column), for each pair
 
 
 class Linearisation(NamedTuple):
@@ -147,7 +147,7 @@ def evaluate_output(source: ColumnSource, composed: Composed) -> Any:
 def differentiate_output(
     source: ColumnSource, terms: Sequence[Term], composed: Composed
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the expected output and its derivatives by slots and corrected columns (…, n) each."""
+    """Return the expected output and its derivatives with respect to slots and corrected columns (…, n) each."""
     mean, partials = source.differentiate_output(composed.slots, composed.shifts)
     by_name = dict(partials)
     # Chain rule: dμ/dcolumn = ∂μ/∂column + Σ ∂μ/∂slot·∂slot/∂column.
@@ -272,7 +272,7 @@ class TracedColumns:
 def differentiate_response(
     response: Any, slots: dict[str, Any], shifts: dict[str, Any], reverse_mode: bool
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a response (n,) and its derivatives by slots and column shifts; reverse mode is faster for many slots."""
+    """Return a response (n,) and its gradient in slots and column shifts; reverse mode is faster for many slots."""
     if reverse_mode and not shifts:
         mean, vjp = jax.vjp(lambda values: response(values, {}), slots)
         return mean, vjp(jnp.ones_like(mean))[0]

@@ -21,7 +21,7 @@ from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-SLOPE_STEP = 1e-3  # step of numerical derivatives by a coordinate v
+SLOPE_STEP = 1e-3  # step of numerical derivatives with respect to a coordinate v
 _EDGE = 1e-15  # probability within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
 
 
@@ -245,6 +245,6 @@ def scale_prior(prior: Positive, factor: float) -> Positive:
 
 
 def slope(prior: Any, v: Any) -> Any:
-    """Return the derivative of a prior's value by its coordinate, by central differences of fourth order."""
+    """Return d(prior's value)/d(coordinate), by central differences of fourth order."""
     value, h = prior.value, SLOPE_STEP
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)

@@ -145,7 +145,7 @@ class Library:
         """
         record, instrument = linear.problem.record, self.structures.base.instrument
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
-        # Chain rule: derivative of the output by the slot, times that of the slot by the coefficient.
+        # Chain rule: derivative of the output with respect to the slot, times ∂slot/∂coefficient.
         by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
         needed, entries = self._relevant_corrections(name, corrections), self._columns.get(name, {})
         if entry := entries.get(bool(needed)):

@@ -315,8 +315,8 @@ class TracedEquation:
 
     operations: list[Node]
     expected: int  # node of the expected output
-    slope: int  # node of its derivative by the stimulus
-    gradient: tuple[int, ...]  # nodes of its derivatives by the unknowns
+    slope: int  # node of its derivative with respect to the stimulus
+    gradient: tuple[int, ...]  # nodes of its derivatives with respect to the unknowns
     noise: int  # node of a reading's noise variance
 
 
@@ -367,7 +367,7 @@ class CompensationProgram(CorrectionInUse):
         return s, uncertainty / np.abs(slope), np.broadcast_to(1 / np.abs(slope), s.shape)
 
     def _expand_at(self, values: Mapping[str, np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Return expected output, its derivative by the stimulus, and its standard uncertainty without noise, (n,)."""
+        """Return expected output, its slope ∂output/∂stimulus, and its standard uncertainty without noise, (n,)."""
         outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
         nodes = self.graph.evaluate(outputs, values)
         expected, slope, *gradient = (np.broadcast_to(v, values[STIMULUS].shape) for v in nodes)

@@ -219,7 +219,7 @@ class Graph:
         return [values[o] for o in outputs]
 
     def gradient(self, output: int, names: Collection[str]) -> dict[str, int]:
-        """Add nodes of a node's derivatives by inputs, by reverse-mode differentiation; return their indices."""
+        """Add nodes of a node's gradient in the inputs, by reverse-mode differentiation; return their indices."""
         nodes, dependent = self.dependencies([output]), set[int]()  # nodes that depend on `names`
         for node in nodes:
             op, *args = self.nodes[node]

@@ -8,7 +8,7 @@ equation is a function of numbers,
 
 with θ the coefficients and nonlinear parameters ("shapes"), and `inputs` the covariates of the reading; the history of
 a record enters as inputs too (`temperature_rate`, `temperature_lag`, `elapsed`). It is traced once to a graph of scalar
-operations, with its derivatives by stimulus and θ. NumPy evaluates the graph, draws of θ along the leading axis, and
+operations, with its derivatives in stimulus and θ. NumPy evaluates the graph, draws of θ along the leading axis, and
 exports write it as code. It is solved for the stimulus of each reading, for draws of θ or to first order.
 """
 
@@ -256,7 +256,7 @@ class OperatingEquation:
 
     @cached_property
     def gradient(self) -> dict[str, int]:
-        """Return nodes of the expected output's derivatives by stimulus and unknowns, by input name."""
+        """Return nodes of the expected output's derivatives with respect to stimulus and unknowns, by input name."""
         names = (STIMULUS, *(input_name(u.key) for u in self.unknowns))
         zero = self.graph.constant(0.0)
         return dict.fromkeys(names, zero) | self.graph.gradient(self.expected, names)
@@ -294,7 +294,7 @@ class OperatingEquation:
 
     @property
     def slope_calibrated(self) -> bool:
-        """Return whether the output's slope by the stimulus depends on an unknown."""
+        """Return whether the output's slope with respect to the stimulus depends on an unknown."""
         unknowns = {input_name(u.key) for u in self.unknowns}
         return not unknowns.isdisjoint(self.graph.inputs([self.gradient[STIMULUS]]))
 
@@ -318,7 +318,7 @@ class OperatingEquation:
     def linearised(
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
-        """Return the expected output at each place, its slope by the stimulus, and its gradient by the unknowns."""
+        """Return the expected output at each place, its slope in the stimulus, and its gradient in the unknowns."""
         nodes = [self.expected, *self.gradient.values()]
         values = self.evaluate(nodes, theta, stimulus, inputs)
         expected, slope, *gradient = (np.broadcast_to(value, len(stimulus)) for value in values)
@@ -475,7 +475,7 @@ def equation_in_use(
 
 
 def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return T̃ − T of a record, °C, and its derivative by the time constant, °C/s, (n,) each."""
+    """Return T̃ − T of a record, °C, and its derivative with respect to the time constant, °C/s, (n,) each."""
     lag = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
     return lag.real, lag.imag / (tau * IMAGINARY_STEP.imag)
 

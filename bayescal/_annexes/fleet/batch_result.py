@@ -1,4 +1,4 @@
-"""What a batch gives: for each device its unknowns, their covariance and a verdict, as arrays and a table."""
+"""Results of a batch: for each device its unknowns, their covariance and a verdict, as arrays and a table."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ MAX_EFFECTS = 3  # added to a device at most
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one device's readings say of its structures."""
+    """Evidence of one device's readings on its structures."""
 
     # effect → probability, before the readings, that a device lacks it; what it cannot show is not named
     prior: Mapping[str, float]
@@ -48,7 +48,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class DeviceStructure:
-    """What is missing from one device's model."""
+    """Effects missing from one device's model."""
 
     # effects, families: of the structure to use: forms, and what they are of
     effects: tuple[str, ...]

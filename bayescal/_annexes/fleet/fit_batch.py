@@ -37,7 +37,7 @@ Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] |
 
 @dataclass(frozen=True)
 class Request:
-    """What is fitted to every device."""
+    """The model and options that are fitted to every device."""
 
     model: bc.Model  # what is fitted
     fit_options: FitOptions  # of every fit

@@ -1,4 +1,4 @@
-"""What the annex of fleets offers: the command for many devices at once. Heavy modules load inside it."""
+"""The annex of fleets: the command for many devices at once. Heavy modules load inside it."""
 
 from __future__ import annotations
 

@@ -422,7 +422,7 @@ class _Closure(NamedTuple):
 
     residual: Float[np.ndarray, "2m"]  # rad/s
     design: Float[np.ndarray, "2m 27"]
-    of_forces: Float[np.ndarray, "2m 3k"]  # slopes by the specific forces in the poses
+    of_forces: Float[np.ndarray, "2m 3k"]  # slopes with respect to the specific forces in the poses
     of_noise: Float[np.ndarray, "m 2 2"]  # covariance by white noise of one rad/s over a second
     duration: Float[np.ndarray, "m"]  # s
     force: Float[np.ndarray, "m 3"]  # mean, g

@@ -339,10 +339,10 @@ def term_rows(
 def slopes_by_terms(
     force: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
-    """Return the slopes of the three outputs by the terms of a correction up to an order in the input."""
+    """Return the slopes of the three outputs with respect to the terms of a correction up to an order in the input."""
 
     def by_rows(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
-        """Return the slopes by a matrix's entries, row by row, that multiply these values."""
+        """Return the slopes with respect to a matrix's entries, row by row, that multiply these values."""
         return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
 
     blocks = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), by_rows(force)]
@@ -355,7 +355,7 @@ def slopes_by_terms(
 def _slopes_by_force(
     terms: Float[np.ndarray, "n p"], force: Float[np.ndarray, "n 3"], order: int
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Return H, the slopes of the three outputs by the input vector."""
+    """Return H, the slopes of the three outputs with respect to the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
         second = terms[:, 12:30].reshape(-1, 3, 6)

@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of an accelerometer on a dividing head, linear in temperature.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Output y of reading i, µg, at the angle θ and the temperature T:
 

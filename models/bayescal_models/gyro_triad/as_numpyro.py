@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of three gyroscopes on a rate table, with errors of the mountings.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 The table turns at a rate Ω about an axis u of the body, nominally; ω = Ω·u. Of axis a of the unit:
 

@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of three magnetometers turned in a constant field of unknown direction.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 In each reading the field of magnitude F points along a latent unit vector u with a uniform prior; m = F·u:
 

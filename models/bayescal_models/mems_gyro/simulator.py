@@ -37,7 +37,7 @@ WANDER, WANDER_TIME = 0.05, 300.0  # °/s and s, of correlated noise
 
 
 class World(Clock):
-    """What happens in a test, second by second; arrays have one value per grid point.
+    """Conditions in a test, second by second; arrays have one value per grid point.
 
     Attributes:
         plan: plan of the test.

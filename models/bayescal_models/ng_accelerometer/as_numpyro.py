@@ -2,7 +2,7 @@
 
 Bias and scale factor follow the temperature; the angles of fixture, base and tide are latent.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 The face of the table is tilted by γ and rotated to θ; gravity acts along the input axis as a = g·u·s (source 0), with
 

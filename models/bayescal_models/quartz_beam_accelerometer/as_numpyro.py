@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of a quartz resonant beam accelerometer with two thermometers, 15 columns (source 2).
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 With t1 at the beams' circuit, t2 in the head, both from T0, and δ = t1 − t2:
 

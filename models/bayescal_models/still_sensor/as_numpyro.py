@@ -1,6 +1,6 @@
 """Self-contained NumPyro model of any sensor at rest, linear in temperature.
 
-What `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
 
 Output y of reading i, µg; sizes are those of a plausible accelerometer on ramps:
 

@@ -1,1 +1,1 @@
-"""What the page shows: the model, where it fails, what is missing, and below them the error and what is behind tabs."""
+"""Panes of the page: the model, its residuals, candidate effects, and below them the error and the tabs."""

@@ -1,1 +1,1 @@
-"""Which two devices make the pair, with probabilities, and what the pair then measures."""
+"""Choice of the two devices of a pair, with probabilities, and the measurement by that pair."""
