@@ -403,7 +403,7 @@ def basis_factor(
             return factor * size
     raise InputError(
         f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(basis)}], and no product "
-        f"of its columns' units ({_listed(named)}) is that"
+        f"of its columns' units ({_list_units(named)}) is that"
     )
 
 
@@ -420,7 +420,7 @@ def _ratio_unit_factor(unit: str, slot_unit: str, named: tuple[str, ...], open_:
         return min(ratios) ** (below - excess_exponent)
     raise InputError(
         f"a coefficient in [{unit}] on a slot in [{slot_unit}] does not say which of its columns, ratios in "
-        f"{_listed(named)}, it is per: declare them in [1]"
+        f"{_list_units(named)}, it is per: declare them in [1]"
     )
 
 
@@ -447,14 +447,14 @@ def _product(
     free = np.linalg.svd(matrix)[2][rank:]
     doubtful = np.abs(free[np.abs(free @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
     if doubtful.any():
-        listed = _listed([u for u, odd in zip(parts, doubtful, strict=True) if odd])
+        listed = _list_units([u for u, odd in zip(parts, doubtful, strict=True) if odd])
         raise InputError(
             f"of columns in {listed} its basis may be made in several ways, of different size: declare them in one unit"
         )
     return float(np.exp(powers @ sizes))
 
 
-def _listed(units: Sequence[str]) -> str:
+def _list_units(units: Sequence[str]) -> str:
     return ", ".join(f"[{u}]" for u in dict.fromkeys(units)) or "none is named"
 
 

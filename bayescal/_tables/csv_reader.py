@@ -140,7 +140,7 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
         InputError: it is empty, in an encoding that cannot be told, ends lines in a way that cannot be counted, or has
             rows with another number of fields than the header.
     """
-    text = CsvText(file, *_decoded(data, file), decimal=decimal)
+    text = CsvText(file, *_decode(data, file), decimal=decimal)
     if text.encoding != "utf-8":
         text.notes.append(f"read as {text.encoding}")
     _read_header(text)
@@ -148,7 +148,7 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
     return text
 
 
-def _decoded(data: bytes, file: str) -> tuple[bytes, str]:
+def _decode(data: bytes, file: str) -> tuple[bytes, str]:
     """Decode the bytes of a file; return it in UTF-8, and its encoding.
 
     It is windows-1252 if bytes beyond ASCII form no character of UTF-8 anywhere: in windows-1252 two such bytes are

@@ -146,7 +146,7 @@ def _fit_linear_devices(
         if problem is None:
             continue
         with np.errstate(all="ignore"):  # of devices that are no plain ones
-            plain, x, covariance, sd = _solve(problem, *_linearised(problem))
+            plain, x, covariance, sd = _solve(problem, *_linearise(problem))
         if NOISE not in dict(model.fixed):
             x = np.column_stack([x, sd])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
@@ -158,11 +158,11 @@ def _fit_linear_devices(
         }
 
 
-def _stacked(arrays: Sequence[Any]) -> Any:
+def _stack(arrays: Sequence[Any]) -> Any:
     """Return arrays of several devices with a leading axis, also within dictionaries."""
     if not isinstance(arrays[0], Mapping):
         return np.stack(arrays)
-    return {name: _stacked([array[name] for array in arrays]) for name in arrays[0]}
+    return {name: _stack([array[name] for array in arrays]) for name in arrays[0]}
 
 
 def _together(
@@ -180,7 +180,7 @@ def _together(
     ):
         return None
     try:
-        together = bc.Frame(**_stacked([*map(vars, frames)]))
+        together = bc.Frame(**_stack([*map(vars, frames)]))
         constants = {n: v[:, None] for n, v in together.reference.items()}
         frame = replace(together, reference=constants, silence=together.silence[:, None])
         problem, alone = (
@@ -189,7 +189,7 @@ def _together(
         )
         if alone.affine:
             # A basis may be of all readings that it is given, a response of one device's.
-            jacobian, single = _linearised(problem)[1][0], _linearised(alone)[1]
+            jacobian, single = _linearise(problem)[1][0], _linearise(alone)[1]
             atol = JACOBIAN_TOLERANCE * np.max(np.abs(single))
             how = {"rtol": JACOBIAN_TOLERANCE, "atol": atol}
             return problem if np.allclose(jacobian, single, **how) else None
@@ -198,7 +198,7 @@ def _together(
     return None
 
 
-def _linearised(
+def _linearise(
     problem: ws.Problem,
 ) -> tuple[Float[np.ndarray, "*b n"], Float[np.ndarray, "*b n p"]]:
     """Return what priors' means leave of the outputs, and the Jacobian."""

@@ -237,15 +237,15 @@ def real(value: float, unit: str | None, gravity: float, sd: float = 0, ends: En
     """
     factor, text = d_si(unit, gravity)
     value, sd = float(value) * factor, float(sd) * factor
-    number = Real(_rounded(value, K * sd), text, "", {})
+    number = Real(_round(value, K * sd), text, "", {})
     if not sd > 0:
         return number
     if ends is not None:
-        low, high = (_rounded(end * factor, sd) for end in ends)
-        interval = {"standardUnc": _rounded(sd, sd), "intervalMin": low, "intervalMax": high}
+        low, high = (_round(end * factor, sd) for end in ends)
+        interval = {"standardUnc": _round(sd, sd), "intervalMin": low, "intervalMax": high}
         interval["coverageProbability"] = "0.95"
         return number._replace(form="coverageInterval", spread=interval)
-    expanded = {"uncertainty": _rounded(K * sd, K * sd), "coverageFactor": f"{K:g}"}
+    expanded = {"uncertainty": _round(K * sd, K * sd), "coverageFactor": f"{K:g}"}
     expanded |= {"coverageProbability": f"{PROBABILITY:g}", "distribution": "normal"}
     return number._replace(form="expandedUnc", spread=expanded)
 
@@ -279,7 +279,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
     return factor, text or "\\one"
 
 
-def _rounded(value: float, uncertainty: float) -> str:
+def _round(value: float, uncertainty: float) -> str:
     """Round a number to the second significant digit of its uncertainty; not at all where that is zero."""
     if not uncertainty > 0:
         return repr(value)

@@ -65,21 +65,21 @@ ACROSS = tuple(f"across_{a}" for a in AXES)
 ANGLES = (*UPPER, *LOWER)
 
 
-def _stacked(values, names):
+def _stack(values, names):
     return xp.stack([values[name] for name in names], axis=-1)
 
 
 def _acting(r):
-    rate = r["rate"][..., None] * _stacked(r, DIRECTION)
-    return rate + _stacked(r, EARTH) if EARTH[0] in r.columns else rate
+    rate = r["rate"][..., None] * _stack(r, DIRECTION)
+    return rate + _stack(r, EARTH) if EARTH[0] in r.columns else rate
 
 
 def _equation(slots, r):
     outputs = equation(slots, r)
     if GRAVITY[0] not in r.columns:
         return outputs
-    matrices = _stacked(slots, SENSITIVITY).reshape(r.size, 3, 3)
-    by_gravity = xp.sum(matrices * _stacked(r, GRAVITY)[:, None, :], axis=-1)
+    matrices = _stack(slots, SENSITIVITY).reshape(r.size, 3, 3)
+    by_gravity = xp.sum(matrices * _stack(r, GRAVITY)[:, None, :], axis=-1)
     return lambda rate: outputs(rate) + by_gravity
 
 
@@ -103,18 +103,18 @@ def _in_moves(slots, r):
         (SQUARED, SQUARE),
         (AROUND, AROUND),
     )
-    total = xp.sum(_stacked(r, TURNED) * identity, axis=-1)
+    total = xp.sum(_stack(r, TURNED) * identity, axis=-1)
     for columns, lever in levers:
-        total = total + xp.sum(_stacked(r, columns) * _stacked(slots, lever), axis=-1)
+        total = total + xp.sum(_stack(r, columns) * _stack(slots, lever), axis=-1)
     return total
 
 
 def _response(slots, r):
     if TURNED[0] in r.columns:
         return _in_moves(slots, r)
-    aside = xp.cross(_stacked(slots, TURN), _stacked(r, DIRECTION))
+    aside = xp.cross(_stack(slots, TURN), _stack(r, DIRECTION))
     error = r["rate"][..., None] * aside
-    return VECTOR.response(slots, r) + xp.sum(_stacked(r, ACROSS) * error, axis=-1)
+    return VECTOR.response(slots, r) + xp.sum(_stack(r, ACROSS) * error, axis=-1)
 
 
 def _at_each_mounting(r):

@@ -126,12 +126,12 @@ def compensate(
     if law == "document":
         x, y = of_x.zero(ry), of_y.zero(rx)
         return Compensated(rx + x.value, ry + y.value, x.uncertainty, y.uncertainty, 1)
-    x, y, passes = _solved(of_x, of_y, rx, ry)
+    x, y, passes = _solve(of_x, of_y, rx, ry)
     sd_x, sd_y = of_x.tilt(rx, y).uncertainty, of_y.tilt(ry, x).uncertainty
     return Compensated(x, y, sd_x, sd_y, passes)
 
 
-def _solved(
+def _solve(
     of_x: _Axis, of_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return tilts at the posterior mean, rad, and the number of iterations.

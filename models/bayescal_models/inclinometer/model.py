@@ -129,7 +129,7 @@ def _per_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Maker:
     return effect(basis, equation, *columns, **{"per": "axis", **fields})
 
 
-def _drawn(per: str, equation: str = "", basis: Any = one, *columns: str) -> Maker:
+def _deviate(per: str, equation: str = "", basis: Any = one, *columns: str) -> Maker:
     """Build deviations of a group's members from the common value; a constant unless a basis is given."""
     needed, varies = (columns, None) if columns else ((per,), ())
     text = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
@@ -181,7 +181,7 @@ S_E = _per_axis(_of_tilt, "S_e/cos x", "true_angle", varies=())
 SETTLING = _per_axis(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
 WARM = _per_axis(centred, "c·(T − T0)", "temperature", kind="linear")
 AXIS_LINE, DEVICE_LINE = (
-    _drawn(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
+    _deviate(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
     for per in ("axis", "device")
 )
 ZERO, FACE = "source 4: 3 to 5 mg of bias", "source 4: face vertical within 2″"  # 619 to 1031″
@@ -192,7 +192,7 @@ EFFECTS = EffectTable.of(
     baseline=(
         ("zero.constant", _per_axis(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO),
         ("zero.placement", _per_axis(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
-        ("zero.run", _drawn("run"), 2.0, "arcsec"),
+        ("zero.run", _deviate("run"), 2.0, "arcsec"),
     ),
     candidates=(
         ("zero.placement_quadratic", CURVED, 0.005, "arcsec/deg^2"),
@@ -224,9 +224,9 @@ EFFECTS = EffectTable.of(
         ("zero.projection_exact", PROJECTED_EXACTLY, 100.0, "arcsec"),
         ("zero.mean", effect(one, "c"), 1000.0, "arcsec", ZERO),
         ("zero.placement_mean", effect(*_of_placement(1)), 2.0, "arcsec/deg"),
-        ("zero.axis", _drawn("axis"), 100.0, "arcsec"),
+        ("zero.axis", _deviate("axis"), 100.0, "arcsec"),
         ("zero.placement_axis", AXIS_LINE, 1.0, "arcsec/deg"),
-        ("zero.device", _drawn("device"), 100.0, "arcsec"),
+        ("zero.device", _deviate("device"), 100.0, "arcsec"),
         ("zero.placement_device", DEVICE_LINE, 1.0, "arcsec/deg"),
     ),
 )

@@ -99,7 +99,7 @@ LINE, RESONANCE, RESONANCE_FORCE = (
 THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
 
 
-def _curved(*orders: str, error: bool = False) -> bc.Model:
+def _polynomial(*orders: str, error: bool = False) -> bc.Model:
     """Build a polynomial model of temperature, with or without thermometer error in each reading."""
     model = INSTRUMENT.baseline()
     for order in orders:
@@ -130,14 +130,14 @@ INSTRUMENT = bc.Instrument(
     noise=bc.White(bc.HalfCauchy(0.1)),
     nominal_scale=NOMINAL_SCALE,
     structures=(
-        ("line", _curved),
-        ("quadratic", lambda: _curved("quadratic")),
-        ("cubic", lambda: _curved("quadratic", "cubic")),
+        ("line", _polynomial),
+        ("quadratic", lambda: _polynomial("quadratic")),
+        ("cubic", lambda: _polynomial("quadratic", "cubic")),
         ("resonance", lambda: _resonant(RESONANCE)),
         ("resonance, force held", lambda: _resonant(RESONANCE_FORCE)),
-        ("line, thermometer error", lambda: _curved(error=True)),
-        ("quadratic, thermometer error", lambda: _curved("quadratic", error=True)),
-        ("cubic, thermometer error", lambda: _curved("quadratic", "cubic", error=True)),
+        ("line, thermometer error", lambda: _polynomial(error=True)),
+        ("quadratic, thermometer error", lambda: _polynomial("quadratic", error=True)),
+        ("cubic, thermometer error", lambda: _polynomial("quadratic", "cubic", error=True)),
         ("resonance, thermometer error", lambda: _resonant(RESONANCE, error=True)),
         ("line, voltage rounded", _rounded),
     ),

@@ -120,23 +120,23 @@ def _quadratic(w: World) -> Array:
     slope = theta / kelvin**2 * e / (e - 1.0) ** 2
     curvature = slope * (theta / kelvin**2 * (e + 1.0) / (e - 1.0) - 2.0 / kelvin) / 2.0
     softening = 1.0 / np.expm1(theta / (kelvin + change)) - at_T0 - slope * change
-    return _mixed(w, change**2, softening / curvature)
+    return _mix_terms(w, change**2, softening / curvature)
 
 
 def _cubic(w: World) -> Array:
     """Return the remainder of a line after a tanh compensation: slightly less than ΔT³."""
     change = w.ambient - w.plan.T0
     remainder = 3.0 * SATURATION**3 * (change / SATURATION - np.tanh(change / SATURATION))
-    return _mixed(w, change**3, remainder)
+    return _mix_terms(w, change**3, remainder)
 
 
 def _drift(w: World) -> Array:
     """Return an ageing logarithmic in time, 1 over the whole test: mildly curved."""
     share = w.time / w.time[-1]
-    return _mixed(w, share, np.log2(1.0 + share))
+    return _mix_terms(w, share, np.log2(1.0 + share))
 
 
-def _mixed(w: World, leading: Array, law: Array) -> Array:
+def _mix_terms(w: World, leading: Array, law: Array) -> Array:
     """Return the leading term of a law, plus a share of its higher terms."""
     return leading + w.plan.nonlinearity * (law - leading)
 
