@@ -1,7 +1,6 @@
 """Model comparison: leave-one-group-out (leave_group_out.py), leave-one-out, evidence (laplace.py), stacking.
 
-Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao et al., Bayesian Analysis 13 (2018)
-917 (stacking). PSIS-LOO is ArviZ's.
+Sources: Vehtari et al., Stat. Comput. 27 (2017) 1413 (PSIS-LOO, by ArviZ); Yao et al., Bayesian Anal. 13 (2018) 917
 """
 
 from __future__ import annotations
@@ -73,18 +72,19 @@ class Comparison(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
         grouped, unit = self.chosen_by != BY_READINGS, unit_label(self.unit)
+        fold, score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
         by_group = (
-            TableColumn(f"{scheme(self.group)} rmse", "group_rmse", number, unit),
-            TableColumn("elpd", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn(f"{fold} rmse", "group_rmse", number, unit),
+            TableColumn(f"{fold} elpd", "group_score", score),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
             TableColumn("model", "name"),
             TableColumn("rmse", "rmse", number, unit),
             *(by_group if grouped else ()),
-            TableColumn("leave-one-out elpd", "loo", "{:.1f}".format),
+            TableColumn("leave-one-reading-out elpd", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
-            TableColumn("log evidence", "log_evidence", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn("log evidence", "log_evidence", score),
             TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""

@@ -781,9 +781,9 @@ def _figures(
         ("Q", "quantisation noise", names.rounded, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, of_density, f"{base}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
-        ("", f"{bias} (lowest Allan deviation / 0.664)", of_bias, base, floor),
+        ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),
         ("K", walk, of_walk, f"{base}/s^0.5", np.concatenate(bound) if walks is None else walks),
-        ("", "tone, size", of_bias, base, pooled_draws("noise.tone")),
+        ("", "tone, rms", of_bias, base, pooled_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),
         ("", "tone, correlation time", "s", "s", pooled_draws("noise.tone.time")),
     ]

@@ -23,7 +23,7 @@ CHANNELS = "channels.json"  # of a unit, whose channels have a folder each
 CALIBRATION = "calibration.nc"  # calibration of the most probable structure
 AVERAGED = "averaged.nc"  # calibration averaged over structures
 SCHEMA = "bayescal.manifest/2"
-REPAIR_ADVICE = "Take a copy of the whole folder, or calibrate again"
+REPAIR_ADVICE = "Use a backup of the whole folder, or calibrate again"
 
 
 def folders_of(names: Iterable[str]) -> dict[str, str]:

@@ -73,7 +73,7 @@ class SourceShare:
 
 def list_inputs(values: Mapping[str, str]) -> str:
     """List input quantities with their formatted values; equal lags T̃ − T of a column are named once."""
-    names = {name: re.sub(r"_lag(_\d+)?$", "_lag (T̃ − T)", name) for name in values}
+    names = {name: re.sub(r"_lag(_\d+)?$", "_lag (lagged − measured)", name) for name in values}
     return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
 
 
