@@ -126,4 +126,4 @@ def test_without_an_annex_its_command_and_its_names_say_so(
     assert refused.startswith(f"2 bayescal: No such command '{command}'")
     assert "See: bayescal --help" in refused and "Traceback" not in refused
     assert listed.startswith("0 ") and "calibrate" in listed and f" {command} " not in listed
-    assert f"bayescal.{name} is of an annex that is not there" in unnamed
+    assert f"bayescal.{name} needs a component that is not installed" in unnamed
