@@ -99,9 +99,9 @@ def condition(
     `gram` was evaluated at x = `at`, x̂ below.
     """
     sd, weight = prior.sd, prior.weight
-    # With x = x̂ + offset + S·t, S = diag(s), what is left is (r − J·offset) − J·S·t, and the prior is t ~ N(far, W⁻¹)
-    # (W: 1 proper, 0 flat). So t has the precision A = S·JᵀΣ⁻¹J·S + W and the pull S·(JᵀΣ⁻¹r − JᵀΣ⁻¹J·offset) + W·far.
-    # A flat prior is centred at x̂ itself.
+    # With x = x̂ + offset + S·t, S = diag(s), what is left is (r − J·offset) − J·S·t, and the prior is t ~ N(f, W⁻¹)
+    # (W: 1 proper, 0 flat). So t has the precision A = S·JᵀΣ⁻¹J·S + W and the pull S·(JᵀΣ⁻¹r − JᵀΣ⁻¹J·offset) + W·f.
+    # A flat prior is centred at x̂ itself; `prior_pull` is W·f.
     p = len(sd)
     if not p:
         log_marginal, squares = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr), float(gram.rtr)
@@ -115,7 +115,7 @@ def condition(
     if failed:
         return None
     t = dtrtrs(chol, dtrtrs(chol, pull, lower=1)[0], lower=1, trans=1)[0]
-    # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move; zᵀWz is the prior's.
+    # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·displacement; zᵀWz is the prior's.
     displacement, z = offset + sd * t, t - prior_pull
     squares = gram.rtr - displacement @ (2 * gram.jtr - gram.jtj @ displacement)
     penalised_rss = squares + weight @ (z * z)
@@ -159,8 +159,8 @@ def draw(
     chol = cholesky(precision)
     mean = solve_tri(chol, solve_tri(chol, pull), upper=True)
     displacement, z = offset + sd * mean, mean - prior_pull
-    jtj_move = np.einsum("bij,bj->bi", grams.jtj, displacement)
-    squares = grams.rtr - np.sum(displacement * (2 * grams.jtr - jtj_move), axis=1)
+    jtj_displacement = np.einsum("bij,bj->bi", grams.jtj, displacement)
+    squares = grams.rtr - np.sum(displacement * (2 * grams.jtr - jtj_displacement), axis=1)
     penalised_rss = squares + z**2 @ weight
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     half_log_det = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)

@@ -325,7 +325,7 @@ def draw_weighted(
         rounds: of adaptation, at most.
         heavy: propose coefficients from a Student-t distribution; always if the noise is not Gaussian.
         earlier: draws to be extended.
-        part: posterior probability of the structure in a model average, which scales the number of proposals.
+        probability: of the structure in a model average, which scales the number of proposals.
 
     Raises:
         TimeIsUp: the deadline came first.

@@ -43,9 +43,8 @@ class Channels(Printed):
 
     search_paths: Mapping[str, SearchPath]  # of each channel, by name
     shared: tuple[SharedShape, ...]  # evidence of all channels on each effect with a shared shape
-    save: ClassVar[
-        Callable[..., None]
-    ]  # writes all results to a folder; `save_search.py` attaches it
+    # Writes all results to a folder; attached by `save_search.py`.
+    save: ClassVar[Callable[..., None]]
 
     @property
     def ok(self) -> bool:
