@@ -368,6 +368,8 @@ class CompareCommand(ReadRequest, AsJson, Command):
             requested.reference_dcc = self.reference_dcc
             models[name] = request.compose(chosen, requested, effects)
             models[name].require(readings)
+        if len(models) < 2:
+            raise InputError(f"compare needs at least two structures, not {len(models)}")
         print_notes(readings.flags)
         how = {"seed": self.seed, "strict": False}
         how["reference"] = named_numbers(self.reference, "--reference")

@@ -480,6 +480,11 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
         missing = (np.full(table.rows, fill) for table in whole.tables)
         columns = [p.values.get(name, none) for p, none in zip(parts, missing, strict=True)]
         whole.values[name], whole.units[name] = np.concatenate(columns), unit
+    first = dict[str, str]()
+    for table in whole.tables:
+        if (other := first.setdefault(table.sha256, table.file)) != table.file:
+            same = f"{table.file} has the same content as {other}: the same readings twice?"
+            whole.flags.append(same)
     return whole
 
 

@@ -261,10 +261,12 @@ def budget(
 
 def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float]:
     names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
-    for name in at:
+    for name, value in at.items():
         if name not in names:
             message = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
             raise InputError(message)
+        if not np.isfinite(value):
+            raise InputError(f"{name} = {value}: give a finite number")
     return {n: float(at.get(n, v)) for n, v in used.middle.items() if n in names}
 
 

@@ -16,6 +16,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import why_not
 from bayescal._calibration.storage import identity
 from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
 from bayescal._model.composition import find_response_columns
@@ -287,8 +288,10 @@ def compensator(
 
     Raises:
         ModelError: the instrument does not say what it measures (`Instrument.use`).
-        InputError: a member that the calibration did not see.
+        InputError: a member that the calibration did not see, or fewer than two draws.
     """
+    if draws < 2:
+        raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     unrestricted = Compensator(calibration, equation_in_use(calibration, members), draws)
     model = calibration.model
     response_columns = find_response_columns(model.instrument, calibration.frame)

@@ -165,3 +165,10 @@ def test_a_budget_and_a_prediction_have_the_spread_of_a_new_run(elapsed) -> None
     predicted = bc.predict(fitted(), new).model_sd[1]
     assert found.uncertainty == pytest.approx(want, rel=0.25)  # 24 runs, 3 orders: 12 %
     assert predicted == pytest.approx(found.uncertainty, rel=0.1)
+
+
+def test_a_place_without_a_number_and_a_single_draw_are_refused() -> None:
+    with pytest.raises(bc.InputError, match="temperature = nan: give a finite number"):
+        bc.budget(bent_sensor.gyro(), {"temperature": np.nan, "rate_input": 80.0})
+    with pytest.raises(bc.InputError, match="draws=1: an uncertainty needs at least 2"):
+        bc.compensator(bent_sensor.gyro(), draws=1)

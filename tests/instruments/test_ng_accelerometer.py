@@ -147,6 +147,12 @@ def test_classical_estimates_return_the_line_of_a_linear_instrument(positions: i
     np.testing.assert_allclose(bias[2], 850.0 + 150.0, atol=2.0)
 
 
+def test_classical_estimates_of_two_tilts_in_a_cell_are_refused() -> None:
+    plan = replace(EXACT, tilts=(0.008, -0.008))
+    with pytest.raises(ValueError, match="at one tilt"):
+        ng.classical_estimates(ng.simulate(NO_SCATTER, seed=1, campaign=plan), 4)
+
+
 def heated(effects: dict[str, float], bias_tempco: float | None) -> list[float]:
     """Scale-factor tempcos, ppm/°C, by fixed-point heating at both ends, less the zero's slope or that given, µg/°C."""
     plan = replace(ng.fixed_point_heating(EXACT), truth=HEATING)

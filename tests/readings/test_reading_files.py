@@ -144,3 +144,11 @@ def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
     assert "minimum -1" in flags(temperature=t, output=np.clip(x, -1.0, None))
     for rounded in (np.round(x, 1), np.round(x), np.sin(np.arange(500) * np.pi / 2), x):
         assert "saturated" not in flags(temperature=t, output=rounded)
+
+
+def test_two_files_of_the_same_bytes_are_flagged(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("r.csv", "s.csv")]
+    for path in paths:
+        path.write_text("temperature [degC],output [deg/s]\n20,1.0\n30,1.5\n40,2.1\n", "utf-8")
+    readings = bc.read(paths, GYRO)
+    assert any("s.csv has the same content as r.csv" in flag for flag in readings.flags)

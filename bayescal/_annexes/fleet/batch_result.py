@@ -157,6 +157,13 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
     return tuple(fits)
 
 
+def refuse_suffix(path: Path) -> Path:
+    """Return a path to save a batch to; raise InputError for another suffix than .parquet."""
+    if path.suffix != ".parquet":
+        raise bc.InputError(f"a batch is saved as Parquet: name it ….parquet, not {path.name!r}")
+    return path
+
+
 @ws.renamed(doubted="unreliable")
 @dataclass(frozen=True, eq=False)
 class BatchResult:
@@ -202,10 +209,12 @@ class BatchResult:
 
     def __getitem__(self, device: str | int) -> DeviceResult:
         """Return one device's result, by its name or its place; raise InputError if there is none."""
-        if device not in (*self._by_name, *range(-len(self), len(self))):
-            names = ", ".join(self.devices[:5])
-            raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
-        return self.results[device] if isinstance(device, int) else self._by_name[device]
+        if isinstance(device, int) and -len(self) <= device < len(self):
+            return self.results[device]
+        if device in self._by_name:
+            return self._by_name[device]
+        names = ", ".join(self.devices[:5])
+        raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
 
     def table(self) -> pd.DataFrame:
         """Return one row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
@@ -266,11 +275,7 @@ class BatchResult:
         Raises:
             InputError: another suffix, or a place that cannot be written to.
         """
-        path = Path(path)
-        if path.suffix != ".parquet":
-            raise bc.InputError(
-                f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
-            )
+        path = refuse_suffix(Path(path))
         head = {"bayescal": json.dumps(self.data(), allow_nan=False)}
         with ws.replacing_for_user(path) as place:
             table = _rows_of(self.results).replace_schema_metadata(head)

@@ -7,6 +7,7 @@ rows in a file refuses that device alone.
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -137,8 +138,10 @@ def files_of(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
                 files.append(place)
             elif place.is_file():
                 left_out[ws.one_line(inside)] = f"{suffix or 'no suffix'} is no format that is read"
-            elif place.is_symlink() or not place.is_dir():
-                left_out[ws.one_line(inside)] = "a link, or no file"
+            elif (
+                place.is_symlink() or not place.is_dir() or not os.access(place, os.R_OK | os.X_OK)
+            ):
+                left_out[ws.one_line(inside)] = "a link, no file, or a folder that cannot be read"
     if not files:
         first = "".join(f"; {name}: {why}" for name, why in list(left_out.items())[:3])
         raise bc.InputError(

@@ -24,7 +24,8 @@ INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 LOOPBACK = "127.0.0.1"
 ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
 RETRIES = 2  # of a task that failed; a worker that died does not count
-POLL_SECONDS = 2.0  # between looks at the deadline
+POLL_SECONDS = 2.0  # between looks at the deadline and the workers
+WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
 LARGEST_TASKS = "4GB"  # which a scheduler takes without a warning: twice what a file may hold
 NOT_REACHED = "not reached ({}): give more time"
 
@@ -111,8 +112,10 @@ def run_tasks(
     # Devices that were read are part of a task.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
         futures = {executor.submit(run_guarded, function, t): i for i, t in enumerate(tasks)}
-    while futures and not end.over:
+    idle = 0.0  # s without a worker
+    while futures and not end.over and idle <= WORKER_TIMEOUT:
         done, _ = wait(futures, POLL_SECONDS, FIRST_COMPLETED)
+        idle = 0.0 if done or client.nthreads() else idle + POLL_SECONDS
         for future in done:
             index = futures.pop(future)
             try:
@@ -120,9 +123,11 @@ def run_tasks(
             except Exception as error:  # whatever a cluster says of tasks it gave up
                 yield index, None, f"the cluster gave it up: {str(error) or type(error).__name__}"
             end.defer_interrupt()
+    lost = "the cluster has no worker left: start workers"
+    why = NOT_REACHED.format(end.why) if end.over else lost
     for future, index in futures.items():
         future.cancel()
-        yield index, None, NOT_REACHED.format(end.why)
+        yield index, None, why
 
 
 def run_guarded(function: Callable[..., Any], task: tuple) -> tuple[Any, str]:

@@ -17,7 +17,7 @@ import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few
+from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few, refuse_suffix
 from bayescal._annexes.fleet.devices import Devices, devices_of, files_of
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import common_model, effects_table, search_device
@@ -168,6 +168,7 @@ def fit_batch(
     Raises:
         InputError: no device that can be used, paths that are not there, a result that cannot be written.
     """
+    out = None if out is None else refuse_suffix(Path(out))  # before anything is fitted
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
         method = replace(method, chains=False)

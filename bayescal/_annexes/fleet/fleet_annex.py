@@ -68,7 +68,3 @@ def _refuse_place(out: Path, files: list[Path]) -> None:
     """Refuse a place that results cannot be written to, before anything is read."""
     if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
         raise bc.InputError(f"--out {out} is a file of the folder that is read: name another")
-    if out.suffix != ".parquet":
-        raise bc.InputError(
-            f"--out: a batch is saved as Parquet: name it ….parquet, not {out.name!r}"
-        )

@@ -158,15 +158,15 @@ class Session:
             model.require(holdout)
             held_out = bc.set_aside(holdout, spikes)
         folder = Path(tempfile.mkdtemp(prefix="bayescal-") if folder is None else folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        name = model.instrument.name
-        origin = origin or Origin(name if name in ws.installed_names() else "")
-        by_name = {e.name: e for e in effects}
-        session = cls(bc.set_aside(readings, spikes), held_out, folder, options, origin, by_name)
-        if (folder / store.SESSION).is_file():
-            session._go_on(model)
-        else:
-            session._become(Change(model), None)
+        with ws.result_folder(folder):
+            name = model.instrument.name
+            origin = origin or Origin(name if name in ws.installed_names() else "")
+            used, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
+            session = cls(used, held_out, folder, options, origin, by_name)
+            if (folder / store.SESSION).is_file():
+                session._go_on(model)
+            else:
+                session._become(Change(model), None)
         return session
 
     def _go_on(self, model: bc.Model) -> None:

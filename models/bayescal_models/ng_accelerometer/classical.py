@@ -29,7 +29,7 @@ def classical_estimates(
         positions: 4, to use only those at 0, 90, 180 and 270°; None for all.
 
     Raises:
-        ValueError: fewer than four positions, or positions that are not equally spaced from 0°.
+        ValueError: fewer than four positions, positions not equally spaced from 0°, or several tilts in a cell.
     """
     names, cell = readings.groups("cell")
     estimates = [_cell(readings.select(cell == k), positions) for k in range(len(names))]
@@ -39,15 +39,18 @@ def classical_estimates(
 
 def _cell(readings: bc.Measurements, positions: int | None) -> tuple[float, float]:
     turn = np.mod(readings["position_angle"] / (2 * np.pi) + 1e-7, 1.0) - 1e-7  # turns, from 0
-    order = np.argsort(turn)[:: len(turn) // positions if positions else 1]
-    angle, output = 2 * np.pi * turn[order], readings["output"][order]
+    order = np.argsort(turn)
+    if positions == 4:
+        order = order[np.abs(4 * turn[order] - np.rint(4 * turn[order])) < 4e-5]
+    angle, output, tilt = 2 * np.pi * turn[order], readings["output"][order], readings["tilt"]
     count = len(order)
-    if count < 4 or not np.allclose(turn[order], np.arange(count) / count, atol=1e-5):
+    is_even = count >= 4 and np.allclose(turn[order], np.arange(count) / count, atol=1e-5)
+    if not is_even or np.ptp(tilt) > 1e-6:
         raise ValueError(
-            f"classical_estimates: positions {np.degrees(angle).round(3).tolist()}°; at least 4, equally spaced over a "
-            "turn from 0°, are needed"
+            f"classical_estimates: positions {np.degrees(angle).round(3).tolist()}°; at least 4 at one tilt, equally "
+            "spaced over a turn from 0°, are needed"
         )
-    full = G * np.sin(readings["tilt"][0])
+    full = G * np.sin(tilt[0])
     if count == 4:
         return (output[0] + output[2]) / 2, 1e6 * ((output[1] - output[3]) / (2 * full) - 1)
     return output.mean(), 1e6 * (2 / count * output @ np.sin(angle) / full - 1)
