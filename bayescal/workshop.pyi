@@ -192,6 +192,7 @@ from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
 from ._use.compensation_program import PAST as PAST
 from ._use.compensation_program import CorrectionInUse as CorrectionInUse
 from ._use.compensation_program import averaged_over as averaged_over
+from ._use.compensation_program import limits as limits
 from ._use.correction_files import CorrectionKind as CorrectionKind
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text

@@ -51,7 +51,9 @@ class CorrectedVector:
     @property
     def magnitude(self) -> Uncertain:
         """Return |f̂| and its standard uncertainty, `unit`."""
-        return self._propagate(lambda v: np.linalg.norm(v, axis=1))
+        length = np.linalg.norm(self.vector, axis=1)
+        unit = self.vector / length[:, None]
+        return length, np.sqrt(np.einsum("ni,nij,nj->n", unit, self.covariance, unit))
 
     @property
     def tilt(self) -> dict[str, Uncertain]:
@@ -65,12 +67,12 @@ class CorrectedVector:
         }
 
     def _propagate(self, quantity: Callable[[np.ndarray], np.ndarray]) -> Uncertain:
-        """Propagate the covariance to a length or an angle, by its slopes."""
+        """Propagate the covariance to an angle, by its slopes."""
         step, by_axis = RELATIVE_STEP * np.linalg.norm(self.vector, axis=1), []
         for axis in np.eye(3):
             change = step[:, None] * axis
             difference = quantity(self.vector + change) - quantity(self.vector - change)
-            # An angle's across ±π.
+            # The difference of angles across ±π.
             by_axis.append(np.angle(np.exp(1j * difference)) / (2 * step))
         slope = np.stack(by_axis, axis=1)
         variance = np.einsum("ni,nij,nj->n", slope, self.covariance, slope)

@@ -252,7 +252,8 @@ def real(value: float, unit: str | None, gravity: float, sd: float = 0, ends: En
 
 D_SI = {
     **{"s": "second", "K": "kelvin", "rad": "radian", "V": "volt", "Hz": "hertz", "m": "metre"},
-    **{"A": "ampere", "Pa": "pascal", "uT": "tesla", "count": "one"},
+    **{"A": "ampere", "Pa": "pascal", "uT": "tesla", "count": "one", "kg": "kilogram"},
+    **{"N": "newton", "ohm": "ohm", "W": "watt", "mol": "mole"},
 }
 
 

@@ -313,7 +313,6 @@ READING, MEAN = "corrected reading", "corrected mean"
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
 PLACES = {1: 33, 2: 9, 3: 5}
 
-MARGIN_SHARE = 0.01  # of a calibrated range, tolerated beyond its ends for the noise of readings
 FIXED_NOTE = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
 
 
@@ -544,8 +543,7 @@ def _uncalibrated(chosen: bc.Compensator, name: str, low: float, high: float) ->
     else:
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
-    margin = MARGIN_SHARE * (span[1] - span[0])
-    first, last = span[0] - margin, span[1] + margin
+    first, last = ws.limits(span[:2])
     settled = {i.name for i in chosen.inputs if i.settled}
     if first <= low and (high <= last or name in settled):
         return []
