@@ -19,7 +19,6 @@ from bayescal._core.netcdf import Variable
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data import averaging
 from bayescal._data import dataset_checks as checks
-from bayescal._data.averaging import mean_rows
 from bayescal._data.column import (
     ARRAYS,
     MAY_BE_EMPTY,
@@ -394,7 +393,7 @@ class Measurements(Printed):
         counts = np.diff(begins, append=time.size)
         averaging.refuse_useless(time[order], same, counts, seconds, self.file)
         means = {
-            name: v[order][begins] if units[name] is None else mean_rows(v[order], begins)
+            name: v[order][begins] if units[name] is None else averaging.mean_rows(v[order], begins)
             for name, v in self.values.items()
         }
         noise = averaging.noise_of_reading(self.values, self.output, order, ~starts)
@@ -449,11 +448,8 @@ def measure_tables(
         for t, o in zip(tables, file_options, strict=True)
         if t.sha256
     )
-    names, values, units = (
-        file_names([source.file for source in sources]),
-        whole.values,
-        whole.units,
-    )
+    names = file_names([source.file for source in sources])
+    values, units = whole.values, whole.units
     repeated = checks.repeated_rows(values)
     flags = checks.flags_of(whole, output, names, repeated)
     # with the time among the columns, none can be a reading of its own

@@ -123,7 +123,7 @@ def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
     count = len(columns[odd.column])
     remaining = np.setdiff1d(np.arange(count), odd.rows)
     least = checks.MIN_CHANGES if odd.code == "held" and count == total else 0.5 * total
-    if not len(odd.rows) or len(remaining) < least:
+    if len(remaining) < least:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
     complete = all(set(columns[n][remaining]) == set(columns[n]) for n in labels)

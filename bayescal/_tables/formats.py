@@ -115,7 +115,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
-    """Format a sheet, whatever size it states, as a line of tab-separated cells for each row; empty for no cell."""
+    """Format a sheet as a line of tab-separated cells for each row, the first of a repeated number; empty for none."""
     rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
     for values in sheet.iter_rows(values_only=True):

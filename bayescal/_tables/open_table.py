@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -75,8 +76,10 @@ def open_table(
         raise InputError(f"{name!r}: {what} cannot be read. Give one of {', '.join(READ)}")
     with _reachable(path):
         if suffix in TEXT:
-            table = parse_text(path.read_bytes(), name, decimal).table()
-        elif suffix in LOGS:
+            data = path.read_bytes()  # of the very bytes that are parsed
+            table = parse_text(data, name, decimal).table()
+            return replace(table, sha256=hashlib.sha256(data).hexdigest())
+        if suffix in LOGS:
             table = first_offered("log", f"{name!r}, a log,")(path, name, asked)
         else:  # a second that text does without
             from bayescal._tables import formats
