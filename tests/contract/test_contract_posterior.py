@@ -75,7 +75,7 @@ def test_least_squares_recovers_what_the_program_simulates(case: Case) -> None:
         if name in hypers:
             continue  # held at their estimate
         base, _, member = name.partition("(")
-        actual = truth[base][0][int(member[:-1]) if member else 0]
+        actual = np.atleast_1d(truth[base][0])[int(member[:-1]) if member else 0]
         off = abs(draws.mean() - actual) / draws.std()
         assert off < FAR, f"{name}: {draws.mean():g} ± {draws.std():g}, true {actual:g}"
 
