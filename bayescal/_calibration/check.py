@@ -31,7 +31,6 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import explained_sum_of_squares
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
-PIT = "leave-one-out probability integral transform"
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
 
@@ -181,7 +180,9 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
         coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
         fits = "fits" if check.pit_p >= limit("group.follows_column", "p") else "does not fit"
-        lines.append(f"noise law {fits}: p = {check.pit_p:.2g}, {PIT}")
+        lines.append(
+            f"noise law {fits}: p = {check.pit_p:.2g}, leave-one-out probability integral transform"
+        )
     scatter = check.scatter_with.items()
     lines += [f"scatter changes with {name} (p = {p:.1g})" for name, p in scatter]
     if check.outliers:

@@ -216,9 +216,9 @@ class ReferenceProblem(NamedTuple):
     """A reference problem that is the baseline, its priors as they stand; `bayescal_models` says what it is for.
 
     Attributes:
-        instrument: whose.
-        campaign: of its readings, in which nothing is hidden.
-        fuller: in which effects are hidden; a campaign, or a function of the effects.
+        instrument: instrument of the problem.
+        campaign: plan of its readings, without hidden effects.
+        fuller: plan with hidden effects: a campaign, or a function of the effects.
     """
 
     instrument: bc.Instrument

@@ -21,7 +21,7 @@ from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import LOOPBACK, Address, opened_in_browser
 
-# Bytes of one message of a browser's; files come in pieces that are far smaller.
+# Bytes of one message of a browser's; a selection of all drawn readings is far smaller.
 LARGEST_MESSAGE = 64 * 2**20
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 

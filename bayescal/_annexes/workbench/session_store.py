@@ -28,7 +28,6 @@ class Origin:
     # Arguments of `bayescal.read` that are not its usual ones.
     read: Mapping[str, Any] = field(default_factory=dict)
     average: str | None = None  # time over which means are taken; None for single readings
-    keep_spikes: bool = False  # whether single readings far from both neighbours stay
     effect_files: tuple[str, ...] = ()  # Python files with effects of the user's own, in full
 
     @classmethod
@@ -192,7 +191,7 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         first=steps[0]["file"],
         read=origin.read,
         average=origin.average,
-        spikes={"keep_spikes": True} if origin.keep_spikes else {},
+        spikes={"keep_spikes": True} if settings.keep_spikes else {},
         reference={"reference": dict(settings.reference)} if settings.reference else {},
         steps=steps,
         method=method_code(settings.method),

@@ -68,7 +68,6 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
                 self.for_read(),
                 [] if self.effects_file is None else [self.effects_file],
                 average=self.average,
-                keep_spikes=self.keep_spikes,
             ),
             method=None if self.method == "marginal" else ws.method_named(self.method),
             reference={**ws.named_numbers(self.reference, "--reference")} or None,

@@ -52,7 +52,6 @@ class Truth:
         sensitivity: λd of each device, (K,).
         environment: λd·u + v of each device, averaged as the readings are, µg, (K, T).
         acceleration: commanded, µg, (T,).
-        seed: seed of the random-number generator.
     """
 
     names: tuple[str, ...]
@@ -61,7 +60,6 @@ class Truth:
     sensitivity: Array
     environment: Array
     acceleration: Array
-    seed: int
 
 
 def simulated_columns(
@@ -128,7 +126,7 @@ def columns_and_truth(
     if plan.thermometer is not None:
         error = plan.thermometer * thermometer.standard_normal(plan.samples)
         columns["temperature"] = np.tile(average(temperature) + error, count)
-    truth = Truth(names, plan.outer, scale, sensitivity, average(env), commanded, seed)
+    truth = Truth(names, plan.outer, scale, sensitivity, average(env), commanded)
     return columns, truth
 
 

@@ -61,10 +61,10 @@ class _Axis:
     used: bc.Compensator  # its compensator
     covariates: dict[str, Any]  # further covariates of effects, by name
 
-    def tilt(self, reading: np.ndarray, cross: np.ndarray, **how: Any) -> Any:
+    def tilt(self, reading: np.ndarray, cross: np.ndarray) -> Any:
         """Compensate readings at given tilts of the other axis, rad."""
         at = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
-        compensated = self.used(**at, method="first order", warn=False, **how)
+        compensated = self.used(**at, method="first order", warn=False)
         if np.any(wrong := ~np.isfinite(compensated.value)):
             row = int(np.argmax(wrong))
             raise bc.InputError(
@@ -73,9 +73,9 @@ class _Axis:
             )
         return compensated
 
-    def zero(self, cross: np.ndarray, **how: Any) -> Any:
+    def zero(self, cross: np.ndarray) -> Any:
         """Compensate a reading at zero: the tilt is −S, whatever the scale factor."""
-        return self.tilt(0.0 * cross, cross, **how)
+        return self.tilt(0.0 * cross, cross)
 
 
 def _axis(
