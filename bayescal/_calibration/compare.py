@@ -23,7 +23,7 @@ from bayescal._core.importance_weights import stacking_weights
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.trust import K_HAT
+from bayescal._inference.trust import MAX_K_HAT
 
 FEWEST_GROUPS = limit("compare.few_groups", "groups")
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
@@ -210,7 +210,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
         gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < limit("compare.undecided", "errors") * error:
             yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{by} score")
-    for row in (r for r in rows if r.pareto_k > K_HAT):
+    for row in (r for r in rows if r.pareto_k > MAX_K_HAT):
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 
 

@@ -15,7 +15,7 @@ from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.settings import seed_of
 from bayescal._data.measurements import Measurements
-from bayescal._inference.laplace import NOTHING_KNOWN
+from bayescal._inference.laplace import NO_START
 from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
@@ -37,7 +37,7 @@ def fit(
     strict: bool = True,
     reference: Reference | None = None,
     time_limit: float | None = None,
-    start: Mapping[str, float] = NOTHING_KNOWN,
+    start: Mapping[str, float] = NO_START,
 ) -> Calibration:
     """Fit a model to readings.
 
@@ -46,7 +46,7 @@ def fit(
         readings: measurements of that instrument.
         method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
         seed: of every random number, or NumPy's generator, which draws it; the same seed gives the same draws.
-        strict: raise if the fit did not converge (tolerance: `CONVERGED_NATS`); False returns it with its verdict.
+        strict: raise if the fit did not converge (tolerance: `FTOL_NATS`); False returns it with its verdict.
         reference: constants of the basis functions, such as {"T0": 0.0}, instead of those computed from the readings.
         time_limit: seconds, after which the partial result is returned: the draws so far, or the Laplace approximation
             at the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.

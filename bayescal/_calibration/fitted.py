@@ -28,7 +28,7 @@ from bayescal._inference.method import CHAINS, Draws, Verdict
 from bayescal._inference.noise_on_record import Batch, draw_samples, log_densities, variances
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.trust import CHAIN_DRAWS
+from bayescal._inference.trust import MIN_CHAIN_ESS
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
@@ -277,7 +277,7 @@ class Fitted:
     def without(self, names: Collection[str]) -> Self:
         """Return the posterior conditional on structures without these effects; itself if too few draws remain."""
         rows = np.flatnonzero(~np.any([self.inclusion_masks[name] for name in names], axis=0))
-        if len(rows) < CHAIN_DRAWS:
+        if len(rows) < MIN_CHAIN_ESS:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
         layout = replace(self.layout, model=replace(self.model, effects=effects))

@@ -24,8 +24,8 @@ from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import find_mode, prior_draws, scan_ragged
-from bayescal._inference.newton import Nearby
+from bayescal._inference.laplace import draw_starts, find_mode, make_scan_grids
+from bayescal._inference.newton import HessianGuess
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, why_untestable
@@ -116,8 +116,8 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
     freed = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
     problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SD_FACTOR))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
-    near = Nearby(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
-    mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, near=near)
+    guess = HessianGuess(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
+    mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, guess=guess)
     _, posterior = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
     if posterior is None:
         return []
@@ -322,14 +322,14 @@ def multimodality(fit: Fitted) -> list[Claim]:
         return np.abs(v - mode.v)[shapes] > limit("mode.two", "apart_sd") * sd[shapes]
 
     density = Density(problem, mode.x, mode.flat, mode.v)
-    candidates = np.concatenate([prior_draws(problem), *scan_ragged(problem, mode.v)])
+    candidates = np.concatenate([draw_starts(problem), *make_scan_grids(problem, mode.v)])
     # The starts differ from the mode in the nonlinear parameters ("shapes") only.
     candidates = np.where(np.isin(np.arange(len(sd)), shapes), candidates, mode.v)
     starts = [v for v in candidates if is_far(v).any()] if shapes else []
-    near = Nearby(mode.v, np.linalg.pinv(mode.covariance), True)
+    guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:MAX_STARTS]]:
         floor = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, near=near)
+        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, guess=guess)
         log_bayes_factor = mode.log_evidence - other.log_evidence
         if is_far(other.v).any() and log_bayes_factor < limit("mode.two", "nats"):
             names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other.v)]]

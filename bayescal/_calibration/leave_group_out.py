@@ -22,7 +22,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode
-from bayescal._inference.newton import Nearby, climb
+from bayescal._inference.newton import HessianGuess, maximise
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Arrays, Record
 from bayescal._model.terms import ColumnSpec
@@ -168,15 +168,15 @@ def _predict_fold(
     expectation, whitened residual sum of squares and the eigenvalues of its covariance; None if either fails."""
     subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
     problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
-    near, kinds = Nearby(mode.v, np.linalg.pinv(mode.covariance), True), np.array(problem.kinds)
-    fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, like=near) for p in problems)
+    guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
+    fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, guess=guess) for p in problems)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
-    free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
-    within = fitted if free.all() else fitted.hold_others(near, free)
-    v[free] = climb(within, mode.v[free], ftol=1e-3)  # φ to 0.05 standard deviations
+    free, v = (np.array(problem.kinds) != "noise") | (not problem.noise.covariates), mode.v.copy()
+    within = fitted if free.all() else fitted.fix_others(guess, free)
+    v[free] = maximise(within, mode.v[free], ftol=1e-3)  # φ to 0.05 standard deviations
     predicted_moments = _held_out_moments(fitted, predicted, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
-    between = kinds == "group_sd"
+    between = np.array(problem.kinds) == "group_sd"
     conservative = _held_out_moments(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
     if predicted_moments is None or conservative is None:
         return None

@@ -41,7 +41,7 @@ from bayescal._data import allan_deviation as allan
 from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
-from bayescal._inference.newton import NOWHERE, ByValues, GaussianFit, climb, gaussian_fit
+from bayescal._inference.newton import NOWHERE, GaussianFit, NumericDensity, fit_gaussian, maximise
 from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import draw_by_importance
 from bayescal._model.noise_law import WHITE
@@ -653,8 +653,8 @@ def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFi
         interval = channel.tone[TONE_FREQ] - np.array([0.1 / channel.tone[TONE_TIME], 0.0])
         scale[list(priors).index(TONE_FREQ)] = np.diff(priors[TONE_FREQ].coordinate(interval))[0]
     order = np.argsort(-log_density(np.array(starts)))[:MODE_SEARCH_STARTS]
-    densities = [(ByValues(log_density, scale), starts[i]) for i in order]
-    maxima = (gaussian_fit(density, climb(density, start)) for density, start in densities)
+    densities = [(NumericDensity(log_density, scale), starts[i]) for i in order]
+    maxima = (fit_gaussian(density, maximise(density, start)) for density, start in densities)
     return max(maxima, key=lambda fit: fit.log_density)
 
 

@@ -17,18 +17,18 @@ from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import Conditional, column_scale, condition
-from bayescal._inference.newton import CONVERGED_NATS, NOWHERE, Nearby, climb, gaussian_fit
+from bayescal._inference.gaussian import Conditional, compute_column_scales, condition
+from bayescal._inference.newton import FTOL_NATS, NOWHERE, HessianGuess, fit_gaussian, maximise
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
-XTOL_SD = 1e-4  # convergence: largest change per round, posterior standard deviations
+XTOL_SD = 1e-4  # tolerance: change per round, posterior standard deviations
 MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
-STARTS = 64  # prior draws of φ from which the start is selected
-SCAN_GRID = np.arange(-3.5, 3.5, 0.02)  # coordinates scanned along a shape with many modes
-MAX_HALVINGS = 8  # of a rejected step, at most
-NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
-MIN_GAIN_NATS = 1e-8  # convergence: smallest increase of the log density per round
+START_COUNT = 64  # prior draws of φ among which the starting point is selected
+SCAN_COORDINATES = np.arange(-3.5, 3.5, 0.02)  # coordinates scanned along a shape with many modes
+MAX_STEP_HALVINGS = 8  # of a rejected step
+NO_START: Mapping[str, float] = MappingProxyType({})
+MIN_INCREASE_NATS = 1e-8  # tolerance: increase of the log density per round
 
 
 class Mode(NamedTuple):
@@ -38,8 +38,8 @@ class Mode(NamedTuple):
     v: Any  # (d,)
     covariance: Any  # (d, d)
     log_density: Any  # log p(y, φ̂), x integrated out
-    log_evidence: Any  # Laplace
-    change: Any  # in the last round, standard deviations
+    log_evidence: Any  # by the Laplace approximation
+    change: Any  # of φ in the last round, standard deviations
     flat: Any  # (p,)
     indefinite: Any  # whether the Hessian had to be modified to be positive definite
 
@@ -50,48 +50,48 @@ def find_mode(
     starts: Iterable[np.ndarray] | None = None,
     x: Float[np.ndarray, "p"] | None = None,
     xtol: float = XTOL_SD,
-    start: Mapping[str, float] = NOTHING_KNOWN,
+    start: Mapping[str, float] = NO_START,
     coarse_below: float = -math.inf,
-    near: Nearby | None = None,
+    guess: HessianGuess | None = None,
 ) -> Mode:
     """Find the mode of a model, from the most probable of several starting points. Deterministic.
 
     Args:
-        starts: coordinates of φ to select the starting point from; prior draws if not given.
-        x: starting point of x̂; its prior mean, or a fit by an ellipsoid for three axes, if not given.
+        starts: candidate starting points, coordinates of φ; default: prior draws.
+        x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
         xtol: convergence tolerance, posterior standard deviations; the log evidence is accurate to about xtol²/2.
-        start: a further starting point, φ by name; absent entries are at the median of their prior.
+        start: additional starting point, φ by name; absent entries are at their prior medians.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
-        near: curvature of a similar density, as a first estimate of the Hessian.
+        guess: curvature of a similar density, as a first estimate of the Hessian.
     """
     x, dim = _find_start(problem) if x is None else x, len(problem.hypers)
-    flat = flat_scales(problem, x, np.zeros(dim))
-    candidates = prior_draws(problem) if starts is None else list(starts)
-    if starts is None and problem.kinds == ["noise"]:  # one hill
+    flat_scales = compute_flat_scales(problem, x, np.zeros(dim))
+    candidates = draw_starts(problem) if starts is None else list(starts)
+    if starts is None and problem.kinds == ["noise"]:  # unimodal
         candidates = candidates[:5]
     if start:
-        stated = np.zeros(dim)
+        start_coordinates = np.zeros(dim)
         for i, h in enumerate(problem.hypers):
-            stated[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
-        candidates = [stated, *candidates]
+            start_coordinates[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
+        candidates = [start_coordinates, *candidates]
 
-    def climb_from(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
-        return _climb(problem, starts, x, flat, xtol, coarse_below, near)
+    def maximise_from(starts: Sequence[np.ndarray], x: np.ndarray) -> _Peak:
+        return _maximise_marginal(problem, starts, x, flat_scales, xtol, coarse_below, guess)
 
     select_highest = partial(max, key=attrgetter("value"))
-    top = climb_from(candidates if dim else candidates[:1], x)
+    peak = maximise_from(candidates if dim else candidates[:1], x)
     if starts is None:
         # The density of factors of a product a·b is symmetric under (a, b) → (−a, −b): try the mirrored mode too.
-        promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
-        if promoted.any():
-            top = select_highest(top, climb_from([np.where(promoted, -top.v, top.v)], x))
-        for grid in scan_ragged(problem, top.v):  # multimodal in these shapes
-            top = select_highest(top, climb_from([*grid], top.x))
-    return fit_at_mode(top.density, top.v, top.change, top.x, top.value > coarse_below)
+        is_promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
+        if is_promoted.any():
+            peak = select_highest(peak, maximise_from([np.where(is_promoted, -peak.v, peak.v)], x))
+        for grid in make_scan_grids(problem, peak.v):  # multimodal in these shapes
+            peak = select_highest(peak, maximise_from([*grid], peak.x))
+    return fit_at_mode(peak.density, peak.v, peak.change, peak.x, peak.value > coarse_below)
 
 
 def _find_start(problem: Problem) -> Float[np.ndarray, "p"]:
-    """Return the starting point of x̂: its prior mean, or for three axes a fit by `Vector.with_directions`."""
+    """Return the starting point of the coefficients: prior mean, or for three axes a fit with estimated directions."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
     projected = None if vector is None else vector.with_directions(record.frame, record.y)
@@ -99,130 +99,125 @@ def _find_start(problem: Problem) -> Float[np.ndarray, "p"]:
         return start
     record, centre = Record(record.instrument, *projected), np.zeros(len(problem.hypers))
     auxiliary = Problem(problem.layout, record, problem.size_factors)
-    return mode_of_x(auxiliary, start, centre, flat_scales(auxiliary, start, centre))
+    return find_mode_of_x(auxiliary, start, centre, compute_flat_scales(auxiliary, start, centre))
 
 
-def flat_scales(
+def compute_flat_scales(
     problem: Problem, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]
 ) -> Float[np.ndarray, "p"]:
-    """Return the scale of each coefficient with a flat prior, 1 for all others (p,)."""
+    """Return the scale of each coefficient with a flat prior, by its column's rms; 1 for all others (p,)."""
     if problem.weight_of_x.all():
         return np.ones(problem.size)
-    return column_scale(problem.linearise(x, problem.hyper(v)).jacobian)
+    return compute_column_scales(problem.linearise(x, problem.hyper(v)).jacobian)
 
 
-class _Summit(NamedTuple):
+class _Peak(NamedTuple):
     """Result of one maximisation of the marginal density of φ."""
 
-    value: float  # the log density there
+    value: float  # log density
     change: float  # in the last round
     v: np.ndarray
     x: np.ndarray
-    density: Density  # of φ, about x
+    density: Density  # linearised about x
 
 
-def _climb(
+def _maximise_marginal(
     problem: Problem,
     starts: Sequence[np.ndarray],
     x: np.ndarray,
-    flat: np.ndarray,
+    flat_scales: np.ndarray,
     xtol: float,
     coarse_below: float,
-    near: Nearby | None,
-) -> _Summit:
-    """Maximise the density of φ from the best of some starting points.
+    guess: HessianGuess | None,
+) -> _Peak:
+    """Maximise the marginal density of φ from the best of some starting points.
 
-    Each round maximises the density linearised about x̂ given φ; its step is shortened until the density relinearised at
-    the new x̂ increases.
+    Each round maximises the density linearised about x̂(φ); the step is shortened until the density relinearised at the
+    new x̂ increases.
     """
     # A step of `xtol` standard deviations changes the log density by about xtol²/2.
-    min_gain = max(MIN_GAIN_NATS, 0.5 * xtol**2)
+    min_increase = max(MIN_INCREASE_NATS, 0.5 * xtol**2)
     # The Hessian at the mode is more sensitive to its location than the density.
-    ftol = max(CONVERGED_NATS, 0.1 * min_gain)
-    density = Density(problem, x, flat, starts[0], like=near)
+    ftol = max(FTOL_NATS, 0.1 * min_increase)
+    density = Density(problem, x, flat_scales, starts[0], guess=guess)
     # The linearisation of an affine output is exact: one maximisation, no alternation.
     if problem.affine:
-        v = climb(density, best_start(density, starts), coarse_below, ftol)
+        v = maximise(density, select_start(density, starts), coarse_below, ftol)
         value, conditional = density.condition_at(v)
-        return _Summit(value, 0.0, v, x if conditional is None else conditional.mean, density)
-    v, change = best_start(density, starts), math.inf
-    density, value = _expand_about(problem, x, v, flat, xtol, near)
+        return _Peak(value, 0.0, v, x if conditional is None else conditional.mean, density)
+    v, change = select_start(density, starts), math.inf
+    density, value = _relinearise(density, v, xtol)
     for _ in range(MAX_ROUNDS):
-        target = climb(density, v, coarse_below, ftol)
-        for _ in range(MAX_HALVINGS):
-            trial, height = _expand_about(problem, density.x, target, flat, xtol, density.nearby)
-            if height > value - min_gain:
+        target = maximise(density, v, coarse_below, ftol)
+        for _ in range(MAX_STEP_HALVINGS):
+            trial, trial_value = _relinearise(density, target, xtol)
+            if trial_value > value - min_increase:
                 break
             target = v + 0.3 * (target - v)
         else:
             break
         change = float(np.max(np.abs(target - v), initial=0.0))
-        v, density, value = target, trial, height
+        v, density, value = target, trial, trial_value
         if change < xtol:
             break
-    return _Summit(value, change, v, density.x, density)
+    return _Peak(value, change, v, density.x, density)
 
 
-def best_start(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the coordinate with the highest density."""
+def select_start(density: Density, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the starting point of highest density (d,)."""
     index = int(np.argmax(density.values(np.array(starts)))) if len(starts) > 1 else 0
     return starts[index]
 
 
-def _expand_about(
-    problem: Problem,
-    x: np.ndarray,
-    v: np.ndarray,
-    flat: np.ndarray,
-    xtol: float,
-    like: Nearby | None,
-) -> tuple[Density, float]:
-    """Return the density of φ linearised about x̂ given v, and its log value at v."""
-    density = Density(problem, mode_of_x(problem, x, v, flat, xtol), flat, v, like=like)
+def _relinearise(density: Density, v: np.ndarray, xtol: float) -> tuple[Density, float]:
+    """Return the density of φ linearised about the conditional mode of x at v, and its log value at v."""
+    problem, flat_scales = density.problem, density.flat_scales
+    x = find_mode_of_x(problem, density.x, v, flat_scales, xtol)
+    density = Density(problem, x, flat_scales, v, guess=density.next_guess)
     return density, density.condition_at(v)[0]
 
 
-def scan_ragged(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
-    """Return a grid of coordinates along each shape with a multimodal density (`Shape.ragged`)."""
+def make_scan_grids(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
+    """Return a grid of coordinates (k, d) along each shape with a multimodal density (`Shape.ragged`)."""
     names, grids = problem.layout.index_in_phi, []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for e, s in shapes:
         if (name := e.shape_name(s)) in names:
-            grids.append(np.tile(v, (len(SCAN_GRID), 1)))
-            grids[-1][:, names[name]] = SCAN_GRID
+            grids.append(np.tile(v, (len(SCAN_COORDINATES), 1)))
+            grids[-1][:, names[name]] = SCAN_COORDINATES
     return grids
 
 
-def prior_draws(problem: Problem) -> list[np.ndarray]:
+def draw_starts(problem: Problem) -> list[np.ndarray]:
     """Return starting points: the prior median of φ, and 64 draws from a 1.5 times wider prior. Deterministic."""
     dim = len(problem.hypers)
-    draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
+    draws = 1.5 * np.random.default_rng(0).standard_normal((START_COUNT, dim))
     return [np.zeros(dim), *draws]
 
 
-def mode_of_x(
+def find_mode_of_x(
     problem: Problem,
     x: Float[np.ndarray, "p"],
     v: np.ndarray,
-    flat: np.ndarray,
+    flat_scales: np.ndarray,
     xtol: float = XTOL_SD,
 ) -> Float[np.ndarray, "p"]:
-    """Find x̂ given φ by Gauss–Newton on residuals and prior, with step halving.
+    """Return the conditional mode of x given φ, found by Gauss–Newton with step halving.
 
-    The variance from noisy inputs is fixed within a step: minimising squares with a variance that depends on x favours
-    steep slopes (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
+    The variance from noisy inputs is fixed within a step: weighted least squares whose variance depends on x would
+    favour steep slopes (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
     """
     hyper = problem.hyper(v)
-    prior = problem.prior(hyper, flat)
+    prior = problem.prior(hyper, flat_scales)
 
-    def evaluate(at: np.ndarray, extra: Any = None) -> tuple[float, Conditional | None]:
-        density = Density(problem, at, flat, input_variance=extra)
+    def evaluate(point: np.ndarray, variance: Any = None) -> tuple[float, Conditional | None]:
+        density = Density(problem, point, flat_scales, input_variance=variance)
         gram = density.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet):
             return math.inf, None
         # Sum of squares at the point itself, not at the minimum of the linear model.
-        z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        at_point = condition(gram, problem.record.size, prior, at)
+        z = prior.weight * (point - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+        at_point = condition(gram, problem.record.size, prior, point)
         return density.rss(hyper, gram) + float(z @ z), at_point
 
     squares, conditional = evaluate(x)
@@ -234,10 +229,10 @@ def mode_of_x(
         sd = np.sqrt(np.diag(conditional.covariance)) + 1e-300
         if np.max(np.abs((target - x) / sd), initial=0.0) < 0.1 * xtol:
             return x
-        extra = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
-        for _ in range(MAX_HALVINGS):
+        variance = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
+        for _ in range(MAX_STEP_HALVINGS):
             trial = x + fraction * (target - x)
-            trial_squares, conditional = evaluate(trial, extra)
+            trial_squares, conditional = evaluate(trial, variance)
             if trial_squares <= squares or not math.isfinite(squares):
                 break
             fraction *= 0.5
@@ -260,13 +255,13 @@ def fit_at_mode(
 ) -> Mode:
     """Return the Laplace approximation of φ at its mode, and the Laplace evidence.
 
-    `change`: of the last round, standard deviations. `exact`: compute the Hessian, instead of a BFGS estimate.
+    change: of φ in the last round, standard deviations. exact: compute the Hessian instead of a BFGS estimate.
     """
     x = density.x if x is None else x
-    spreads = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)
-    fit = gaussian_fit(density, v, spreads, exact)
+    is_group_sd = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)
+    fit = fit_gaussian(density, v, is_group_sd, exact)
     if fit.log_density <= NOWHERE:
         fit = fit._replace(log_evidence=-math.inf, indefinite=True)
         change = math.inf
     at_v = fit.covariance, fit.log_density, fit.log_evidence
-    return Mode(x, v, *at_v, change, density.flat, fit.indefinite)
+    return Mode(x, v, *at_v, change, density.flat_scales, fit.indefinite)

@@ -22,7 +22,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
 from bayescal._inference.gaussian import Prior
-from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.laplace import NO_START, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
 from bayescal._inference.problem import Problem, differentiate, overwrite
@@ -55,7 +55,7 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
+    def run(self, problem: Problem, seed: int, start: Any = NO_START) -> Outcome:
         with stage("least squares"):
             mode = find_mode(problem, start=start)
             # Near a known mode a few Gauss–Newton steps suffice, without optimistix.

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import cholesky, column_scale
-from bayescal._inference.laplace import Mode, flat_scales
+from bayescal._inference.gaussian import cholesky, compute_column_scales
+from bayescal._inference.laplace import Mode, compute_flat_scales
 from bayescal._inference.noise_nodes import DCTNodes
 from bayescal._inference.noise_on_record import (
     Independent,
@@ -253,7 +253,7 @@ def linearise_at_priors(problem: Problem, noise: float | None = None) -> LinearM
     for i, h in enumerate(problem.hypers):
         if h.name == WHITE and noise is not None:
             v[i] = float(h.prior.coordinate(noise))
-    flat = flat_scales(problem, x, v)
+    flat = compute_flat_scales(problem, x, v)
     return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
 
@@ -312,6 +312,6 @@ def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
         residual = y - line.mean
         columns = line.jacobian[:, indices]
         # Columns of unit rms, so that `RANK` is independent of units and priors.
-        scale = column_scale(columns)
+        scale = compute_column_scales(columns)
         x[indices] += scale * np.linalg.lstsq(columns * scale, residual, rcond=RANK)[0]
     return residual

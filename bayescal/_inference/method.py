@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayescal._inference.laplace import NOTHING_KNOWN, Mode
+from bayescal._inference.laplace import NO_START, Mode
 from bayescal._inference.problem import Problem
 from bayescal._model.parameters import Layout
 from bayescal._model.static import static
@@ -109,9 +109,7 @@ class Method(abc.ABC):
         static(cls)
 
     @abc.abstractmethod
-    def run(
-        self, problem: Problem, seed: int, start: Mapping[str, float] = NOTHING_KNOWN
-    ) -> Outcome:
+    def run(self, problem: Problem, seed: int, start: Mapping[str, float] = NO_START) -> Outcome:
         """Fit the model. Lack of convergence does not raise: it is in the verdict.
 
         Args:

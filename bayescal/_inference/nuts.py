@@ -15,7 +15,7 @@ from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.laplace import NO_START, Mode, find_mode
 from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
@@ -44,7 +44,7 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(self, problem: Problem, seed: int, start: Any = NOTHING_KNOWN) -> Outcome:
+    def run(self, problem: Problem, seed: int, start: Any = NO_START) -> Outcome:
         layout = replace(problem.layout, promoted=())
         problem = Problem(layout, problem.record)
         frame, y = problem.record.frame, problem.record.y
@@ -62,7 +62,7 @@ class NUTS(Method):
         sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(chains.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         chains = chains._replace(draws=np.concatenate([x, v], axis=2))
-        verdict = trust.chain_verdict(chains, "NUTS", ())
+        verdict = trust.judge_chains(chains, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 

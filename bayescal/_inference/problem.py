@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
+from bayescal._inference.gaussian import Gram, Prior, XDraws, draw_x
 from bayescal._inference.record import Record
 from bayescal._model.composition import (
     Composed,
@@ -106,18 +106,18 @@ class Problem:
         pairs = zip(self._coordinates, v, strict=True)
         return float(sum(density(coordinate) for (*_, density), coordinate in pairs))
 
-    def drawn(
+    def draw_x(
         self,
         gram: Gram,
         vs: Float[np.ndarray, "b d"],
-        flat: Float[np.ndarray, "p"],
+        flat_scales: Float[np.ndarray, "p"],
         origin: Float[np.ndarray, "p"],
         normal: Float[np.ndarray, "b p"] | float = 0.0,
-    ) -> Drawn:
+    ) -> XDraws:
         """Return draws of x given each of several φ by standard normal numbers (0: the mean), with log marginals."""
-        prior = self.prior(self.hyper(vs.T), flat, (len(vs),))
+        prior = self.prior(self.hyper(vs.T), flat_scales, (len(vs),))
         normal = np.broadcast_to(normal, (len(vs), self.size))
-        return draw(gram, self.record.size, prior, origin, normal)
+        return draw_x(gram, self.record.size, prior, origin, normal)
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         """Return the log prior densities of several φ (b,)."""
@@ -155,10 +155,10 @@ class Problem:
         return weight
 
     def prior(
-        self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
+        self, hyper: Mapping[str, Any], flat_scales: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
         """Return the prior of x given φ, or given each of `count` φ; `flat`: scales of flat priors (p,)."""
-        sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat)
+        sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat_scales)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     def member_sd(self, term: Term, hyper: Mapping[str, Any], count: int) -> Float[np.ndarray, "b"]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.laplace import NO_START, Mode, find_mode
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 
@@ -28,7 +28,7 @@ MAX_MEMBERS = 12  # of a promoted group coefficient
 
 
 def promote_products(
-    problem: Problem, requested: tuple[str, ...] | None, start: Mapping[str, float] = NOTHING_KNOWN
+    problem: Problem, requested: tuple[str, ...] | None, start: Mapping[str, float] = NO_START
 ) -> tuple[Problem, tuple[str, ...], Mode | None]:
     """Promote significant coefficients (or those `requested`); return problem, notes, and mode if computed.
 

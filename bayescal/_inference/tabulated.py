@@ -205,12 +205,12 @@ class Tabulated:
         return self.nodes.weights(problem.noise, values)
 
     def evaluate(
-        self, v: Float[np.ndarray, "d"], flat: Float[np.ndarray, "p"], with_grad: bool = True
+        self, v: Float[np.ndarray, "d"], flat_scales: Float[np.ndarray, "p"], with_grad: bool = True
     ) -> Evaluation | None:
         """Return the log density at a φ, with its gradient and Hessian if `with_grad`; None if undefined."""
         problem, p, q = self.problem, self.problem.size, len(self.noise)
         hyper = problem.hyper(v)
-        prior = problem.prior(hyper, flat)
+        prior = problem.prior(hyper, flat_scales)
         if not np.all(np.isfinite(prior.sd)):
             return None
         rows = self.rows(tuple(part.expansion_at(v, with_grad) for part in self.parts))
@@ -222,9 +222,8 @@ class Tabulated:
         gram = rows.select(grams[0])
         unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
         gram_unit = gram @ unit
-        conditional = condition(
-            Gram.of(unit.T @ gram_unit, weights.log_det[0]), problem.record.size, prior, self.origin
-        )
+        gram_x = Gram.split(unit.T @ gram_unit, weights.log_det[0])
+        conditional = condition(gram_x, problem.record.size, prior, self.origin)
         if conditional is None:
             return None
         log_prior, prior_slope, prior_bend = self._log_prior(v)
@@ -300,7 +299,7 @@ class Tabulated:
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
                 self.table.discard((part.key, listed.number))
-        return Gram.of(products, log_det)
+        return Gram.split(products, log_det)
 
     @cached_property
     def is_direct(self) -> bool:
@@ -319,7 +318,7 @@ class Tabulated:
             variance = np.broadcast_to(variance, line.mean.shape)
             table = np.concatenate([line.jacobian, residual], axis=2) / np.sqrt(variance)[..., None]
             products.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(variance), axis=1)))
-        return Gram.of(*map(np.concatenate, zip(*products, strict=True)))
+        return Gram.split(*map(np.concatenate, zip(*products, strict=True)))
 
     def grams_of(
         self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
@@ -341,7 +340,7 @@ class Tabulated:
         self,
         v: Float[np.ndarray, "d"],
         covariance: Float[np.ndarray, "d d"],
-        flat: Float[np.ndarray, "p"],
+        flat_scales: Float[np.ndarray, "p"],
     ) -> PolynomialTable | None:
         """Fit columns by polynomials around the Laplace approximation of φ; None if inaccurate or too expensive."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
@@ -359,9 +358,9 @@ class Tabulated:
             return None
         if not any(part.free for part in self.parts):
             return about
-        test_draws = draws[:TEST_DRAWS]
+        test_v = draws[:TEST_DRAWS]
         exact, fitted = (
-            self.problem.drawn(table.grams(test_draws), test_draws, flat, self.origin).log_marginal
+            self.problem.draw_x(table.grams(test_v), test_v, flat_scales, self.origin).log_marginal
             for table in (self, about)
         )
         error = fitted - exact
@@ -416,7 +415,7 @@ class PolynomialTable:
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
-        return Gram.of(*self.whole.grams_of(self.rows, vs))
+        return Gram.split(*self.whole.grams_of(self.rows, vs))
 
     def contains(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
         """Return whether each φ is inside the region of the polynomial fit (b,)."""

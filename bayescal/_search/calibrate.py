@@ -26,7 +26,7 @@ from bayescal._core.progress import stage
 from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
-from bayescal._inference.laplace import NOTHING_KNOWN
+from bayescal._inference.laplace import NO_START
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
@@ -359,7 +359,7 @@ class StepwiseSearch:
         return ""
 
     def fit_step(
-        self, model: Model, method: Method | None, start: Mapping[str, float] = NOTHING_KNOWN
+        self, model: Model, method: Method | None, start: Mapping[str, float] = NO_START
     ) -> Step:
         """Fit a model, from starting values of φ if given, and check it."""
         options: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}

@@ -12,8 +12,8 @@ import numpy as np
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import best_start, fit_at_mode
-from bayescal._inference.newton import Nearby, climb
+from bayescal._inference.laplace import fit_at_mode, select_start
+from bayescal._inference.newton import HessianGuess, maximise
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
@@ -85,10 +85,10 @@ def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT)
     curvature = None
     if previous.covariance is not None:
         coordinates = np.array([previous.start[n] for n in priors])
-        curvature = Nearby(coordinates, np.linalg.inv(previous.covariance), True)
-    density = Density(problem, problem.start, np.ones(0), like=curvature)
+        curvature = HessianGuess(coordinates, np.linalg.inv(previous.covariance), True)
+    density = Density(problem, problem.start, np.ones(0), guess=curvature)
     # The climb stops at a hundredth of a nat: the evidence only ranks laws and the mode is a start.
-    mode = fit_at_mode(density, climb(density, best_start(density, points), math.inf), 0.0)
+    mode = fit_at_mode(density, maximise(density, select_start(density, points), math.inf), 0.0)
     coordinates_by_name = dict(zip(priors, mode.v.tolist(), strict=True))
     return ResidualFit(float(mode.log_evidence), coordinates_by_name, mode.covariance)
 

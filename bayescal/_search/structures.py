@@ -26,7 +26,7 @@ from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.means import Means
-from bayescal._inference.newton import Nearby
+from bayescal._inference.newton import HessianGuess
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect, with_forms
@@ -328,8 +328,8 @@ class Structures:
             if self.record.nodes(problem.noise) is None:
                 # The neighbour's mode is exact if it was not found coarsely.
                 is_exact = mode.log_density > least - neighbour.log_prior
-                curvature = transfer_curvature(problem, source, mode, is_exact)
-            options: dict[str, Any] = {"coarse_below": coarse_below, "near": curvature}
+                curvature = map_hessian(problem, source, mode, is_exact)
+            options: dict[str, Any] = {"coarse_below": coarse_below, "guess": curvature}
             first_mode = find_mode(problem, points, x, XTOL_SD, **options)
         effects = (e for n, e in self.candidates.items() if n in structure.effects)
         scaled = [*filter(has_prior_scale, effects)]
@@ -430,7 +430,7 @@ def transfer_coordinates(problem: Problem, source: Problem, mode: Mode) -> dict[
     return coordinates
 
 
-def transfer_curvature(problem: Problem, source: Problem, mode: Mode, exact: bool) -> Nearby | None:
+def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> HessianGuess | None:
     """Return the curvature at the mode of a source problem, in the coordinates that both problems have."""
     if not np.all(np.isfinite(mode.covariance)):
         return None
@@ -442,7 +442,7 @@ def transfer_curvature(problem: Problem, source: Problem, mode: Mode, exact: boo
     v[target] = mode.v[rows]
     curvature[np.ix_(target, target)] = np.linalg.inv(mode.covariance)[np.ix_(rows, rows)]
     is_exact[target] = exact and not mode.indefinite and problem.noise == source.noise
-    return Nearby(v, curvature, is_exact)
+    return HessianGuess(v, curvature, is_exact)
 
 
 def starting_points(
@@ -497,8 +497,8 @@ def average_over_scales(
     else:
         if factors != initial:
             problem = Problem(problem.layout, problem.record, dict(factors))
-            curvature = transfer_curvature(problem, problem, mode, True)
-            mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, near=curvature)
+            curvature = map_hessian(problem, problem, mode, True)
+            mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, guess=curvature)
             scales = ScaleEvidence.from_mode(problem, mode, factors)
             if scales is None:
                 return problem, mode, -math.inf

@@ -233,7 +233,7 @@ CEILINGS = {
     "bayescal/_data": 4_123,
     "bayescal/_model": 5_468,
     "bayescal/effects": 653,
-    "bayescal/_inference": 6_036,
+    "bayescal/_inference": 6_022,
     "bayescal/_calibration": 4_564,
     "bayescal/_use": 2_808,
     "bayescal/_search": 5_679,

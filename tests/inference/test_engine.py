@@ -19,8 +19,8 @@ from bayescal import effects
 from bayescal._calibration.leave_group_out import RecordSubset
 from bayescal._inference import nuts
 from bayescal._inference.density import Density
-from bayescal._inference.gaussian import LOG_2PI, column_scale
-from bayescal._inference.laplace import find_mode, scan_ragged
+from bayescal._inference.gaussian import LOG_2PI, compute_column_scales
+from bayescal._inference.laplace import find_mode, make_scan_grids
 from bayescal._inference.linear_model import fill_amplitudes
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
@@ -197,7 +197,7 @@ def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarra
 def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
     a = assembled(case)
     _, v = somewhere(a)
-    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    flat = compute_column_scales(a.linearise(a.start, a.hyper(v)).jacobian)
     found, given = Density(a, a.start, flat, v).condition_at(v)
     density, mean, covariance = dense(a, v, flat)
     assert found == pytest.approx(density, rel=1e-7, abs=1e-4)
@@ -243,7 +243,7 @@ TABULATED = (*TABULATED, "gyro, unknown", "gyro, paths", "quartz", "inclinometer
 def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> None:
     a = assembled(case)
     x, v = somewhere(a)
-    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    flat = compute_column_scales(a.linearise(a.start, a.hyper(v)).jacobian)
     table, readings = (Density(a, a.start if a.affine else x, flat, v) for _ in range(2))
     monkeypatch.setitem(vars(readings), "tabulated", None)
     ours, exact = table.condition_at(v), readings.condition_at(v)
@@ -259,7 +259,7 @@ def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> No
 def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
     a = assembled(case)
     x, v = somewhere(a)
-    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    flat = compute_column_scales(a.linearise(a.start, a.hyper(v)).jacobian)
     density = Density(a, a.start if a.affine else x, flat, v)
     found, step = density.evaluate(v), 1e-4
     assert found is not None and found.curvature is not None
@@ -339,7 +339,7 @@ def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     a = stepped(place)
     mode = find_mode(a)
     density = Density(a, mode.x, mode.flat)
-    (along,) = scan_ragged(a, mode.v)
+    (along,) = make_scan_grids(a, mode.v)
     assert density.condition_at(mode.v)[0] > max(density.condition_at(v)[0] for v in along) - 1e-3
     assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
 
