@@ -24,6 +24,7 @@ CONCERNED_SHARE = limit("direction.other", "share")
 
 Direction = Float[np.ndarray, "p"]
 
+CONTRACTION = "contraction: 1 − posterior variance/prior variance"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
@@ -44,8 +45,9 @@ def unknowns_parts(
         lines.append(
             f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (p-value {p:.2g})"
         )
-    if any(row[-1].startswith("-") for row in rows.values()):
-        lines.append("contraction below 0: the posterior is wider than the prior")
+    if any(row[-1] != "–" for row in rows.values()):
+        is_widened = any(row[-1].startswith("-") for row in rows.values())
+        lines.append(CONTRACTION + "; below 0: the posterior is wider than the prior" * is_widened)
     if constants := [
         f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.reference_constants.items()
     ]:
@@ -55,11 +57,11 @@ def unknowns_parts(
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
-        joined = f"(--reference {hold_flag_name(stepped[0])}=0 joins them)"
-        lines.append(f"set in steps and held between readings: {', '.join(stepped)} {joined}")
+        option = f"(--reference {hold_flag_name(stepped[0])}=0 interpolates linearly instead)"
+        lines.append(f"constant between readings (set in steps): {', '.join(stepped)} {option}")
     present = {s["name"]: given_text(s) for s in summary(calibration)[0] if s["name"] in rows}
     if text := ", ".join(f"{name} {value}" for name, value in present.items() if value):
-        lines.append(f"if it is there: {text}")
+        lines.append(f"if the effect is present: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 

@@ -25,9 +25,8 @@ from bayescal._search.calibrate_channels import Channels
 from bayescal._search.search_path import SearchPath, Step
 
 SOURCES = 'sources (numbered in docs/sources.md; "ours": estimated by the authors of bayescal)'
-# Printed rows without --verbose, so that a result fits on a screen.
-MAX_STRUCTURES = 2  # structures of a model average
-MAX_CHECKS = 3  # covariates in the residual checks of the first model
+MAX_STRUCTURES = 2  # structures of a model average that are printed without --verbose
+MAX_CHECKS = 3  # covariates in the printed residual checks of the first model, the same
 
 
 def format_instruments(listed: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
@@ -186,7 +185,8 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
     if (others := len(shares) - MAX_STRUCTURES) > 1:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
     texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
-    return folded(f"averaged over {texts}; --structure best uses the first alone")
+    text = f"averaged over {len(path.shares)} structures by probability: {texts}"
+    return folded(f"{text}; --structure best uses the first alone")
 
 
 def _reason_not_tested(step: Step) -> str:

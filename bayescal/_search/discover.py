@@ -13,7 +13,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fit import fit
-from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
+from bayescal._calibration.sensor_noise import MIN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import folded, number, probability, with_error
@@ -52,6 +52,7 @@ from bayescal._search.walk import explore
 # Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
 SEARCH_TIME_SHARE = 2 / 3
 UNSTATED = "not stated, as the search was ended early"
+LOG_BF = "log BF: log Bayes factor of the model with the effect against without it"
 MAX_RIVALS = 4  # effects to be told apart by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
 
@@ -156,15 +157,15 @@ class Discovery(Printed):
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += map(folded, _describe_findings(self))
         if self.noise:
-            laws = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
+            laws = [n for n in self.noise if n.probability >= MIN_PROBABILITY]
             lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
         note = f"± standard uncertainty (k = 1); detectable: with probability {100 * settings().power:g} %"
-        lines += [table, note] if table.rows else []
-        if any(c["source"] == "refit" for c in table.rows):
-            lines.append("* log Bayes factor by a refit; the others are approximate (score test)")
+        refits = any(c["source"] == "refit" for c in table.rows)
+        if table.rows:
+            lines += [table, note, LOG_BF + "; * by refit, others by score test" * refits]
         lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(rows)]
         by_reason = group_untested(rows).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
@@ -344,7 +345,6 @@ def summarise_discovery(
     families = posterior.space.families(structure.effects | structures.latent_effects(structure))
     names = [n for n in library.points if scored and structures.family(n) not in families]
     points = Scorer(library, evaluated).reduced_model().score_candidates(names) if names else {}
-    # The form with the highest score represents its family.
     points = select_forms(structures, points)
     parallel = find_indistinguishable(points) if points else {}
     findings = posterior.findings
@@ -416,7 +416,7 @@ def _describe_findings(discovery: Discovery) -> list[str]:
     for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
             others = (r for r in discovery.candidates if r.role != "freed")
-            rivals = [r for r in others if (r.probability or 0.0) >= SHOWN_PROBABILITY][:1]
+            rivals = [r for r in others if (r.probability or 0.0) >= MIN_PROBABILITY][:1]
             text = f"{c.frees} contradicts its prior: its stated value is wrong ({probability(c.probability)})"
             for r in rivals:
                 text += f", or {r.effect} is missing ({probability(r.probability)})"

@@ -71,7 +71,7 @@ def add_inadequacy(
     why = "unknown" if complete is None else f"{complete:.2f}"
     note = (
         f"Form of the model: the probability that it is complete is {why}; for this the standard uncertainty of the "
-        f"expected output is multiplied by {factor:.2f}."
+        f"expected output is multiplied by {factor:.2f}, those of the coefficients are not."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _run_spreads(calibration, structures, structure)

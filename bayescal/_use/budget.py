@@ -289,23 +289,26 @@ def _split_by_source(
     unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest_effects
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
-        members = dict(used.equation.members)
-        used = compensator(used.calibration.without(unlikely), members=members)
+        used = compensator(used.calibration.without(unlikely), members=dict(used.equation.members))
         *_, gradient = _linearise(used, point)
         total = float(gradient @ used._moments.covariance @ gradient)
     calibration, unknowns = used.calibration, used.equation.unknowns
     sensitivities, estimated = dict[str, float](), _estimated_group_sds(used.equation)
     for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
-            kind = "A" if unknown.key in estimated else "B"
-            parts[unknown.name, kind] = gradient[i] ** 2 * used._moments.covariance[i, i]
+            name = unknown.name.replace("(new ", " of a new ").removesuffix(")")
+            variance_i = gradient[i] ** 2 * used._moments.covariance[i, i]
+            parts[name, "A" if unknown.key in estimated else "B"] = variance_i
         else:
             sensitivities[unknown.name] = float(gradient[i])
     readings, priors = variance_by_origin(calibration, sensitivities)
+    groups = {b.name: b.coefficient.per for b in calibration.layout.x_blocks}
     if readings or priors:
         parts[READINGS, "A"] = readings
         for name, value in priors.items():
-            row = f"prior of {CERTIFICATE_PART.sub('', name)}", "B"
+            fitted = f" of the fitted {groups.get(name)}s".replace("axiss", "axes")
+            of = fitted if groups.get(name) else ""
+            row = f"prior of {CERTIFICATE_PART.sub('', name)}{of}", "B"
             parts[row] = parts.get(row, 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
@@ -314,14 +317,13 @@ def _split_by_source(
             if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
                 shift += float(derivative) * part[index.index[u.name] - index.by_key[u.key].start]
         parts[f"{confounder.label}, not told from the model's own", "B"] = shift**2
-    not_found = 0.0
+    not_found = list[float]()
     for name, (i, root) in used.equation.unfound_spreads.items():
-        part = float(gradient[i] * root) ** 2
-        parts[f"{name} of a new run, neither found nor excluded", "B"] = part
-        not_found += part
+        not_found.append(float(gradient[i] * root) ** 2)
+        parts[f"{name} of a new run, neither found nor excluded", "B"] = not_found[-1]
     if (extra := 1 - calibration.form_factor**-2) > 0:
         part = gradient * [u.kind != "new" for u in unknowns]
-        parts[FORM, "B"] = extra * (float(part @ used._moments.covariance @ part) - not_found)
+        parts[FORM, "B"] = extra * (float(part @ used._moments.covariance @ part) - sum(not_found))
     rows = sorted(parts.items(), key=lambda p: -p[1])
     remainder = total - sum(parts.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding

@@ -346,8 +346,6 @@ class OperatingEquation:
             silence=np.inf,  # pyright: ignore[reportArgumentType]
         )
 
-    # posterior of the unknowns, and inputs at the fit ----------------------------------------------------------------
-
     @cached_property
     def at_fit(self) -> dict[str, np.ndarray]:
         """Return all inputs at the fit's readings, (n,) each; lags at their mean time constants."""
