@@ -95,8 +95,8 @@ class Calibration(Printed, Fitted):
     def correlation(self) -> pd.DataFrame:
         """Return the posterior correlations of all unknowns by name."""
         covariance = self.covariance
-        sd_ = np.sqrt(np.diag(covariance))
-        return covariance / np.outer(sd_, sd_)
+        sds = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(sds, sds)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
@@ -117,8 +117,8 @@ class Calibration(Printed, Fitted):
     def with_log_likelihood(self) -> xr.DataTree:
         """Return a copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo`.
 
-        Not cached: its size is draws times readings; above two million numbers the draws are thinned,
-        in all groups alike. Under correlated noise it is conditional on the earlier readings of the run.
+        Not cached; above two million numbers (draws × readings) the draws of all groups are thinned.
+        Under correlated noise it is conditional on the earlier readings of the run.
         """
         from bayescal._calibration.posterior_tree import with_log_likelihood
 

@@ -1,8 +1,8 @@
 """Residual checks: residuals against every covariate, with a log Bayes factor and the worst region in physical units.
 
-A covariate's log Bayes factor says whether the residuals hold structure against it: the score test of a variance
-component, in the metric in which all nuisances are marginalised, averaged over the length and amplitude of an unknown
-dependence by the columns of `unknown(covariate)`.
+A covariate's log Bayes factor compares a dependence of the residuals on it with none. It is the score test of a
+variance component, nuisance parameters marginalised, averaged over correlation length and amplitude of a smooth
+dependence with the columns of `unknown(covariate)`.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ from bayescal._inference.linear_model import explained_sum_of_squares
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
+
+Z_NOTE = "log Bayes factor: dependence over all readings against none; z: of the worst region alone, largest of many"
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two covariates: log Bayes factor of an interaction not explained by additive terms."""
+    """Log Bayes factor of a residual interaction of two covariates."""
 
     against: tuple[str, str]
     log_bayes_factor: float
@@ -152,7 +154,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
-    """Format residual checks, the worst covariate first; cut to `max_rows`, without autocorrelation and PIT."""
+    """Format residual checks, the worst covariate first; with `max_rows`, without the tests of the noise model."""
     unit, rows = unit_label(check.unit), check.data()[:max_rows]
     noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
@@ -166,6 +168,8 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
             "",
         ]
     lines.append(check_table(rows) if rows else "no covariate varies")
+    if any(r["log_bayes_factor"] < 0 and abs(r["worst"]["z"]) > 1.96 for r in rows):  # p = 5 %
+        lines.append(Z_NOTE)
     strong = settings().strong_evidence
     depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
     lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {depends or 'none'}"))
@@ -189,7 +193,7 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
         listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
     if check.one_sided < SIGNIFICANT_P:
-        lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
+        lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines
 
 
@@ -207,36 +211,37 @@ def place_in_words(row: Mapping[str, Any]) -> str:
 
 
 SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates count as the same
-# Expected lag-1 autocorrelation above which the fit alone determines it, as with two readings about a free level.
-TIED_CORRELATION = 0.99
-SIGN_TEST_SHARE = 0.1  # of the readings, farthest from the model, whose signs are tested
-MAX_PAIRS = 15  # tested pairs of covariates
-MAX_MEMBERS = 64  # of a group tested member by member
-ROUNDING_SHARE = 1e-9  # of a sum of squares, below which it is rounding error
-MIN_RUN_REGION_READINGS = 8  # of a run, for a worst region within that run
-MAX_BINS = 12  # of a covariate
-LENGTH_COUNT = (3, 4)  # correlation lengths averaged over: of other covariates, of time
-AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # prior sd averaged over, in noise sd
-DEGREE = 2  # of the polynomial along each covariate of an interaction
+# Magnitude of the lag-1 autocorrelation induced by the fit, above which no autocorrelation of the noise is estimated.
+MAX_INDUCED_CORRELATION = 0.99
+SIGN_TEST_SHARE = 0.1  # share of the readings, those of largest residuals, in the sign test
+MAX_PAIRS = 15  # number of tested pairs of covariates
+MAX_MEMBERS = 64  # number of members of a group that is tested
+ROUNDING_SHARE = 1e-9  # share of a sum of squares, below which it is rounding error
+MIN_RUN_REGION_READINGS = 8  # number of readings of a run, for a worst region within that run
+MAX_BINS = 12  # number of bins of a covariate
+LENGTH_COUNT = (3, 4)  # number of correlation lengths in the average: not in time, in time
+AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # prior sds in the average, noise sds
+INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an interaction
 
 
 @on_one_thread
 def check(calibration: Calibration) -> Check:
     """Check a fitted model's residuals against every covariate.
 
-    If coefficients are fixed, the reference noise is that of the same model with free ones: misfit would inflate it.
+    With fixed coefficients, the reference noise is that of a refit with free ones: misfit would inflate it.
     """
-    judged_fit, free_noise = _with_reference_noise(calibration)
+    judged_fit, free_noise = _fit_reference_noise(calibration)
     linear = judged_fit.linear
     residuals, scores = linear.conditional_residuals, linear.scores
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residuals**2)))
     covariates = covariates_of(judged_fit)
-    two = _covariate_pairs(covariates)
+    pairs = _list_covariate_pairs(covariates)
     factors = log_bayes_factors(judged_fit, covariates, noise)
-    pair_factors = log_bayes_factors(judged_fit, [_interaction(a, b) for a, b in two], noise)
+    interactions = [_build_interaction(a, b) for a, b in pairs]
+    pair_factors = log_bayes_factors(judged_fit, interactions, noise)
     rows = zip(covariates, factors, strict=True)
     entries = [Entry(c.name, f, _worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
-    pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(two, pair_factors, strict=True)]
+    pair_rows = [Pair((a.name, b.name), f) for (a, b), f in zip(pairs, pair_factors, strict=True)]
     # Leave-one-out residuals over their predictive standard deviations, V⁻¹r over the root of V⁻¹'s diagonal, from the
     # leverages. Under correlated noise: one-step-ahead residuals within a run.
     loo_z = scores
@@ -245,21 +250,21 @@ def check(calibration: Calibration) -> Check:
     # A wrong mean biases size and sign of the residuals: both are tested only without evidence against the mean.
     scatter, one_sided = dict[str, float](), 1.0
     if max(factors, default=0.0) < settings().strong_evidence:
-        scatter = _scatter_p_values(covariates, scores, calibration.readings["output"] - residuals)
+        scatter = _test_scatter(covariates, scores, calibration.readings["output"] - residuals)
         if count := int(SIGN_TEST_SHARE * len(loo_z)):  # sign test
-            positive = int(np.sum(loo_z[np.argsort(-np.abs(loo_z))[:count]] > 0))
-            one_sided = min(1.0, 2 * float(bdtr(min(positive, count - positive), count, 0.5)))
+            positives = int(np.sum(loo_z[np.argsort(-np.abs(loo_z))[:count]] > 0))
+            one_sided = min(1.0, 2 * float(bdtr(min(positives, count - positives), count, 0.5)))
     outlier_threshold = settings().outlier_sd
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
-        pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
+        pairs=tuple(sorted(pair_rows, key=lambda p: -p.log_bayes_factor)),
         unit=calibration.unit,
         rms=rms,
         noise=noise,
         autocorrelation=autocorrelation(judged_fit, scores),
         scatter_with=scatter,
         outliers=tuple((i, z) for i, z in enumerate(loo_z.tolist()) if abs(z) > outlier_threshold),
-        pit_p=_normality_p_value(loo_z),
+        pit_p=_test_normality(loo_z),
         one_sided=one_sided,
         free_noise=free_noise,
         residuals=residuals,
@@ -267,19 +272,19 @@ def check(calibration: Calibration) -> Check:
 
 
 def why_not(calibration: Calibration) -> str:
-    """Return why a calibration is not fit for use, or ""; run the residual checks unless its verdict has them."""
+    """Return why a calibration is not fit for use, or ""; run the acceptance checks unless its verdict has them."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
     cached = vars(calibration)  # cached with the other computed attributes
     if "why_not" not in cached:
         cached["why_not"] = judgement.explain_missing_noise(calibration) or " ".join(
-            _failures(calibration)
+            _list_failures(calibration)
         )
     return cached["why_not"]
 
 
-def _failures(calibration: Calibration) -> Sequence[judgement.Claim]:
+def _list_failures(calibration: Calibration) -> Sequence[judgement.Claim]:
     if claims := judgement.contradictions(calibration, noise_floor(calibration)):
         return claims
     mode_claims = tuple(judgement.multimodality(calibration))
@@ -287,7 +292,7 @@ def _failures(calibration: Calibration) -> Sequence[judgement.Claim]:
     return judgement.failures(judgement.Subject(calibration, check=check(calibration), **computed))
 
 
-def _with_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
+def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
     """Return the fit with reference noise, and the noise sd with coefficients freed (None if none is fixed)."""
     # Coefficients fixed by the user at stated values; not those known by definition.
     fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
@@ -318,7 +323,7 @@ class Covariate:
     def smooth(
         cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
     ) -> Covariate:
-        """Build a smooth dependence on a covariate that takes several values."""
+        """Build the basis columns of a smooth dependence on a covariate that varies."""
         term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
         lengths = np.geomspace(*length_range, LENGTH_COUNT[in_time])
@@ -352,34 +357,34 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
     return covariates
 
 
-def _covariate_pairs(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
+def _list_covariate_pairs(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """List pairs of covariates whose rank correlation is below 0.95."""
     numeric = (c for c in covariates if not c.levels and np.ptp(c.values) > 0)
-    pairs = combinations([(c, _ranks(c.values)) for c in numeric], 2)
+    pairs = combinations([(c, _rank_values(c.values)) for c in numeric], 2)
     correlations = ((a, b, judgement.correlation(x, y)[0]) for (a, x), (b, y) in pairs)
     return [(a, b) for a, b, r in correlations if abs(r) < SAME_COVARIATE_CORRELATION][:MAX_PAIRS]
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
+def _rank_values(values: np.ndarray) -> np.ndarray:
     """Return ranks from 1; ties get their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(counts) - 0.5 * (counts - 1))[inverse]
 
 
-def _normality_p_value(values: np.ndarray) -> float:
-    """Return the Kolmogorov p-value of standard normality (M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
+def _test_normality(values: np.ndarray) -> float:
+    """Return the Kolmogorov–Smirnov p-value of standard normality (M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
     root_n, probabilities = np.sqrt(len(values)), ndtr(np.sort(values))
     empirical = np.arange(len(values) + 1) / len(values)
     distance = max(np.max(empirical[1:] - probabilities), np.max(probabilities - empirical[:-1]))
     return float(kolmogorov((root_n + 0.12 + 0.11 / root_n) * distance))
 
 
-def _interaction(first: Covariate, second: Covariate) -> Covariate:
+def _build_interaction(first: Covariate, second: Covariate) -> Covariate:
     """Build the interaction of two covariates: products of their Legendre polynomials of degrees 1 and 2."""
 
     def legendre_columns(values: np.ndarray) -> np.ndarray:
         position = 2 * (values - values.min()) / np.ptp(values) - 1
-        return np.polynomial.legendre.legvander(position, DEGREE)[:, 1:]
+        return np.polynomial.legendre.legvander(position, INTERACTION_DEGREE)[:, 1:]
 
     first_columns, second_columns = legendre_columns(first.values), legendre_columns(second.values)
     basis = (first_columns[:, :, None] * second_columns[:, None, :]).reshape(len(first_columns), -1)
@@ -391,9 +396,9 @@ def _interaction(first: Covariate, second: Covariate) -> Covariate:
 def log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
-    """Return each covariate's log Bayes factor of a dependence against none, averaged over lengths and amplitudes.
+    """Return each covariate's log Bayes factor of a residual dependence on it against none.
 
-    Amplitudes are prior standard deviations common to all columns of a covariate, in units of `noise` (output unit).
+    It is averaged over correlation lengths and amplitudes: prior sds of the columns in units of `noise` (output unit).
     """
     factors = list[float]()
     for covariate in covariates:
@@ -414,21 +419,21 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     """
     order, step = calibration.problem.record.in_time
     starts = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
-    ordered = standardised[order]
-    earlier, later = ordered[starts], ordered[starts + 1]
-    norm_product = float(np.linalg.norm(earlier) * np.linalg.norm(later))
+    sorted_residuals = standardised[order]
+    r0, r1 = sorted_residuals[starts], sorted_residuals[starts + 1]
+    norm_product = float(np.linalg.norm(r0) * np.linalg.norm(r1))
     if not norm_product > 0:
         return 0.0, 0.0
-    expected, sd = _white_autocorrelation(calibration.linear.directions[order], starts)
-    product, mean_square = float(earlier @ later), 0.5 * float(earlier @ earlier + later @ later)
-    lag_one = product / norm_product
-    if sd == 0 or abs(expected) > TIED_CORRELATION:
+    expected, sd = _expect_autocorrelation(calibration.linear.directions[order], starts)
+    product, mean_square = float(r0 @ r1), 0.5 * float(r0 @ r0 + r1 @ r1)
+    if sd == 0 or abs(expected) > MAX_INDUCED_CORRELATION:
         return 0.0, 0.0
+    lag_one = product / norm_product
     coefficient = float(np.clip((lag_one - expected) / (1 - lag_one * expected), -1, 1))
     return coefficient, (product / mean_square - expected) / sd
 
 
-def _white_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[float, float]:
+def _expect_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[float, float]:
     """Return mean and standard deviation of the lag-1 autocorrelation of e ~ N(0, C), C = I − G·Gᵀ.
 
     G, `directions` (n, q), has orthonormal columns that the fit projects out, rows in time order. Over pairs of
@@ -436,10 +441,10 @@ def _white_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[
     variance of eᵀKe, K = B − ρ·D, is 2·tr(KCKC). `starts` is the row of each pair's first reading.
     """
     weights = 0.5 * np.bincount(np.append(starts, starts + 1), minlength=len(directions))  # D
-    typical = float(weights @ (1 - np.sum(directions**2, axis=1)))
-    if typical < ROUNDING_SHARE * starts.size:
+    mean_square = float(weights @ (1 - np.sum(directions**2, axis=1)))  # tr(DC)
+    if mean_square < ROUNDING_SHARE * starts.size:
         return 0.0, 0.0
-    expected = -float(np.sum(directions[starts] * directions[starts + 1])) / typical
+    expected = -float(np.sum(directions[starts] * directions[starts + 1])) / mean_square
     kg = -expected * weights[:, None] * directions
     kg[starts] += 0.5 * directions[starts + 1]
     kg[starts + 1] += 0.5 * directions[starts]
@@ -447,40 +452,41 @@ def _white_autocorrelation(directions: np.ndarray, starts: np.ndarray) -> tuple[
     trace = square_trace - 2 * float(np.sum(kg**2)) + float(np.sum((directions.T @ kg) ** 2))
     if trace < ROUNDING_SHARE * starts.size:
         return expected, 0.0
-    return expected, float(np.sqrt(2 * trace)) / typical
+    return expected, float(np.sqrt(2 * trace)) / mean_square
 
 
-def _scatter_p_values(
+def _test_scatter(
     covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
 ) -> dict[str, float]:
     """Return the significant p-values of rank correlation between absolute residuals and covariates, by name."""
     columns = {c.name: c.values for c in covariates if not c.levels}
     # Noise proportional to |output| is not monotonic in any column if the output has both signs.
     columns["the output's distance from its median"] = np.abs(expected - np.median(expected))
-    varied = {n: values for n, values in columns.items() if np.ptp(values) > 0 and len(values) > 2}
-    ranks = _ranks(np.abs(standardised))
-    p_values = {n: judgement.correlation(ranks, _ranks(values))[1] for n, values in varied.items()}
+    residual_ranks, p_values = _rank_values(np.abs(standardised)), dict[str, float]()
+    for name, values in columns.items():
+        if np.ptp(values) > 0 and len(values) > 2:
+            p_values[name] = judgement.correlation(residual_ranks, _rank_values(values))[1]
     return {name: p for name, p in p_values.items() if p < SIGNIFICANT_P}
 
 
 def noise_floor(calibration: Fitted) -> float:
     """Estimate the noise standard deviation that no smooth effect could explain, output unit.
 
-    It is computed from each residual less the mean of its two neighbours (in time within a run; in temperature without
-    a time column), as in a von Neumann ratio: slow variation cancels.
+    It is the rms second difference of the residuals (of neighbours in time within a run; in temperature without a time
+    column), scaled to white noise: slow variation cancels, as in a von Neumann ratio.
     """
     residuals = calibration.linear.conditional_residuals
     readings = calibration.readings
     if readings.has("time"):
         order, step = calibration.problem.record.in_time
-        linked = step >= 0
+        has_previous = step >= 0
     else:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
-        order, linked = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
-        linked[0] = False
+        order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
+        has_previous[0] = False
     ordered = residuals[order]
-    interior = linked[1:-1] & linked[2:]
-    differences = (ordered[1:-1] - 0.5 * (ordered[:-2] + ordered[2:]))[interior]
+    has_both = has_previous[1:-1] & has_previous[2:]
+    differences = (ordered[1:-1] - 0.5 * (ordered[:-2] + ordered[2:]))[has_both]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))
     return float(np.sqrt(np.mean(differences**2) / 1.5))

@@ -25,10 +25,10 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.trust import MAX_K_HAT
 
-FEWEST_GROUPS = limit("compare.few_groups", "groups")
-BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
-BY_READINGS = "pointwise leave-one-out"
-TERMS = "elpd: expected log predictive density; stacking weight: share in the mixture of models with the largest elpd."
+MIN_GROUPS = limit("compare.few_groups", "groups")
+GROUP_SCORE, EVIDENCE = "leave-one-group-out", "log evidence"
+LOO_SCORE = "pointwise leave-one-out"
+NOTE = "elpd: expected log predictive density; stacking weight: share in the mixture of models with the largest elpd."
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class Comparison(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
-        grouped, unit = self.chosen_by != BY_READINGS, unit_label(self.unit)
-        fold, score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
+        grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
+        fold, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
         by_group = (
             TableColumn(f"{fold} rmse", "group_rmse", number, unit),
-            TableColumn(f"{fold} elpd", "group_score", score),
+            TableColumn(f"{fold} elpd", "group_score", format_score),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
@@ -84,12 +84,12 @@ class Comparison(Printed):
             *(by_group if grouped else ()),
             TableColumn("leave-one-reading-out elpd", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
-            TableColumn("log evidence", "log_evidence", score),
+            TableColumn("log evidence", "log_evidence", format_score),
             TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
-        count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
+        count = f" ({self.groups} of them)" if self.chosen_by == GROUP_SCORE else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
-        heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {TERMS}"
+        heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {NOTE}"
         return [table, *(folded(line, "") for line in (heading, *self.warnings))]
 
     def _brief(self) -> str:
@@ -135,9 +135,9 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
     weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    scored = [f for f in folds.values() if f is not None]
-    fold, grouped = next(iter(scored), None), len(scored) == len(folds)
-    best = max((f.log_score for f in scored), key=np.sum) if grouped else None
+    fold_list = [f for f in folds.values() if f is not None]
+    fold, grouped = next(iter(fold_list), None), len(fold_list) == len(folds)
+    best = max((f.log_score for f in fold_list), key=np.sum) if grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
         (densities, pareto_k), held_out = loo[name], folds[name]
@@ -148,7 +148,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             rmse=predict(c).rmse,
             group_score=held_out and float(held_out.log_score.sum()),
             group_difference=None if gaps is None else float(gaps.sum()),
-            group_error=None if gaps is None or len(gaps) < FEWEST_GROUPS else _sum_error(gaps),
+            group_error=None if gaps is None or len(gaps) < MIN_GROUPS else _sum_error(gaps),
             group_rmse=held_out and held_out.rmse,
             loo=float(densities.sum()),
             loo_difference=float((densities - best_loo).sum()),
@@ -158,10 +158,10 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             weight=float(weight),
         )
         rows.append(row)
-    ranking, ranking_field = (BY_GROUPS, "group_score") if grouped else (BY_READINGS, "loo")
-    few_groups = grouped and fold is not None and fold.count < FEWEST_GROUPS
+    ranking, ranking_field = (GROUP_SCORE, "group_score") if grouped else (LOO_SCORE, "loo")
+    few_groups = grouped and fold is not None and fold.count < MIN_GROUPS
     if few_groups and all(r.log_evidence is not None for r in rows):
-        ranking, ranking_field = BY_EVIDENCE, "log_evidence"
+        ranking, ranking_field = EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, ranking_field))
     return Comparison(
         rows=tuple(rows),
@@ -169,13 +169,13 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         groups=fold.count if fold else len(output),
         unit=first_fit.unit,
         chosen_by=ranking,
-        warnings=tuple(_warnings(rows, ranking, fold)),
+        warnings=tuple(_warn(rows, ranking, fold)),
     )
 
 
 def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     """Return the PSIS leave-one-out log predictive density of each reading, and the largest Pareto k."""
-    import arviz_stats  # a second that only a comparison needs
+    import arviz_stats  # loading takes a second
     import xarray as xr
 
     parts = {"log_likelihood": calibration.log_likelihood(), "posterior": calibration.posterior}
@@ -193,23 +193,23 @@ def _sum_error(differences: np.ndarray) -> float:
     return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
-def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Yield claims where the by is undecided, or another measure is unreliable or disagrees."""
+def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
+    """Yield claims where the ranking rule does not decide, or another measure is unreliable or disagrees."""
     best, second = rows[:2]
-    if fold and fold.count < FEWEST_GROUPS:
+    if fold and fold.count < MIN_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)
     undecided = partial(Claim, "compare.undecided", best.name, second.name)
-    if by == BY_EVIDENCE:
+    if rule == EVIDENCE:
         gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
         if gap < settings().strong_evidence:
-            yield undecided(gap=f"{gap:.1f}", measure=by)
+            yield undecided(gap=f"{gap:.1f}", measure=rule)
         best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
         if best_by_groups is not best:
             yield Claim("compare.other_first", best_by_groups.name)
-    elif by == BY_GROUPS and second.group_error:
+    elif rule == GROUP_SCORE and second.group_error:
         gap, error = -(second.group_difference or 0.0), second.group_error
         if gap < limit("compare.undecided", "errors") * error:
-            yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{by} score")
+            yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{rule} score")
     for row in (r for r in rows if r.pareto_k > MAX_K_HAT):
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 

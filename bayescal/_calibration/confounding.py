@@ -37,7 +37,7 @@ AMPLITUDE_SHARE = 0.5  # prior sd of a column's effect over the rms of the model
 
 @renamed(of_column="label")
 class Confounder(NamedTuple):
-    """A column collinear with coefficients, or off by part of its rounding step."""
+    """A recorded column, collinear with model terms or rounded, that widens coefficients."""
 
     column: str
     coefficients: list[str]  # names of the single coefficients whose uncertainty it increases
@@ -66,7 +66,7 @@ def find_confounders(
     columns: Mapping[str, Float[np.ndarray, "n"]],
     steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Find unmodelled columns and rounded ones (step, ∂output/∂column), that widen a coefficient by a fifth or more."""
+    """Find unmodelled or rounded columns that increase a coefficient's standard uncertainty by a fifth or more."""
     layout, sd = linear.problem.layout, linear.sd
     single = np.flatnonzero(is_single_coefficient(layout))
     if not len(single):

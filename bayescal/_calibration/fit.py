@@ -45,7 +45,7 @@ def fit(
         model: an instrument, effects and a noise model.
         readings: measurements of that instrument.
         method: `Marginal()` if not given; or `LeastSquares()`, `NUTS()`.
-        seed: of every random number, or NumPy's generator, which draws it; the same seed gives the same draws.
+        seed: seed of all random numbers, or a NumPy generator that draws it; the same seed gives the same draws.
         strict: raise if the fit did not converge (tolerance: `FTOL_NATS`); False returns it with its verdict.
         reference: constants of the basis functions, such as {"T0": 0.0}, instead of those computed from the readings.
         time_limit: seconds, after which the partial result is returned: the draws so far, or the Laplace approximation
@@ -55,8 +55,8 @@ def fit(
 
     Raises:
         InputError: `reference` has a name that is not a reference constant of these readings.
-        ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
-            changes; the model is none, or has an effect that is zero in every reading.
+        ModelError: readings lack a column, are too few for the coefficients with flat priors, or have a constant
+            output; the model has an effect that is zero in every reading.
         NotConverged: the fit did not converge; its attribute is the calibration.
     """
     if not isinstance(model, Model):
@@ -122,8 +122,8 @@ def _refuse_zero_effects(calibration: Calibration) -> None:
         if indices and not np.any(linear.nuisance[:, indices]):
             raise ModelError(
                 f"Effect {effect.name!r} is zero in all {len(readings)} readings of {readings.file}: its coefficients "
-                "would stay at their priors, and the fit would seem to hold it. Look at its basis, and at the labels "
-                f"and columns that it asks for ({', '.join(effect.columns) or 'none is named'}), or leave it out"
+                "would keep their priors. Check its basis function, and the labels and columns that it uses "
+                f"({', '.join(effect.columns) or 'none'}), or remove it from the model"
             )
 
 
@@ -146,9 +146,9 @@ def _refuse_lost_digits(problem: Problem, readings: Measurements) -> None:
         ratio = float(np.max(np.abs(b.mean) / sd))
         if ratio > np.finfo(float).eps ** -0.5:
             raise ModelError(
-                f"{readings.file}: the output stands {ratio:.2g} times the plausible size of {b.name} from its prior's "
-                "mean: too few digits are left to calculate with. Subtract a constant from it, give the nominal zero, "
-                "or look at the unit"
+                f"{readings.file}: the output is {ratio:.2g} times the plausible size of {b.name} away from its prior "
+                "mean, so that rounding errors are too large. Subtract a constant from it, give the nominal zero, or "
+                "check the unit"
             )
 
 
@@ -157,10 +157,10 @@ def load(
 ) -> Calibration:
     """Read a saved calibration.
 
-    Its instrument and effects are resolved by name against what is installed, `instruments` and `effects`, its noise
-    model among the loaded classes; nothing in the file is evaluated.
+    Instrument and effects are looked up by name among the installed ones, `instruments` and `effects`, the noise model
+    among the loaded classes. No code in the file is run.
 
     Raises:
-        InputError: no calibration, another version, an effect that is not installed, or a noise model not loaded.
+        InputError: not a calibration of this version; or its instrument, an effect or its noise model is not found.
     """
     return Calibration(**load_calibration(Path(path), effects, instruments))

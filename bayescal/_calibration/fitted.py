@@ -174,15 +174,12 @@ class Fitted:
 
     @property
     def hold_at(self) -> dict[str, float]:
-        """Return the reference values of the equations, by name: T0, V0 and the like.
-
-        Only columns that an effect depends on have one; otherwise constants are means over the readings.
-        """
+        """Return the reference value (T0, V0 …) of each column that an effect depends on, by name."""
         return {name: value for name, (value, _) in self.reference_constants.items()}
 
     @cached_property
     def reference_constants(self) -> dict[str, tuple[float, str]]:
-        """Return `hold_at`, each with its unit."""
+        """Return reference value and unit of each column that an effect depends on, by name (T0, V0 …)."""
         constants: dict[str, tuple[float, str]] = {}
         for column in self.readings.columns:
             name, unit = reference_name(column), self.readings.unit(column)
@@ -212,7 +209,7 @@ class Fitted:
         return self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
 
     def _basis(self, effect: Effect, frame: Frame) -> Any:
-        """Return an effect's columns at the mode of its shapes."""
+        """Return an effect's basis columns at the posterior mode of its shape parameters."""
         parameters: Any = self.problem.hyper(self.mode.v)
         shapes = {s.name: parameters[effect.shape_name(s)] for s in effect.column_shapes}
         return effect.evaluate(frame, shapes)

@@ -70,7 +70,7 @@ def group_conflicts(subject: Subject) -> list[Claim]:
 def contradictions(
     fit: Fitted, noise_floor: float, accepted: Collection[str] = ()
 ) -> tuple[Claim, ...]:
-    """Return why no search can succeed: readings contradict the model's priors, or rounding exceeds the noise."""
+    """Return claims that prevent a search: readings contradict the model's priors, or rounding exceeds the noise."""
     freed_names = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed_names}, noise_floor)
     claims = conflicts(subject) or priors_contradicted_by_data(subject)
@@ -131,7 +131,7 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
 
 
 def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
-    """Yield claims of coefficients, name → (value, half-width of its interval), far from their prior means."""
+    """Yield claims of coefficients far from their prior means; `values`: name → (value, half-width of its interval)."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
     max_coefficients, far_sd = limit(PRIOR_CODE, "coefficients"), limit(PRIOR_CODE, "sd")
     for u in subject.fit.unknowns:
@@ -352,14 +352,14 @@ def explain_missing_noise(fit: Fitted) -> str:
     if math.isnan(noise):
         return (
             f"{fit.readings.file}: every fit of the model gave non-finite values: the output spans "
-            f"{number(np.ptp(output))} {unit}, more than it can represent. Check its unit, nominal zero and scale "
-            "(--unit, --nominal-zero, --nominal-scale)"
+            f"{number(np.ptp(output))} {unit}, more than the model can represent. Check the output's unit, nominal "
+            "zero and scale (--unit, --nominal-zero, --nominal-scale)"
         )
     grid = rounding_step(output)
-    rounded = f" It is rounded in steps of {grid:.3g} {unit}." if grid else ""
+    rounded = f" The output is rounded in steps of {grid:.3g} {unit}." if grid else ""
     return (
-        f"{fit.readings.file}: a model of {len(fit.layout.blocks)} unknowns explains the output to its last digit in "
-        f"all {len(output)} readings, which then show no noise and no uncertainty.{rounded} Record it with more digits"
+        f"{fit.readings.file}: the model of {len(fit.layout.blocks)} unknowns fits all {len(output)} readings to the "
+        f"last digit: noise and uncertainties cannot be estimated.{rounded} Record the output with more digits"
     )
 
 

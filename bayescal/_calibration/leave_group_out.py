@@ -27,14 +27,14 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Arrays, Record
 from bayescal._model.terms import ColumnSpec
 
-# Readings of a group, for a test of its error: by chance it is three times too large once in 10⁷ groups of 5.
+# Readings of a group whose error is tested: the error of 5 is three times its expectation once in 10⁷ groups.
 MIN_GROUP_READINGS = 5
-MAX_BLOCKS = 5  # blocks of neighbouring readings, left out if there are no groups
+MAX_BLOCKS = 5  # number of blocks of neighbouring readings, left out if there are no groups
 
 
 @dataclass(frozen=True)
 class LeaveOneGroupOut:
-    """Predictions of each group from the others."""
+    """Leave-one-group-out predictions: each group predicted from the others."""
 
     group: str  # what a group is: device, run, cell, "time block" or "block of rows"
     members: tuple[str, ...]  # names of the groups
@@ -171,22 +171,22 @@ def _predict_fold(
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
     fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, guess=guess) for p in problems)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
-    free, v = (np.array(problem.kinds) != "noise") | (not problem.noise.covariates), mode.v.copy()
-    within = fitted if free.all() else fitted.fix_others(guess, free)
-    v[free] = maximise(within, mode.v[free], ftol=1e-3)  # φ to 0.05 standard deviations
+    kinds = np.array(problem.kinds)
+    is_free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
+    objective = fitted if is_free.all() else fitted.fix_others(guess, is_free)
+    v[is_free] = maximise(objective, mode.v[is_free], ftol=1e-3)  # φ to 0.05 standard deviations
     predicted_moments = _held_out_moments(fitted, predicted, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
-    between = np.array(problem.kinds) == "group_sd"
-    conservative = _held_out_moments(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
+    larger_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
+    conservative = _held_out_moments(fitted, predicted, larger_v)
     if predicted_moments is None or conservative is None:
         return None
-    size = len(mode.x)
-    standard_normal = Prior(np.zeros(size), np.ones(size), np.ones(size))
-    joint = condition(predicted_moments[1], len(left_out), standard_normal, np.zeros(size))
+    zeros, ones = np.zeros(len(mode.x)), np.ones(len(mode.x))
+    joint = condition(predicted_moments[1], len(left_out), Prior(zeros, ones, ones), zeros)
     # Eigenvalues of I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: 1 plus those of Lᵀ·Aᵀ·A·L.
     spectrum = np.ones(len(left_out))
-    above = np.sort(np.linalg.eigvalsh(conservative[1].jtj))[::-1][: len(left_out)]
-    spectrum[: len(above)] += np.maximum(above, 0.0)
+    eigenvalues = np.sort(np.linalg.eigvalsh(conservative[1].jtj))[::-1][: len(left_out)]
+    spectrum[: len(eigenvalues)] += np.maximum(eigenvalues, 0.0)
     score = np.nan if joint is None else joint.log_marginal
     return score, predicted_moments[0], conservative[2], conservative[1].rtr, spectrum
 

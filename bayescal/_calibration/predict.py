@@ -23,9 +23,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.instrument import factor_of
 from bayescal._model.terms import ColumnSpec
 
-MIN_WHITE_SHARE = (
-    1e-12  # of the noise variance, taken as white if the noise model has no white part
-)
+MIN_WHITE_SHARE = 1e-12  # smallest white share of the noise variance
 MAX_REPLICATES = 1000  # gives p-values a resolution of 0.001
 MAX_REPLICATED_CELLS = 10_000_000  # replicates × readings in memory
 TINY_SQUARE = 1e-300  # floor of a sum of squares
@@ -68,8 +66,8 @@ def predict(
     conditional on it: lags, hysteresis, the run's deviation and correlated noise continue as if the file were not cut.
 
     Args:
-        calibration: a fit, or an average over structures, of which those without columns in the readings are left out.
-        readings: to predict; the fitted ones if not given. Without a column `run` they are one new run. Dates are
+        calibration: a fit, or an average over structures; those that need columns absent from the readings are omitted.
+        readings: readings to predict; None for the fitted ones. Without a column `run` they are one new run. Dates are
             converted to the calibration's clock.
         new_groups: treat every run, cell or device as unseen by the fit: its deviation has mean zero and the
             between-group standard deviation. False uses the estimated deviations of members with the same name. An
@@ -116,7 +114,7 @@ def predict(
         residual, model_sd, sd = _evaluate_with_past(calibration, readings, predict_frame)
     else:
         frame = calibration.frame_of(readings)
-        frame = _as_new_groups(frame) if new_groups else frame
+        frame = _mark_as_new(frame) if new_groups else frame
         residual, model_sd, sd = predict_frame(readings, frame, NO_PAST)
     return Prediction(readings["output"] - residual, model_sd, sd, residual)
 
@@ -139,7 +137,7 @@ def _sensitivities(calibration: Calibration, problem: Problem, effect: Effect) -
     return gradients[c.slot or effect.slot] * factor * problem.record.columns(spec, ())[:, 0]
 
 
-def replicates(
+def simulate_replicates(
     calibration: Calibration, readings: Measurements, draws: int, seed: int
 ) -> Float[np.ndarray, "draws n"]:
     """Simulate readings once from each draw: deviations of new runs, cells and devices from their prior; readings that
@@ -164,7 +162,7 @@ def _evaluate_with_past(
     fitted = calibration.readings
     runs = fitted.continued_in(readings)
     if not runs:
-        return evaluate(readings, _as_new_groups(calibration.frame_of(readings)), NO_PAST)
+        return evaluate(readings, _mark_as_new(calibration.frame_of(readings)), NO_PAST)
     rows = np.sort(np.concatenate([*runs.values()]))
     codes = [fitted.records.names.index(name) for name in runs]
     past = np.flatnonzero(np.isin(fitted.records.codes, codes))
@@ -174,11 +172,11 @@ def _evaluate_with_past(
     columns[:, rows] = continued
     if len(new_rows := np.setdiff1d(np.arange(len(readings)), rows)):
         new = readings.select(new_rows)
-        columns[:, new_rows] = evaluate(new, _as_new_groups(calibration.frame_of(new)), NO_PAST)
+        columns[:, new_rows] = evaluate(new, _mark_as_new(calibration.frame_of(new)), NO_PAST)
     return columns
 
 
-def _as_new_groups(frame: Frame) -> Frame:
+def _mark_as_new(frame: Frame) -> Frame:
     """Mark every run, cell and device as unseen by the fit (code −1); an axis is part of its instrument."""
     codes = {k: c if k == "axis" else -np.ones_like(c) for k, c in frame.codes.items()}
     return replace(frame, codes=codes)
@@ -299,7 +297,9 @@ class HoldoutTest:
     def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
         """Return the prediction errors over the noise sd, and those of the replicates about their mean."""
         count = max(100, min(MAX_REPLICATES, MAX_REPLICATED_CELLS // max(len(self.readings), 1)))
-        replicated = replicates(self.calibration, self.readings, count, self.calibration.seed)
+        replicated = simulate_replicates(
+            self.calibration, self.readings, count, self.calibration.seed
+        )
         (average, problem), random = self._problem, np.random.default_rng(0)
         # Contributions of group deviations that the fit lacks.
         for effect, sd in self.deviations:

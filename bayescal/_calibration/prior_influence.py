@@ -63,7 +63,7 @@ class NotMeasured:
     hyperparameter: bool = False  # the quantity is a hyperparameter: no draws without its prior
 
     def __str__(self) -> str:
-        return f"the readings tell less of {self.words} than was known before"
+        return f"the prior contributes more than the readings to {self.words}"
 
     def by_readings_alone(
         self, calibration: Calibration, values: Float[np.ndarray, "d g"]
@@ -127,9 +127,7 @@ def find_not_measured(
         if linear or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
         prior_words = _format_unknown(unknown, samples)
-        return NotMeasured(
-            (of,), prior_words, "What would tell: more readings", hyperparameter=True
-        )
+        return NotMeasured((of,), prior_words, "To measure it, take more readings", True)
     candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, is_counted = list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
@@ -156,10 +154,10 @@ def find_not_measured(
     if columns := dict.fromkeys(c for block in blocks if block for c in block.effect.columns):
         cure = f"readings over more of {' and '.join(columns)}"
     elif len(concerned) > 1:
-        cure = f"readings that tell {' and '.join(candidates[i][0].name for i in concerned)} apart"
-    words = (_format_unknown(u, x, f", ± {number(size)} before them") for u, x, size in samples)
+        cure = f"readings that separate {' and '.join(candidates[i][0].name for i in concerned)}"
+    words = (_format_unknown(u, x, f", prior ± {number(size)}") for u, x, size in samples)
     names = tuple(u.name for u, *_ in samples)
-    return NotMeasured(names, " and ".join(words), f"What would tell: {cure}")
+    return NotMeasured(names, " and ".join(words), f"To measure it, take {cure}")
 
 
 def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "") -> str:

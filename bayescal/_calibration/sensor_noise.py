@@ -50,47 +50,47 @@ from bayescal._model.noise_terms import FLICKER_FLOOR, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.summed_noise import SummedNoise
 
-# Ratio to the largest probability of a sum, above which another sum's parameters are drawn.
-SAMPLED_SHARE = 0.1
-# z of neighbours' excess correlation, above which quantisation or averaging noise is tried, or means are analysed.
-NEIGHBOURS_SD = 2.0
-# z of a spectral line against its neighbours, above which a tone is a candidate.
-LINE_SD = 4.5
-# z of either, above which every sum has that term; the best sum is also evaluated without it.
-CERTAIN_SD = 6.0
+# Ratio of a sum's probability to the largest one, above which parameters of the sum are drawn.
+SAMPLED_RATIO = 0.1
+# |z| of the excess correlation of neighbours, above which quantisation or averaging noise is a candidate term.
+NEIGHBOUR_Z = 2.0
+# z of a spectral line against its neighbours, above which a tone is a candidate term.
+LINE_Z = 4.5
+# z of a candidate term above which every sum includes it; the best sum is also evaluated without it.
+REQUIRED_Z = 6.0
 # Steepest slope of the Allan deviation over two octaves that counts as −½. After a low-pass of time constant T it is
 # reached by means over 3.4·T, of which only neighbours have a correlation above 0.01.
-LEVEL_SLOPE = -0.35
-MIN_MEANS = 64  # for a slope known to 0.1
-MAX_SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
+WHITE_SLOPE = -0.35
+MIN_MEANS = 64  # number of means for an Allan slope known to 0.1
+MAX_SHORT_STEPS = 3.0  # correlation time in steps, up to which a process is part of N
 
 Terms = tuple[str, ...]  # names of a sum's terms, besides white noise
 CURVE_DEGREE = 3  # of the polynomial over temperature
-IMPUTATIONS = 6  # of lost readings; the first is burn-in
+IMPUTATIONS = 6  # number of imputations of lost readings; the first is burn-in
 SLOW_TERMS = ("walk", "flicker", "correlated")  # a sum has two of them at most
-EXCLUDED = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
+NO_PAIRS = (("walk", "walk"), ("flicker", "flicker"))  # pairs of slow terms that no sum has
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 TONE_RMS, TONE_FREQ, TONE_TIME = TONE
-QUANTISATION, AVERAGING = "quantisation", "averaging"  # of neighbouring readings alone
+QUANTISATION, AVERAGING = "quantisation", "averaging"  # terms that correlate neighbours only
 # Weights of values at lags 2 to 6 in the extrapolation of their regression line to lag 1.
-EXTRAPOLATION = 0.2 - 0.3 * np.arange(-2, 3)
-MIN_WINDOW = 64  # readings of the shortest window in which a line is sought; the others double
-MIN_WINDOWS = 8  # fewest windows, of the longest length
-# Frequency offsets, in bins, of a line's background; a window's width is 2.
-BACKGROUND = np.array([3, 4, 5, 6])
-MAX_PHASE_BLOCKS = 256  # of a run, along which the phase of a line is followed
-COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
-BACKGROUND_CURVATURE = 0.02  # relative curvature of a spectrum without lines over so many bins
-MODE_SEARCH_STARTS = 2  # best starting points, from which a maximum is sought
-DRAWS_PER_SUM = 2048  # of each sum
-RESAMPLED = 2048  # draws by their weights, over all sums together
-SHOWN_PROBABILITY = 0.01  # of a sum, from which it is printed
+LAG_WEIGHTS = 0.2 - 0.3 * np.arange(-2, 3)
+MIN_WINDOW = 64  # readings in the shortest window of the search for a line; lengths double
+MIN_WINDOWS = 8  # smallest number of windows, at the longest length
+# Frequency offsets of a line's background, in bins; the half-width of the window's main lobe is 2.
+LINE_OFFSETS = np.array([3, 4, 5, 6])
+MAX_PHASE_BLOCKS = 256  # number of blocks of a run in which the phase of a line is computed
+COHERENT_SHARE = 0.25  # coherence time of a coherent line over the longest run, at least
+BACKGROUND_CURVATURE = 0.02  # relative curvature of a spectrum without lines over these bins
+MODE_SEARCH_STARTS = 2  # number of starting points of the search for a mode, the best ones
+DRAWS_PER_SUM = 2048  # number of importance-sampling draws of each sum
+MIXTURE_DRAWS = 2048  # number of resampled draws, over all sums together
+MIN_PROBABILITY = 0.01  # probability from which a sum or a noise law is printed
 # Posterior quantile of N and K for a filter: underestimated noise makes it overconfident.
 FILTER_QUANTILE = 0.95
 # Share of the noise model's Allan deviation that a filter's two terms must reach at every averaging time.
 FILTER_RATIO = 0.95
-MAX_PRINTED_SUMS = 4  # sums that are printed with their probabilities
-CURVE = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # in JSON
+MAX_PRINTED_SUMS = 4  # number of sums that are printed with their probabilities
+KEYS = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # of the curve in JSON
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class SensorNoise(Printed):
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         probable = [
-            f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY
+            f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= MIN_PROBABILITY
         ]
         doubts = [f"Not to be used as they are: {c}" for c in self.claims if c.severity != "note"]
         term = "term" + " of a law that does not fit" * bool(doubts)
@@ -215,7 +215,7 @@ class SensorNoise(Printed):
             "law": self.law,
             "probabilities": dict(self.probabilities),
             "figures": [{**vars(f), "si": list(f.si)} for f in self.figures],
-            "curve": [dict(zip(CURVE, row, strict=True)) for row in zip(*columns, strict=True)],
+            "curve": [dict(zip(KEYS, row, strict=True)) for row in zip(*columns, strict=True)],
             "for_filter": {"quantile": FILTER_QUANTILE, "N": n, "K": k, "horizon": self.horizon},
             "claims": [claim.data() for claim in self.claims],
         }
@@ -320,12 +320,12 @@ class RestNoise(NamedTuple):
 class _RestRecord(NamedTuple):
     """Runs, spectrum and scales of a channel at rest."""
 
-    columns: Sequence[np.ndarray]  # of its runs (n, r): integrated out, and last the output
+    columns: Sequence[np.ndarray]  # of each run (n, r): those to integrate out, then the output
     spectrum: EvenSpectrum
-    scale: float  # standard deviation of neighbours, output unit
-    longest: float  # run, a power of two of steps, s
-    tau: np.ndarray  # averaging times, s,
-    allan: np.ndarray  # and variances, output unit squared
+    scale: float  # standard deviation from differences of neighbours, output unit
+    longest: float  # duration of the longest run, rounded up to 2ᵏ sampling intervals, s
+    tau: np.ndarray  # averaging times, s
+    allan: np.ndarray  # Allan variances at these, output unit squared
     tone: Mapping[str, float]  # starting values of a tone; none if empty
 
     def model(self, terms: Terms) -> SummedNoise:
@@ -354,7 +354,7 @@ class EvaluatedSums(NamedTuple):
     probabilities: dict[Terms, float]  # the most probable first
     claims: tuple[Claim, ...]  # processing of the record
     readings: Measurements  # the record, or means of it
-    runs: EvenRuns  # of these
+    runs: EvenRuns  # runs of `readings`
     count: int | None  # readings in a mean; None where no Allan deviation falls with slope −½
 
 
@@ -373,12 +373,12 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         output = np.asarray(readings["output"], float)
         z, line = _find_line(output, runs)
     columns, scale, claims = _run_columns(readings, runs)
-    criteria = {"tone": (z, LINE_SD)}
+    criteria = {"tone": (z, LINE_Z)}
     if not base:
         negative_sd = _negative_correlation_sd(output, runs)
-        criteria[QUANTISATION if negative_sd > 0 else AVERAGING] = abs(negative_sd), NEIGHBOURS_SD
+        criteria[QUANTISATION if negative_sd > 0 else AVERAGING] = abs(negative_sd), NEIGHBOUR_Z
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
-    certain = tuple(term for term in optional if criteria[term][0] > CERTAIN_SD)
+    required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
     variance, _ = allan.overlapping(output, runs)
     longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     tone_units = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
@@ -396,7 +396,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         channel = _RestRecord(imputed, EvenSpectrum(imputed, runs.step, lines), *channel_fields)
         fits: dict[Terms, GaussianFit] = {base: _fit_sum(channel, base, {})}
         try:
-            for terms in _enumerate_sums(fits, base, optional, certain):
+            for terms in _enumerate_sums(fits, base, optional, required):
                 time_limit.ask()
                 fits[terms] = _fit_sum(channel, terms, fits)
         except deadline.TimeIsUp:
@@ -417,29 +417,28 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
 
 
 def _enumerate_sums(
-    fits: Mapping[Terms, GaussianFit], base: Terms, optional: Terms, certain: Terms
+    fits: Mapping[Terms, GaussianFit], base: Terms, optional: Terms, required: Terms
 ) -> Iterator[Terms]:
     """Yield the sums to evaluate besides the smallest, `base`: up to two slow terms and a subset of `optional` terms.
 
-    All but the smallest include the terms `certain`; the best sum is finally evaluated without each of these, as noise
+    All but the smallest include the `required` terms; the best sum is finally evaluated without each of these, as noise
     correlated over a few readings resembles them.
     """
-    pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in EXCLUDED]
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in NO_PAIRS]
     counts = range(len(optional) + 1)
-    subsets = [{*c, *certain} for k in counts for c in itertools.combinations(optional, k)]
+    subsets = [{*c, *required} for k in counts for c in itertools.combinations(optional, k)]
     slow_sums = [(), *((term,) for term in SLOW_TERMS), *pairs]
     sums = {_sort_terms((*base, *s, *b)) for s in slow_sums for b in subsets} - {base}
     yield from sorted(sums, key=lambda terms: (len(terms), terms))
     best = next(iter(_log_posteriors(fits)))
-    yield from {tuple(t for t in best if t != term) for term in certain} - {*fits}
+    yield from {tuple(t for t in best if t != term) for term in required} - {*fits}
 
 
 def _sample_sums(
     channel: _RestRecord, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], np.ndarray, dict[Terms, float]]:
-    """Draw the parameters of the probable sums; return them, draws of a random walk's K in the most probable sum (with
-    a random walk added if it has none), and the probabilities of all sums.
-    """
+    """Draw the parameters of the probable sums; return the fitted sums with draws, draws of the random walk K in the
+    most probable sum (with a random walk added if it has none), and the probabilities of all sums."""
     sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> float:
@@ -452,7 +451,7 @@ def _sample_sums(
         totals = _log_posteriors(fits)
         posterior = softmax(list(totals.values()))
         probabilities = dict(zip(totals, posterior.tolist(), strict=True))
-        probable = [t for t, share in probabilities.items() if share > SAMPLED_SHARE * posterior[0]]
+        probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
         if not (unsampled := [t for t in probable if t not in sampled]):
             break
         # Importance sampling corrects the Laplace evidence of skewed posteriors.
@@ -475,19 +474,19 @@ def _readings_per_mean(
 ) -> int | None:
     """Return the readings per mean at which the Allan deviation begins to fall with slope −½; None if it never does.
 
-    The Allan variance of a narrow spectral line is subtracted, as it oscillates. Single readings suffice if the slope
-    is −½ within two standard deviations and neighbours are uncorrelated.
+    The Allan variance of a narrow spectral line, which oscillates, is subtracted. Single readings are analysed if the
+    slope is −½ within two standard deviations and neighbours are uncorrelated.
     """
     variance, _ = allan.overlapping(output, runs)
-    if z > LINE_SD:
+    if z > LINE_Z:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE_RMS] ** 2, runs.factors, 1.0)
-    upper_limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    upper_limit = 4.0 ** (2 * WHITE_SLOPE) * variance[:-2]
     dof = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
-    upper_limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(2 / dof[2:3])
+    upper_limit[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
     level = variance[2:] <= upper_limit
     level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
-    level[:1] &= z > LINE_SD or _negative_correlation_sd(output, runs) > -NEIGHBOURS_SD
+    level[:1] &= z > LINE_Z or _negative_correlation_sd(output, runs) > -NEIGHBOUR_Z
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 
 
@@ -517,7 +516,7 @@ def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> 
     The variogram, half the mean square of differences at lag k, is γ₀ − γₖ, linear in k under slow noise: if its value
     at k = 1 is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
     """
-    squares, counts = np.zeros(len(EXTRAPOLATION) + 1), np.zeros(len(EXTRAPOLATION) + 1)
+    squares, counts = np.zeros(len(LAG_WEIGHTS) + 1), np.zeros(len(LAG_WEIGHTS) + 1)
     for run in runs.of(output):
         for k in range(1, min(len(run), len(squares) + 1)):
             differences = run[k:] - run[:-k]
@@ -525,9 +524,9 @@ def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> 
             squares[k - 1] += 0.5 * float(differences @ differences)
             counts[k - 1] += len(differences)
     variogram = squares / counts
-    expected = float(EXTRAPOLATION @ variogram[1:])
+    expected = float(LAG_WEIGHTS @ variogram[1:])
     # The estimate of γₖ from n readings of white noise with variance γ₀ has the variance γ₀²/n.
-    sd = abs(expected) * math.sqrt((1 + float(EXTRAPOLATION @ EXTRAPOLATION)) / counts[0])
+    sd = abs(expected) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / counts[0])
     return float(variogram[0] - expected) / sd
 
 
@@ -545,8 +544,8 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
         window, parts = np.hanning(length), run[: count * length].reshape(count, length)
         spectra = np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)) ** 2
         power = 2 * spectra.mean(axis=0) / np.sum(window**2)
-        bins = np.arange(BACKGROUND[-1] + 1, len(power) - BACKGROUND[-1] - 1)
-        low, high = (power[bins[:, None] + sign * BACKGROUND].mean(axis=1) for sign in (-1, 1))
+        bins = np.arange(LINE_OFFSETS[-1] + 1, len(power) - LINE_OFFSETS[-1] - 1)
+        low, high = (power[bins[:, None] + sign * LINE_OFFSETS].mean(axis=1) for sign in (-1, 1))
         background = np.sqrt(low * high)
         z = np.log(power[bins] / background) / (1 / math.sqrt(count) + BACKGROUND_CURVATURE)
         if z[k := int(np.argmax(z))] > best:
@@ -643,7 +642,7 @@ def _impute_run(
 def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
     """Find a sum's posterior mode, starting also from modes of sums with one term less; add the Laplace evidence."""
     priors, log_density = channel.model(terms).parameters(), channel.log_density(terms)
-    starts = list(_starts(channel, terms, priors))
+    starts = list(_list_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
     for smaller in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
         coordinates = dict(zip(channel.model(smaller).parameters(), fits[smaller].v, strict=True))
@@ -658,7 +657,7 @@ def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFi
     return max(maxima, key=lambda fit: fit.log_density)
 
 
-def _starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
+def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> Iterator[Any]:
     """Yield starting coordinates: each term as large as the Allan variance allows, with several time constants."""
     tau, curves, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.tone
     amplitudes = {
@@ -686,7 +685,7 @@ def _starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> Itera
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
-def _line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
+def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
     """Return the root mean square of a coherent line in a run, less the noise at its frequency, output unit.
 
     The mean square is the maximum of the periodogram near `freq` cycles per reading less the background, over n.
@@ -704,7 +703,7 @@ def _line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
     offset = 0.0
     for width in (0.8, 0.1):
         offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
-    background = np.mean([power(offset + k) for k in (*BACKGROUND, *-BACKGROUND)])
+    background = np.mean([power(offset + k) for k in (*LINE_OFFSETS, *-LINE_OFFSETS)])
     return math.sqrt(max(power(offset) - float(background), 0.0) / n)
 
 
@@ -712,8 +711,8 @@ def _draw_parameters(
     channel: _RestRecord, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> RestNoise:
     """Resample parameters by the weights of v to equal probability; `share` of all resampled draws."""
-    chosen, law = v[resample(weights, max(1, round(share * RESAMPLED)), seed)], channel.model(terms)
-    priors = law.parameters()
+    rows, law = resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed), channel.model(terms)
+    chosen, priors = v[rows], law.parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.longest
@@ -722,7 +721,7 @@ def _draw_parameters(
             run = max(channel.columns, key=len)[:, -1]
             error = parameters[WHITE] / math.sqrt(len(run))
             error = error * np.random.default_rng(seed).standard_normal(len(error))
-            amplitude = np.abs(_line_rms(run, frequency) + error)
+            amplitude = np.abs(_fit_line_rms(run, frequency) + error)
             parameters[TONE_RMS] = np.where(coherent, amplitude, parameters[TONE_RMS])
     return RestNoise(terms, parameters, law)
 
@@ -758,7 +757,7 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
 def _figures(
     sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
-    """Return each term's figure, pooled over the probable sums with that term, if they have over half of the draws."""
+    """Summarise Q, N, B, K and other parameters, each over the sums with its term if these have over half the draws."""
     names, best, step, base = (allan.habit(unit), sums.noises[0], sums.runs.step, unit or "1")
     (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
@@ -797,17 +796,19 @@ def _figures(
 
 
 def _figure(
-    symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, bound: bool = False
+    symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, is_bound: bool = False
 ) -> NoiseFigure:
     """Summarise draws in `draw_unit` as a figure in `unit` and in base units."""
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.quantile(draws, [tail, 0.5, 1 - tail])
-    if bound:  # one-sided
+    if is_bound:  # one-sided
         low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
     (base, to_base), factor = _to_base_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
     values = np.array([median, low, high])
     (value, lower, upper), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
-    return NoiseFigure(symbol, name, unit, value, lower, upper, base, (si[0], si[1], si[2]), bound)
+    return NoiseFigure(
+        symbol, name, unit, value, lower, upper, base, (si[0], si[1], si[2]), is_bound
+    )
 
 
 def _to_base_unit(unit: str) -> tuple[str, float]:

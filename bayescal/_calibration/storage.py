@@ -43,7 +43,7 @@ REPAIR_ADVICE = "Use a backup, or fit the readings again"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
-# Fields of a calibration that stand in the description as they are.
+# Fields of a calibration that are stored unchanged.
 STORED_FIELDS = ("method", "seed", "reference", "start", "form_factor", "unfound_spreads")
 # Errors raised by a file with a valid checksum and inconsistent parts.
 PARSE_ERRORS = (
@@ -136,8 +136,7 @@ def _read_netcdf(
         "confounded": tuple(Confounder(**values) for values in metadata["confounded"]),
     }
     if attributes.get(IDENTITY) != identity(Fitted(**fields)):
-        why = "its identity is not that of what it holds (did a noise law of your own change?)"
-        raise ValueError(why)
+        raise ValueError("its identity differs from its content (was a noise law changed?)")
     return fields
 
 
@@ -158,10 +157,7 @@ def _restore_readings(groups: Mapping[str, Group], metadata: Mapping[str, Any]) 
 
 
 def identity(calibration: Fitted) -> str:
-    """Return the SHA-256 of a fit's model, readings, seed and draws.
-
-    Saving and loading do not change it.
-    """
+    """Return the SHA-256 of a fit's model, readings, seed and draws, which saving and loading do not change."""
     digest = hashlib.sha256(json.dumps(description(calibration), sort_keys=True).encode())
     calibration.readings.add_to(digest)
     for draws in (calibration.joint.x, calibration.joint.v):

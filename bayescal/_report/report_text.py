@@ -108,7 +108,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
         is_held = not sd > 1e-9 * abs(mean)
         note = chapter.used.model.form_note(r["effect"]) + " (held)" * is_held
         note += " (mostly its prior)" * (name in not_measured)
-        note += f" (if it is there {conditional})" if conditional else ""
+        note += f" (if present {conditional})" if conditional else ""
         note += f" (probability {probability(inclusion)})" * (inclusion < 1 and not conditional)
         intervals = (mean - K * sd, mean + K * sd), r["interval95"]
         k2, credible = ("–" if is_held else interval(*bounds, mean, sd) for bounds in intervals)

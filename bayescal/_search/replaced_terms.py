@@ -159,9 +159,9 @@ def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
     """Suggest the run that best separates effects of columns: over the temperature range, from its other end."""
     column, *others = columns
     if others or column not in calibration.frame.rates:
-        return f"Vary {' and '.join(columns)} in another way in another run."
+        return f"Vary {' and '.join(columns)} independently in another run."
     values = calibration.readings[column]
     start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
     limits = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
     farther, nearer = (number(float(end), 3) for end in limits)
-    return f"A run of another profile would tell: from {farther} to {nearer} °C and back."
+    return f"Another profile would separate them: a run from {farther} to {nearer} °C and back."
