@@ -248,7 +248,7 @@ CEILINGS = {
     "tests": 23_034,
     "benchmarks": 10_609,
 }
-WORDS = 48_947  # of docs/, README.md and CHANGELOG.md together
+WORDS = 48_949  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
