@@ -100,8 +100,8 @@ from ._data.column import UNCERTAINTY as UNCERTAINTY
 from ._data.column import Place as Place
 from ._data.column import Source as Source
 from ._data.column_conversion import convert_columns as convert_columns
-from ._data.dataset_checks import backward_time as backward_time
-from ._data.dataset_checks import same_temperature as same_temperature
+from ._data.dataset_checks import find_single_temperature as find_single_temperature
+from ._data.dataset_checks import find_time_reversals as find_time_reversals
 from ._data.header_matching import MatchedFile as MatchedFile
 from ._data.header_matching import ReadOptions as ReadOptions
 from ._data.header_matching import expected_columns as expected_columns
@@ -125,7 +125,7 @@ from ._data.records import equal_runs as equal_runs
 from ._data.unit_conversion import STANDARD_GRAVITY as STANDARD_GRAVITY
 from ._data.unit_conversion import base_unit as base_unit
 from ._data.unit_conversion import convert as convert
-from ._data.unit_conversion import normalised as normalised
+from ._data.unit_conversion import normalise_unit as normalise_unit
 from ._data.unit_conversion import parse as parse
 from ._data.unit_conversion import same_dimension as same_dimension
 from ._data.unit_conversion import unit_label as unit_label

@@ -20,7 +20,7 @@ from bayescal._calibration.confounding import (
 from bayescal._core.errors import InputError
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.renamed import renamed
-from bayescal._data.dataset_checks import MIN_CHANGES, resolution
+from bayescal._data.dataset_checks import MIN_CHANGES, find_grid_step
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -120,12 +120,12 @@ class Fitted:
     def _rounding_steps(self) -> dict[str, tuple[float, np.ndarray]]:
         """Return rounding steps of thermometers and output, and the derivative with respect to each (n,)."""
         readings, steps = self.readings, dict[str, tuple[float, np.ndarray]]()
-        if step := resolution(readings["output"]):
+        if step := find_grid_step(readings["output"]):
             steps["output"] = step, np.ones(len(readings))
         thermometers = (n for n in readings.columns if readings.unit(n) == "degC")
         for name in (n for n in thermometers if n in self.model.columns):
             values = readings[name]
-            if 0 < (step := resolution(values, MIN_CHANGES)) <= MAX_THERMOMETER_STEP_DEGC:
+            if 0 < (step := find_grid_step(values, MIN_CHANGES)) <= MAX_THERMOMETER_STEP_DEGC:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
                 shifted = self.problem_on(frame).linearise(self.mode.x, hyper)
@@ -232,7 +232,7 @@ class Fitted:
         Raises:
             InputError: one has dates and the other has none, and an effect changes with the date.
         """
-        return readings.on_clock(self.readings.since, lambda: ", ".join(self.dated_effects))
+        return readings.align_clock(self.readings.since, lambda: ", ".join(self.dated_effects))
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Build the frame of other readings on this calibration's clock, T0, runs and groups."""

@@ -21,7 +21,7 @@ from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._data.dataset_checks import rounding_step
+from bayescal._data.dataset_checks import find_rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import draw_starts, find_mode, make_scan_grids
@@ -206,7 +206,7 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
 
 
 def rounding_claims(subject: Subject) -> Iterator[Claim]:
-    step = rounding_step(subject.fit.readings["output"])
+    step = find_rounding_step(subject.fit.readings["output"])
     if subject.noise_floor < limit("output.rounded", "steps") * step:
         yield Claim("output.rounded", grid=step, unit=subject.fit.unit)
 
@@ -355,7 +355,7 @@ def explain_missing_noise(fit: Fitted) -> str:
             f"{number(np.ptp(output))} {unit}, more than the model can represent. Check the output's unit, nominal "
             "zero and scale (--unit, --nominal-zero, --nominal-scale)"
         )
-    grid = rounding_step(output)
+    grid = find_rounding_step(output)
     rounded = f" The output is rounded in steps of {grid:.3g} {unit}." if grid else ""
     return (
         f"{fit.readings.file}: the model of {len(fit.layout.blocks)} unknowns fits all {len(output)} readings to the "
@@ -384,7 +384,7 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
 def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
     """Yield anomalies in the columns of thermometers that the model depends on."""
     readings, model = subject.fit.readings, subject.first_model or subject.fit.model
-    for anomaly in readings.oddities:
+    for anomaly in readings.anomalies:
         if anomaly.column in model.columns and readings.unit(anomaly.column) == "degC":
             yield Claim("column.odd", anomaly.column, anomaly.code, said=anomaly.description)
 

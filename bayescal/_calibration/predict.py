@@ -160,13 +160,13 @@ def _evaluate_with_past(
     """Evaluate a function of readings, frame and rows of preceding fitted readings: readings that continue fitted runs
     are appended to these runs, the others are new runs; return the values (k, n) at `readings`."""
     fitted = calibration.readings
-    runs = fitted.continued_in(readings)
+    runs = fitted.find_continuations(readings)
     if not runs:
         return evaluate(readings, _mark_as_new(calibration.frame_of(readings)), NO_PAST)
     rows = np.sort(np.concatenate([*runs.values()]))
     codes = [fitted.records.names.index(name) for name in runs]
     past = np.flatnonzero(np.isin(fitted.records.codes, codes))
-    joined = fitted.select(past).followed_by(readings.select(rows))
+    joined = fitted.select(past).concatenate(readings.select(rows))
     continued = evaluate(joined, calibration.frame_of(joined), past)[:, len(past) :]
     columns = np.empty((len(continued), len(readings)))
     columns[:, rows] = continued

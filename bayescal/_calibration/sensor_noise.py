@@ -259,7 +259,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
     claims, step = list(sums.claims), runs.step / (sums.count or 1)
     if sums.count is None:
-        claims.insert(0, Claim("noise.no_level", "N", name=allan.habit(unit).names[0]))
+        claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
     elif sums.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=sums.count))
     outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
@@ -379,7 +379,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         criteria[QUANTISATION if negative_sd > 0 else AVERAGING] = abs(negative_sd), NEIGHBOUR_Z
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
-    variance, _ = allan.overlapping(output, runs)
+    variance, _ = allan.allan_variances(output, runs)
     longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     tone_units = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
     line = {name: tone_units[name] * value for name, value in line.items()}
@@ -477,7 +477,7 @@ def _readings_per_mean(
     The Allan variance of a narrow spectral line, which oscillates, is subtracted. Single readings are analysed if the
     slope is −½ within two standard deviations and neighbours are uncorrelated.
     """
-    variance, _ = allan.overlapping(output, runs)
+    variance, _ = allan.allan_variances(output, runs)
     if z > LINE_Z:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE_RMS] ** 2, runs.factors, 1.0)
@@ -517,7 +517,7 @@ def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> 
     at k = 1 is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
     """
     squares, counts = np.zeros(len(LAG_WEIGHTS) + 1), np.zeros(len(LAG_WEIGHTS) + 1)
-    for run in runs.of(output):
+    for run in runs.arrange(output):
         for k in range(1, min(len(run), len(squares) + 1)):
             differences = run[k:] - run[:-k]
             differences = differences[np.isfinite(differences)]
@@ -536,7 +536,7 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     The power at a frequency is divided by the geometric mean of that on both sides, which cancels a sloping background;
     averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
-    run, best, line = max(runs.of(output), key=len), 0.0, dict[str, float]()
+    run, best, line = max(runs.arrange(output), key=len), 0.0, dict[str, float]()
     run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = MIN_WINDOW
     while (count := len(run) // length) >= MIN_WINDOWS:
@@ -581,7 +581,7 @@ def _run_columns(
     standard deviation from differences of neighbours, output unit, and claims about the processing.
     """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
-    changes = np.concatenate([np.diff(run) for run in runs.of(output)])
+    changes = np.concatenate([np.diff(run) for run in runs.arrange(output)])
     scale = 1.4826 / math.sqrt(2) * float(np.nanmedian(np.abs(changes - np.nanmedian(changes))))
     if not scale > 0:
         raise InputError(
@@ -758,7 +758,7 @@ def _figures(
     sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
     """Summarise Q, N, B, K and other parameters, each over the sums with its term if these have over half the draws."""
-    names, best, step, base = (allan.habit(unit), sums.noises[0], sums.runs.step, unit or "1")
+    names, best, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
     (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
 
@@ -766,7 +766,7 @@ def _figures(
         samples = [noise.draws[name] for noise in sums.noises if name in noise.draws]
         return np.concatenate(samples) if 2 * sum(map(len, samples)) > draw_count else None
 
-    white = np.concatenate([noise.density(step) for noise in sums.noises])
+    white = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
     white = white if sums.count else np.full(1, math.nan)  # not even a bound
     interior = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
     floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if interior else None
@@ -777,7 +777,7 @@ def _figures(
         for noise in sums.noises
     ]
     rows = [
-        ("Q", "quantisation noise", names.rounded, f"{base}*s", pooled_draws("noise.quantisation")),
+        ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, of_density, f"{base}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),

@@ -153,7 +153,7 @@ def _restore_readings(groups: Mapping[str, Group], metadata: Mapping[str, Any]) 
     sources = tuple(Source(**s) for s in metadata["sources"])
     nominal, flags = metadata["nominal_scale"], _restore_flags(metadata["flags"], metadata)
     scale = nominal and NominalScale(**nominal)
-    return Measurements.of_variables(columns, sources=sources, flags=flags, scale=scale)
+    return Measurements.from_variables(columns, sources=sources, flags=flags, scale=scale)
 
 
 def identity(calibration: Fitted) -> str:

@@ -171,7 +171,7 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
 
 def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
     """Split the readings of channels by device and by axis."""
-    from bayescal._data.header_matching import BEGINNINGS, plain
+    from bayescal._data.header_matching import PREFIXES, normalise
     from bayescal._data.unit_conversion import is_convertible
 
     parts = dict(readings)
@@ -185,7 +185,7 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
             unit = record.unit(record.output) or ""
             for code, label in enumerate(levels):
                 parts[f"{name}, {group} {label}"] = record.select(codes == code)
-                units = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
+                units = (k for k, words in PREFIXES.items() if normalise(label).startswith(words))
                 if any(not is_convertible(kind, unit) for kind in units):
                     raise InputError(
                         f"{record.file}: the column {group!r} names {label!r}, whose output is not in "

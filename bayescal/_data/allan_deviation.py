@@ -1,7 +1,7 @@
-"""Allan deviation of a record, overlapping, over the runs whose readings are evenly spaced in time.
+"""Overlapping Allan deviation of a record whose readings are evenly spaced in time within each run.
 
-IEEE Std 952 (Annex C) and 1139; W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008). Terms of noise
-are N, B and K as data sheets give them, with names and units of IEEE Std 952 (gyroscopes) and 1293 (accelerometers).
+IEEE Std 952 (Annex C) and 1139; W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008). The noise
+coefficients N, B and K have the names and units of IEEE Std 952 (gyroscopes) and 1293 (accelerometers).
 """
 
 from __future__ import annotations
@@ -22,55 +22,55 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.records import EVEN_STEPS
 from bayescal._data.unit_conversion import parse, unit_label
 
-# Fewest readings of the longest run: below, no slope of an Allan deviation can be told from another.
-ALLAN_READINGS = 30
-MIN_PRESENT_SHARE = 0.5  # of the readings of an average, that must be present
-# Largest range of time stamps about a grid, in its steps; two readings on one stamp are over 1.
+# Minimum number of readings of the longest run; fewer do not determine a slope of the Allan deviation.
+MIN_RUN_READINGS = 30
+MIN_PRESENT_SHARE = 0.5  # minimum share of an average's readings that are present
+# Largest range of the deviations of time stamps from a grid, in steps; two readings with one stamp exceed 1.
 MAX_STAMP_RANGE_STEPS = 1.5
-MAX_LOST_SHARE = 0.2  # of the places of a run's grid, without a reading: drivers lose some per cent
+MAX_LOST_SHARE = 0.2  # share of a run's grid points without a reading; drivers lose some per cent
 
 
-class Habit(NamedTuple):
-    """Names and units on data sheets of the noise terms N, B, K of one kind of output; `rounded` is the unit of Q."""
+class DataSheetTerms(NamedTuple):
+    """Data-sheet names and units of an output's noise coefficients N, B, K, and the unit of quantisation noise Q."""
 
     names: tuple[str, str, str]
     units: tuple[str, str, str]
-    rounded: str
+    q_unit: str
 
 
-WALKS = ("velocity random walk", "bias instability", "acceleration random walk")
+ACCELEROMETER_TERMS = ("velocity random walk", "bias instability", "acceleration random walk")
 
 
-def habit(unit: str) -> Habit:
-    """Return names and units of the terms for an output in `unit`.
+def data_sheet_terms(unit: str) -> DataSheetTerms:
+    """Return the data-sheet names and units of the noise coefficients of an output in `unit`.
 
-    Noise densities are of the spectrum on both sides of zero frequency, as in IEEE 952, so that N per √Hz is N·√s;
-    a data sheet with a one-sided spectrum prints √2 times as much.
+    Noise densities refer to the two-sided spectrum, as in IEEE 952, so that N per √Hz equals N·√s; a one-sided spectrum
+    gives √2 times this value.
     """
     base, powers = unit or "1", dict(parse(unit or "1").powers)
     if powers == {"rad": 1, "s": -1}:
         names = ("angle random walk", "bias instability", "rate random walk")
-        return Habit(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"), "arcsec")
+        return DataSheetTerms(names, ("deg/h^0.5", "deg/h", "deg/h/h^0.5"), "arcsec")
     if powers == {"ug": 1}:
-        return Habit(WALKS, ("ug/Hz^0.5", "ug", "ug/h^0.5"), "ug*s")
+        return DataSheetTerms(ACCELEROMETER_TERMS, ("ug/Hz^0.5", "ug", "ug/h^0.5"), "ug*s")
     if powers == {"m": 1, "s": -2}:
-        return Habit(WALKS, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
+        return DataSheetTerms(ACCELEROMETER_TERMS, ("m/s/h^0.5", "m/s^2", "m/s^2/h^0.5"), "m/s")
     names = ("white noise", "bias instability", "random walk")
-    return Habit(names, (f"{base}/Hz^0.5", base, f"{base}/s^0.5"), f"{base}*s")
+    return DataSheetTerms(names, (f"{base}/Hz^0.5", base, f"{base}/s^0.5"), f"{base}*s")
 
 
-STOP_RATIO = 4  # of the longest run to the longest average: Riley's for this estimator
-CONFIDENCE = 0.95  # of its intervals, as of every interval here
+MIN_RUN_RATIO = 4  # of the longest run to the longest averaging time, as Riley recommends
+CONFIDENCE = 0.95  # coverage probability of every interval
 
 
 class EvenRuns(NamedTuple):
-    """Index of the reading at each place of each run's time grid, −1 where it was lost; and the grid's step, s."""
+    """Time grids of runs: index of the reading at each grid point, −1 for a lost reading; and the time step, s."""
 
     rows: tuple[np.ndarray, ...]
     step: float
 
-    def of(self, values: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "k"]]:
-        """Return values of the readings of each run in the order of time, NaN where one was lost."""
+    def arrange(self, values: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "k"]]:
+        """Arrange values (n,) of readings on each run's time grid, NaN for lost readings."""
         return [np.where(rows < 0, np.nan, values[rows]) for rows in self.rows]
 
     @property
@@ -79,13 +79,13 @@ class EvenRuns(NamedTuple):
 
     @property
     def lost(self) -> float:
-        """Return the share of the places without a reading."""
+        """Return the share of grid points without a reading."""
         return sum(int(np.sum(r < 0)) for r in self.rows) / sum(self.lengths)
 
     @property
     def factors(self) -> Float[np.ndarray, "k"]:
-        """Return the numbers of readings averaged (k,): octaves up to a quarter of the longest run."""
-        return 2.0 ** np.arange(int(np.log2(max(self.lengths) // STOP_RATIO)) + 1)
+        """Return the averaging factors, readings per average (k,): octaves up to a quarter of the longest run."""
+        return 2.0 ** np.arange(int(np.log2(max(self.lengths) // MIN_RUN_RATIO)) + 1)
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,12 @@ class AllanDeviation:
     """Allan deviation of a record, in the unit of the output.
 
     Attributes:
-        step: between readings, s.
-        runs: that were combined, weighted by their numbers of differences.
+        step: time between readings, s.
+        runs: number of runs, combined with weights proportional to their numbers of differences.
         tau: averaging times (k,), s.
-        deviation, low, high: (k,), and the ends of its 95 % confidence interval.
-        differences: of neighbouring averages (k,).
-        edf: equivalent degrees of freedom (k,) of the squared deviation, by Greenhall & Riley (2003).
+        deviation, low, high: Allan deviation (k,), and the limits of its 95 % confidence interval.
+        differences: number of differences of adjacent averages (k,).
+        edf: equivalent degrees of freedom (k,) of the Allan variance, by Greenhall & Riley (2003).
     """
 
     unit: str
@@ -127,19 +127,19 @@ def allan_deviation(
 ) -> AllanDeviation:
     """Compute the overlapping Allan deviation of the output, or of `values` (n,) in its unit, such as residuals.
 
-    Averaging times are octaves from one step to a quarter of the longest run. Each run is taken by itself, and the
-    runs are combined by their numbers of differences. `runs` as of `even_runs`, where they are known.
+    Averaging times are octaves from one step to a quarter of the longest run. Differences of averages do not extend
+    over two runs; runs are weighted by their numbers of differences. `runs`: time grids, if `even_runs` has found them.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, steps that differ by more than 5 %, or values that do not
-            change.
+        InputError: no column `time`, no run of 30 readings, time steps that differ by more than 5 %, or constant
+            values.
     """
     values = np.asarray(readings["output"] if values is None else values, float)
     runs = even_runs(readings) if runs is None else runs
-    variance, differences = overlapping(values, runs)
+    variance, differences = allan_variances(values, runs)
     if not np.all(variance > 0):
         raise InputError(
-            f"{readings.file} has no Allan deviation: the output does not change over some averaging time"
+            f"{readings.file}: the Allan deviation is zero: the output is constant over some averaging time"
         )
     edf = degrees_of_freedom(runs, noise_types(variance))
     tail = 0.5 * (1 - CONFIDENCE)
@@ -158,66 +158,66 @@ def allan_deviation(
 
 
 def even_runs(readings: Measurements) -> EvenRuns:
-    """Place the readings of each run of a record on a grid even in time.
+    """Place the readings of each run of a record on an equally spaced time grid.
 
-    Stamps that were cut to whole milliseconds, or are shared by readings that arrived together, are those of an even
-    grid, where no reading is a step off it: the grid's step is taken. A step that is several usual ones has lost the
-    readings between.
+    Time stamps truncated to milliseconds, or shared by readings that arrived together, lie on an even grid if none
+    deviates from it by a step; the step of this grid is then used. A step of several median steps has lost readings.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, times most of which equal the one before, steps that differ
-            by more than 5 % from whole numbers of the usual one, or more than a fifth of a run lost.
+        InputError: no column `time`, no run of 30 readings, mostly repeated times, time steps that differ by more than
+            5 % from multiples of the median step, or a run of which more than a fifth is lost.
     """
     need = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
         raise InputError(f"{need} the column 'time'")
     names, rows = readings.records.names, readings.records.in_time
-    if max(len(r) for r in rows) < ALLAN_READINGS:
-        raise InputError(f"{need} a run of {ALLAN_READINGS} readings or more")
-    steps = [np.diff(readings["time"][r]) for r in rows]
-    usual = float(np.median(np.concatenate(steps)))
-    if (grid := _grid(readings["time"], rows, usual)) is not None:
+    if max(len(run_rows) for run_rows in rows) < MIN_RUN_READINGS:
+        raise InputError(f"{need} a run of {MIN_RUN_READINGS} readings or more")
+    steps = [np.diff(readings["time"][run_rows]) for run_rows in rows]
+    median = float(np.median(np.concatenate(steps)))
+    if (grid := _grid(readings["time"], rows, median)) is not None:
         return EvenRuns(tuple(rows), grid)
-    if not usual > 0:
+    if not median > 0:
         raise InputError(
-            f"{need} readings in time: most have the time of the one before. Record the time with more digits, or give "
-            "a column that counts"
+            f"{need} distinct times: most equal the preceding one. Record the time with more digits, or give a counter"
         )
-    placed = list[np.ndarray]()
-    for name, run_steps, r in zip(names, steps, rows, strict=True):
-        multiples = np.maximum(np.round(run_steps / usual), 1.0)
-        places = np.concatenate([[0], np.cumsum(multiples)]).astype(int)
-        odd = np.flatnonzero(np.abs(run_steps - multiples * usual) > EVEN_STEPS * multiples * usual)
-        if not len(odd) and len(r) < (1 - MAX_LOST_SHARE) * (places[-1] + 1):
-            odd = np.flatnonzero(multiples > 1)
-        if len(odd):
+    grids = list[np.ndarray]()
+    for name, run_steps, run_rows in zip(names, steps, rows, strict=True):
+        step_counts = np.maximum(np.round(run_steps / median), 1.0)
+        positions = np.concatenate([[0], np.cumsum(step_counts)]).astype(int)
+        expected = step_counts * median
+        bad_steps = np.flatnonzero(np.abs(run_steps - expected) > EVEN_STEPS * expected)
+        if not len(bad_steps) and len(run_rows) < (1 - MAX_LOST_SHARE) * (positions[-1] + 1):
+            bad_steps = np.flatnonzero(step_counts > 1)
+        if len(bad_steps):
             run = f" in run {name}" if len(rows) > 1 else ""
             raise InputError(
-                f"{need} readings evenly spaced in time: {len(odd)} of {len(run_steps)} steps{run}, such as "
-                f"{number(float(run_steps[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"
+                f"{need} readings evenly spaced in time: {len(bad_steps)} of {len(run_steps)} steps{run}, such as "
+                f"{number(float(run_steps[bad_steps[0]]))} s, differ from the median {number(median)} s. "
+                "Give runs without gaps"
             )
-        placed.append(np.full(places[-1] + 1, -1))
-        placed[-1][places] = r
-    return EvenRuns(tuple(placed), usual)
+        grids.append(np.full(positions[-1] + 1, -1))
+        grids[-1][positions] = run_rows
+    return EvenRuns(tuple(grids), median)
 
 
-def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float | None:
-    """Return the step, s, of the grid that the stamps of all runs are cut from; None where readings may have been lost.
+def _grid(time: np.ndarray, rows: Sequence[np.ndarray], median: float) -> float | None:
+    """Return the step, s, of the even grid underlying rounded time stamps; None if readings may have been lost.
 
-    A lost reading leaves a multiple of the usual step; stamps that were cut stay near the line through all.
+    A lost reading leaves a multiple of the median step; rounded time stamps stay near their regression line.
     """
     grid_steps = list[float]()
-    for r in rows:
-        stamps = time[r]
-        if len(r) < ALLAN_READINGS:
+    for run_rows in rows:
+        stamps = time[run_rows]
+        if len(run_rows) < MIN_RUN_READINGS:
             return None
-        steps = np.diff(stamps) / usual if usual else np.array([0.5])
-        whole = np.maximum(np.round(steps), 1.0)
-        places = np.arange(len(r))
-        grid = float(np.polyfit(places, stamps - stamps[0], 1)[0])
+        steps = np.diff(stamps) / median if median else np.array([0.5])
+        step_counts = np.maximum(np.round(steps), 1.0)
+        positions = np.arange(len(run_rows))
+        grid = float(np.polyfit(positions, stamps - stamps[0], 1)[0])
         if (
-            np.all(abs(steps - whole) <= EVEN_STEPS)
-            or np.ptp(stamps - grid * places) > MAX_STAMP_RANGE_STEPS * grid
+            np.all(abs(steps - step_counts) <= EVEN_STEPS)
+            or np.ptp(stamps - grid * positions) > MAX_STAMP_RANGE_STEPS * grid
         ):
             return None
         grid_steps.append(grid)
@@ -225,48 +225,48 @@ def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float |
     return grid if all(abs(step - grid) < EVEN_STEPS * grid for step in grid_steps) else None
 
 
-def overlapping(
+def allan_variances(
     values: Float[np.ndarray, "n"] | Float[np.ndarray, "n q"], runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Return Allan variances of all runs together (of several columns their sum), and their numbers of differences.
+    """Return the Allan variances of all runs (k,), summed over columns of values, and the numbers of differences (k,).
 
-    Where readings were lost, averages are of those that are there, half of their number at least, and their differences
-    are taken down to what white noise of all would have: a random walk comes out lower, by the lost share at most.
+    If readings were lost, averages use the present ones, at least half of them, and their differences are scaled to
+    the variance of white noise without losses; a random walk is underestimated by at most the lost share.
     """
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
         columns = values[rows].reshape(len(rows), -1)
-        present = rows >= 0
-        columns = np.where(present[:, None], columns - columns[present].mean(axis=0), 0.0)
+        is_present = rows >= 0
+        columns = np.where(is_present[:, None], columns - columns[is_present].mean(axis=0), 0.0)
         sums = np.zeros((len(rows) + 1, columns.shape[1] + 1))
-        np.cumsum(np.column_stack([columns, present]), axis=0, out=sums[1:])
+        np.cumsum(np.column_stack([columns, is_present]), axis=0, out=sums[1:])
         for k, m in enumerate(runs.factors.astype(int)):
             if len(rows) + 1 - 2 * m > 1:
-                parts = sums[m:] - sums[:-m]
-                present_counts = parts[:, -1:]
-                later, sooner = present_counts[m:], present_counts[:-m]
-                full = (np.minimum(later, sooner) >= MIN_PRESENT_SHARE * m)[:, 0]
-                means = parts[:, :-1] / np.maximum(present_counts, 1)
-                second = (means[m:] - means[:-m])[full]
-                # Of white noise, means of fewer readings scatter by as much more.
-                second *= np.sqrt(2 / m / (1 / later[full] + 1 / sooner[full]))
-                squares[k] += np.einsum("ij,ij->", second, second) / 2
-                count[k] += len(second)
+                window_sums = sums[m:] - sums[:-m]
+                present_counts = window_sums[:, -1:]
+                later, earlier = present_counts[m:], present_counts[:-m]
+                is_valid = (np.minimum(later, earlier) >= MIN_PRESENT_SHARE * m)[:, 0]
+                means = window_sums[:, :-1] / np.maximum(present_counts, 1)
+                differences = (means[m:] - means[:-m])[is_valid]
+                # scaled to the variance that white noise has without lost readings
+                differences *= np.sqrt(2 / m / (1 / later[is_valid] + 1 / earlier[is_valid]))
+                squares[k] += np.einsum("ij,ij->", differences, differences) / 2
+                count[k] += len(differences)
     return squares / count, count
 
 
 def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Return the power-law noise nearest to the slope of a curve in octaves (k,): 0 white, −1 flicker, −2 random walk.
+    """Classify noise by the slope of an Allan variance in octaves (k,): 0 white, −1 flicker, −2 random walk.
 
-    An Allan variance that goes with τ to the power μ is of a spectrum that goes with the frequency to −1 − μ.
+    An Allan variance proportional to τ^μ corresponds to a spectrum proportional to f^(−1 − μ).
     """
     return np.clip(np.round(-1 - np.gradient(np.log2(variance))), -2, 0)
 
 
 def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Return equivalent degrees of freedom of the runs together, by Greenhall & Riley (2003); less the share lost.
+    """Return the equivalent degrees of freedom of all runs (k,), Greenhall & Riley (2003), less the lost share.
 
-    A mean of estimates of the variance 2·v²/eᵢ with weights wᵢ has the variance 2·v²·Σ wᵢ²/eᵢ.
+    The variance of an estimate of v from run i is 2·v²/eᵢ, that of the mean with weights wᵢ is 2·v²·Σ wᵢ²/eᵢ.
     """
     lengths, counts = np.unique(runs.lengths, return_counts=True)
     edfs = []
@@ -279,37 +279,37 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
     return (1 - runs.lost) * np.array(edfs)
 
 
-# a₀ and a₁ of `_edf` where averages overlap in more than 100 terms: white, flicker and random-walk noise.
+# Coefficients a₀, a₁ of `_edf` for more than 100 overlap terms, by noise type: white, flicker and random walk.
 ASYMPTOTIC_EDF = {0: (2 / 3, 1 / 3), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-MAX_OVERLAP_TERMS = 100  # of a sum over the overlaps, above which it is approximated
+MAX_OVERLAP_TERMS = 100  # terms of the sum over overlaps, above which it is approximated
 
 
-def _edf(kind: int, m: int, readings: int) -> float:
-    """Return equivalent degrees of freedom of the overlapping Allan variance of a run, averages of m readings each.
+def _edf(noise_type: int, m: int, readings: int) -> float:
+    """Return the equivalent degrees of freedom of the overlapping Allan variance of a run, m readings per average.
 
     C. Greenhall & W. Riley, "Uncertainty of stability variances based on finite differences", 35th PTTI meeting
-    (2003), equations 7 to 10 and table 2, for second differences of a filter as wide as their stride.
+    (2003), equations 7 to 10 and table 2, for second differences whose filter width equals their stride.
     """
     differences = readings + 1 - 2 * m
     terms, ratio = min(differences, 3 * m), differences / m
     if terms > MAX_OVERLAP_TERMS and ratio > 3:
-        a0, a1 = ASYMPTOTIC_EDF[kind]
+        a0, a1 = ASYMPTOTIC_EDF[noise_type]
         return ratio / (a0 - a1 / ratio)
     stride, width = float(m), m if 3 * m <= MAX_OVERLAP_TERMS else math.inf
     if terms > MAX_OVERLAP_TERMS:
         terms, differences, stride = MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS / ratio
     j = np.arange(terms + 1)
-    squares = _covariance(j / stride, width, kind) ** 2
+    squares = _covariance(j / stride, width, noise_type) ** 2
     weights = np.where(j > 0, 2.0, 1.0) * (1 - j / differences)
     weights[-1] /= 2
     return float(differences * squares[0] / (weights @ squares))
 
 
-def _covariance(t: Float[np.ndarray, "j"], width: float, kind: int) -> Float[np.ndarray, "j"]:
-    """Return the autocovariance, up to a factor, of second differences at lags `t` (averaging times of `width`)."""
+def _covariance(t: Float[np.ndarray, "j"], width: float, noise_type: int) -> Float[np.ndarray, "j"]:
+    """Return the autocovariance, up to a factor, of second differences at lags `t`, in averaging times, (j,)."""
 
     def generalised(t: np.ndarray) -> np.ndarray:
-        power = 3 - kind if math.isfinite(width) else 1 - kind
+        power = 3 - noise_type if math.isfinite(width) else 1 - noise_type
         size = np.abs(t)
         return size**power * (np.log(np.where(size > 0, size, 1.0)) if power % 2 == 0 else 1.0)
 

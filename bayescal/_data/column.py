@@ -14,31 +14,30 @@ from bayescal._core.errors import InputError
 from bayescal._data.unit_conversion import ANY
 from bayescal._tables.raw_table import ROW, Table
 
-MIN_PLACEHOLDER_RANGES = 3.0  # of the other values, beyond which a −999 or 9999 is no reading
+MIN_PLACEHOLDER_RANGES = 3.0  # distance of a placeholder such as −999 from all values, in ranges
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
-# 1 where the output was divided by a local gravity that nobody stated; 0 elsewhere.
+# 1 for readings converted with an assumed local gravity, 0 for others.
 ASSUMED_GRAVITY = "assumed_gravity"
-ARRAYS = "the given arrays"  # in place of files
+ARRAYS = "the given arrays"  # source of readings that are not from files
 RESERVED_NAMES = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column that an instrument's files hold.
+    """A column of an instrument's files.
 
     Attributes:
-        name: ours; files may call it otherwise (`columns=`).
-        unit: fixed unit inside the library; None for a text label (run, device, axis, group, direction); "any" for a
-            channel that may be anything, kept in the fixed unit of what the file has (µg, °/s, rad, °C; ppm, ppb and
-            % as they are; else base units).
-        meaning: one line for people.
-        required: whether a file without it is refused.
-        default: value, in `unit`, of every reading where the file lacks the column; None leaves it out.
-        low, high: least and greatest plausible value, in `unit`; what lies beyond is refused.
-        allowed: the labels that are known; empty allows any.
-        also: further names under which files hold it.
+        name: bayescal's name; a file may use another one (`columns=`).
+        unit: fixed unit in bayescal; None for a text label (run, device, axis, group, direction); "any" for a channel
+            of any quantity, stored in its fixed unit (µg, °/s, rad, °C; ppm, ppb, % unchanged; else base units).
+        meaning: description in one line.
+        required: whether a file without the column is an error.
+        default: value, in `unit`, of every reading if the file lacks the column; None omits the column.
+        low, high: least and greatest plausible value, in `unit`; a value outside is an error.
+        allowed: the valid labels; empty allows any.
+        also: further names of the column in files.
     """
 
     name: str
@@ -52,19 +51,19 @@ class Column:
     also: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise InputError where the column contradicts itself."""
+        """Raise InputError for contradictory attributes."""
         if not self.name.strip() or self.name in RESERVED_NAMES:
-            raise InputError(f"a column cannot be called {self.name!r}: choose a name of its own")
+            raise InputError(f"a column cannot be called {self.name!r}: choose another name")
         low, high = self.low, self.high
         if low is not None and high is not None and not low < high:
             raise InputError(f"column {self.name!r}: low {low} is not below high {high}")
         if self.unit == ANY and self.default is not None:
-            default = f"its default {self.default!r} has none"
-            raise InputError(f"column {self.name!r} may be in any unit: {default}")
+            default = f"its default {self.default!r} has no unit: omit it"
+            raise InputError(f"column {self.name!r} may be in any unit, but {default}")
 
     @property
     def example(self) -> str | None:
-        """Return a unit that a file's header may give the column."""
+        """Return an example of a unit of the column, for messages."""
         return "m/s^2" if self.unit == ANY else self.unit
 
 
@@ -73,9 +72,9 @@ class NominalScale:
     """Conversion of a raw output (V, Hz) to the instrument's output: (raw − offset)/gain.
 
     Attributes:
-        unit: of the raw output and of `offset`.
+        unit: unit of the raw output and of `offset`.
         gain: raw units per output unit, such as V per °/s.
-        offset: raw output at zero.
+        offset: raw output at zero input.
         by_gravity: whether the gain was stated per m/s² and converted by the local gravity.
     """
 
@@ -93,19 +92,19 @@ class NominalScale:
             )
 
     def apply(self, raw: ArrayLike, *, difference: bool = False) -> np.ndarray:
-        """Convert raw outputs in `unit` to outputs; a `difference` (an uncertainty) has no offset or sign."""
+        """Convert raw outputs in `unit` to outputs; `difference`: values are uncertainties, without offset and sign."""
         raw = np.asarray(raw, dtype=np.float64)
         return raw / abs(self.gain) if difference else (raw - self.offset) / self.gain
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file that readings came from: its name, the digest of its bytes, and how it was read.
+    """A source file of readings: its name, the digest of its bytes, and the options of reading.
 
     Attributes:
-        output: its column that was read as the output, where the user chose one; else empty.
-        columns: our name → its header, of the columns that the user named.
-        units: its header → unit, of those whose unit the user said.
+        output: header of the column that was read as the output, if the user chose it; else empty.
+        columns: bayescal's name → the file's header, of columns assigned by the user.
+        units: header → unit, of columns whose unit the user gave.
     """
 
     file: str
@@ -117,7 +116,7 @@ class Source:
 
 
 class Place(NamedTuple):
-    """Position of a reading, such as "row 12", and its file."""
+    """Row label of a reading, such as "row 12", and its file."""
 
     row: str
     file: str
@@ -128,17 +127,17 @@ class Place(NamedTuple):
 
 @dataclass
 class ConvertedColumns:
-    """Columns of one file, or of several concatenated, by our names and in fixed units.
+    """Columns of one file, or of several concatenated, by bayescal's names and in fixed units.
 
     Attributes:
-        tables: the files, with the rows that were kept.
-        values, units: name → one entry per reading, and its unit; None for labels.
-        flags: what was odd.
-        missing: name → indices of the readings that are missing there.
-        origin: seconds since 1970 at time zero; None where the time counts from no date.
-        kept_rows: indices of the rows of the file that were kept; None for all.
-        other_channels: names of columns that are other channels of the unit whose output this is.
-        by_gravity: names of columns that were converted by the local gravity.
+        tables: the files, restricted to the kept rows.
+        values, units: name → one entry per reading; name → unit, None for labels.
+        flags: warnings.
+        missing: name → indices of missing readings.
+        origin: seconds since 1970 at time zero; None if the times are not dates.
+        kept_rows: indices of the kept rows of the file; None for all.
+        other_channels: names of columns that are other output channels of the same device.
+        by_gravity: names of columns converted by the local gravity.
     """
 
     tables: tuple[Table, ...] = ()
@@ -152,7 +151,7 @@ class ConvertedColumns:
     by_gravity: set[str] = field(default_factory=set)
 
     def fill(self, name: str, value: float | str, unit: str | None) -> None:
-        """Add a column that holds a default in every reading."""
+        """Add a column with the same value for every reading."""
         kind, rows = object if unit is None else np.float64, sum(t.rows for t in self.tables)
         self.values[name] = np.full(rows, value, dtype=kind)
         self.units[name] = unit
@@ -167,36 +166,36 @@ class ConvertedColumns:
 
     @property
     def thermometers(self) -> list[str]:
-        """Return the names of the columns of measured temperatures, °C."""
+        """Return the names of the measured temperature columns, °C."""
         return [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
 
 
 def file_names(files: Sequence[str]) -> str:
-    """Format file names, short, for messages."""
+    """Format file names for messages: the first, and the number of others."""
     if not files:
         return ARRAYS
     return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
 
 
-_SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that loggers write for nothing
-PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
-# of SCPI instruments (SCPI-1999, volume 1, 7.2.1.4 and 7.2.1.5)
-OVERLOAD, NO_NUMBER = 9.9e37, 9.91e37
+_PLACEHOLDER_SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # of loggers
+PLACEHOLDERS = (*(-size for size in _PLACEHOLDER_SIZES), *_PLACEHOLDER_SIZES)
+# Codes of SCPI instruments (SCPI-1999, volume 1, 7.2.1.4 and 7.2.1.5).
+OVERLOAD_CODE, NO_NUMBER_CODE = 9.9e37, 9.91e37
 
 
 def find_overloads(values: np.ndarray) -> np.ndarray:
-    """Return the rows with a code of SCPI instruments for a reading out of range, or for none: ±9.9E37, 9.91E37."""
-    codes = np.isclose(abs(values), OVERLOAD, rtol=1e-6) | np.isclose(values, NO_NUMBER, rtol=1e-6)
-    return np.flatnonzero(codes)
+    """Return the rows with an SCPI code for an overload (±9.9E37) or no reading (9.91E37)."""
+    is_overload = np.isclose(abs(values), OVERLOAD_CODE, rtol=1e-6)
+    return np.flatnonzero(is_overload | np.isclose(values, NO_NUMBER_CODE, rtol=1e-6))
 
 
 def find_placeholders(values: np.ndarray) -> np.ndarray:
-    """Return the rows with a number that stands for a missing reading, such as −999: far from all other values."""
+    """Return the rows with a placeholder for a missing reading, such as −999, far from all other values."""
     is_placeholder = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
         equal = values == value
         others = values[~equal & np.isfinite(values)]
-        if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
+        if len(others) < max(3, len(values) / 2):  # too few to tell a placeholder from readings
             continue
         low, high = float(others.min()), float(others.max())
         if max(low - value, value - high) > MIN_PLACEHOLDER_RANGES * (high - low):

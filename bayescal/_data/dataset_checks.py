@@ -1,11 +1,10 @@
 """Checks of a whole data set: problems that make it unusable, and warnings.
 
-Refused: one temperature only, time running backwards. Flagged: findings of `flags_of`. Thresholds stand above
-their check; the "good records" against which they are set are the campaigns that the six instruments simulate, as
-they are, rounded as displays do, and noisy.
+Errors: a single temperature, decreasing times. Warnings: findings of `flags_of`. Each threshold is defined above its
+check; thresholds were set on good records: simulated campaigns of six instruments, unaltered, rounded and noisy.
 
-A thermometer is a measurement too: a reading of it may be an error value or a spike, a repeated value of a logger that
-asks seldom, or that of a converter that is stuck or at its end. Such readings are reported by name and row.
+Temperature readings may be error values or spikes, values repeated by a slow logger, or those of a stuck or saturated
+converter. They are reported by column and row.
 """
 
 from __future__ import annotations
@@ -24,59 +23,54 @@ from bayescal._data.records import PAUSE_STEPS, RECORD, Columns, Records, distin
 from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
 
-Where = Callable[[int], Place]  # by the index of a reading
+Segments = Sequence[np.ndarray]  # row indices of each segment, in time order
+PlaceOfReading = Callable[[int], Place]  # index of a reading → its file and row
 
 
-def problems_of_whole(
+def find_problems(
     converted: ConvertedColumns, instrument: Any, one_temperature: bool
 ) -> Objections:
-    """Return the problems of a whole record: one temperature only, time that runs backwards.
+    """Return the problems of a whole data set: a single temperature, decreasing times.
 
-    The temperature need not change where `one_temperature` accepts it, or where the instrument says which effects its
-    baseline has, and none of them needs that.
+    A single temperature is accepted with `one_temperature`, and if no baseline effect of the instrument depends on it.
     """
     problems, columns = Objections(), converted.values
     effects = getattr(instrument, "effects", None)
-    needed = effects is None or any("temperature" in effect.varies for effect in effects)
+    is_used = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if needed and required and not one_temperature and "temperature" in columns:
+    if is_used and required and not one_temperature and "temperature" in columns:
         files = [table.file for table in converted.tables if table.file != ARRAYS]
-        problems += same_temperature(columns, file_names(files))
-    problems += backward_time(columns, converted.where)
+        problems += find_single_temperature(columns, file_names(files))
+    problems += find_time_reversals(columns, converted.where)
     return problems
 
 
-def same_temperature(columns: Columns, names: str) -> Iterator[Objection]:
-    """Yield an objection where temperatures, °C, span less than `Settings.temperature_span`."""
+def find_single_temperature(columns: Columns, names: str) -> Iterator[Objection]:
+    """Yield an objection if the temperatures, °C, span less than `Settings.temperature_span`."""
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
     if high - low < settings().temperature_span:
         span = f"{low:g}" if low == high else f"{low:g} … {high:g}"
         cure = (
-            "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
-            "another (files given together are read together)"
+            "Calibration of temperature effects needs two temperatures or more: add readings at another temperature "
+            "(several files can be read together)"
         )
-        came = f"reads {span} °C, one temperature only"
-        yield Objection(names, came, cure=cure, column="temperature")  # of files, or of a device
+        fault = f"reads {span} °C, a single temperature"
+        yield Objection(names, fault, cure=cure, column="temperature")  # of files, or of a device
 
 
-# Periods after which clocks wrap, s: counters of 32, 24 and 16 bits, a GPS week, a day.
+# Periods after which clocks wrap around, s: counters of 32, 24 and 16 bits, a GPS week, a day.
 CLOCK_PERIODS = {
     f"2^{bits}{unit}": 2.0**bits * size
     for bits in (32, 24, 16)
     for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
 } | {"604800s": 604_800.0, "86400s": 86_400.0}
-# s (ten years): no test pauses that long within a run; beyond, the clock was set.
-MAX_PAUSE_SECONDS = 3.2e8
-# In usual steps, which such a pause exceeds too: yearly readings have not paused.
-MAX_PAUSE_STEPS = 1e4
+# Longest gap within a run, s (ten years) and median steps; after a gap longer than both, the clock was set.
+MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS = 3.2e8, 1e4
 
 
-def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
-    """Yield an objection where time, s, runs backwards, or jumps by years, within a run of a device and axis.
-
-    `where` names a reading's file and row.
-    """
+def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Objection]:
+    """Yield an objection if times, s, decrease or jump by years within a run; `where` returns a reading's place."""
     if "time" not in columns:
         return
     record = Records.of(columns).codes
@@ -84,51 +78,52 @@ def backward_time(columns: Columns, where: Where) -> Iterator[Objection]:
     values, time = columns["time"], columns["time"][order]
     step = np.where(np.diff(record[order]) == 0, np.diff(time), np.nan)  # within a record
     size = abs(step[step != 0])
-    usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    far, back = abs(step) > max(MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS * usual), step < 0
-    rows = np.sort(order[1:][far if far.any() else back])
+    median_step = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    is_jump = abs(step) > max(MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS * median_step)
+    is_backward = step < 0
+    rows = np.sort(order[1:][is_jump if is_jump.any() else is_backward])
     if not rows.size:
         return
-    index, at = int(rows[0]), int(np.flatnonzero(order == rows[0])[0]) - 1
-    before, undo = int(order[at]), ""
-    if far.any():
+    index, index_before = int(rows[0]), int(np.flatnonzero(order == rows[0])[0]) - 1
+    before, suggestion = int(order[index_before]), ""
+    if is_jump.any():
         rows = rows[:1]
-        came = f"jumps by {step[at] / 3.156e7:.3g} years from {where(before)} on, within one run"
-        came += ": the clock was set there"
+        fault = f"jumps by {step[index_before] / 3.156e7:.3g} years after {where(before)}, within one run"
+        fault += ": was the clock set there?"
         cure = (
-            "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where "
-            "no time is needed, leave it out: --ignore time)"
+            "Correct the times, or label the readings before and after the jump as two runs in a column 'run' (if the "
+            "time is not needed, --ignore time)"
         )
     else:
-        cure = "Put the rows in the order in which they were taken, or give each record its own label in a column 'run'"
+        cure = "Sort the rows by time of measurement, or label each record separately in a column 'run'"
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
-        inside = f" within {', '.join(labels)}" * bool(labels)
-        came = f"falls to {values[index]:.12g} s from {values[before]:.12g} s in {where(before)}: "
-        came += f"time runs backwards{inside}"
-        usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+        within = f" within {', '.join(labels)}" * bool(labels)
+        fault = f"falls to {values[index]:.12g} s from {values[before]:.12g} s in {where(before)}: "
+        fault += f"time decreases{within}"
+        median_step = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
         for name, period in CLOCK_PERIODS.items():
-            after = step[back] + period
-            if np.all((after > 0) & (after <= PAUSE_STEPS * usual)):
-                came += f", as a clock does that begins anew at {name}"
-                cure, undo = "Undo it, if that is so", option("--unwrap", f"time={name}")
+            after = step[is_backward] + period
+            if np.all((after > 0) & (after <= PAUSE_STEPS * median_step)):
+                fault += f", as a clock that wraps around at {name}"
+                cure, suggestion = "If so, unwrap it", option("--unwrap", f"time={name}")
                 break
     places = [where(int(row)) for row in rows]
     at_rows = tuple(place.row for place in places)
-    yield Objection(places[0].file, came, "", cure, undo, "time", places=at_rows)
+    yield Objection(places[0].file, fault, "", cure, suggestion, "time", places=at_rows)
 
 
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> tuple[str, ...]:
-    """Return what is odd or was interpreted of accepted readings; `names` of the files, `repeated` rows."""
+    """Return warnings about accepted readings; `names`: of the files; `repeated`: rows that repeat another."""
     columns, records = converted.values, Records.of(converted.values)
     flags = [*converted.flags]
     if converted.origin is not None:
         date = format_date(converted.origin)
-        flags.append(f"{names}: time is in s since {date} (dates without a zone count as UTC)")
+        flags.append(f"{names}: time is in s since {date} (dates without time zone are UTC)")
     if len(repeated):
         where, dropped = converted.where(int(repeated[0])), ": dropped" * ("time" in columns)
-        message = "row(s) repeat an earlier one in every column, first at"
+        message = "row(s) repeat an earlier row in every column, first at"
         flags.append(f"{len(repeated)} {message} {where}{dropped}")
     anomalies = find_anomalies(columns, records, converted.thermometers, output)
     messages = [
@@ -137,80 +132,82 @@ def flags_of(
             f"column {a.column!r} {a.description} (first at {converted.where(int(a.rows[0]))})"
             for a in anomalies
         ),
-        *_find_leaps(converted, records, anomalies),
+        *_find_wraparounds(converted, records, anomalies),
     ]
     return (*flags, *(f"{names}: {message}" for message in messages))
 
 
-# Fewest readings at the very end of an output's range that are no chance; also as a share, in a long record.
+# Minimum number, and share in a long record, of readings exactly at an end of the output's range.
 MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE = 5, 0.01
-# Share of the range, between an end and the next level, beyond which the end is a set-up of its own, such as one
-# position.
-CLIPPED_GAP = 0.1
-# Times the readings at the next level, below which an end is that of a rounded output.
-CLIPPED_RATIO = 3.0
+# Largest gap from an end to the next level, share of the range; above it, the end is a separate position of the test.
+MAX_CLIPPED_GAP = 0.1
+# Minimum ratio of the readings at an end to those at the next level; rounded outputs have a lower one.
+MIN_CLIPPED_RATIO = 3.0
 
 
-def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
-    """Return the ends of the range at which an output is clipped, each with its level; empty where none is."""
+def find_clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
+    """Return the ends of the range ("maximum", "minimum") at which an output is clipped, with their levels."""
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return []
-    clipped, enough = [], max(MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE * len(values))
+    clipped, min_count = [], max(MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE * len(values))
     for end, next_level, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         with np.errstate(over="ignore"):
-            near = abs(levels[end] - levels[next_level]) < CLIPPED_GAP * (levels[-1] - levels[0])
-        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[next_level]:
+            max_gap = MAX_CLIPPED_GAP * (levels[-1] - levels[0])
+            is_near = abs(levels[end] - levels[next_level]) < max_gap
+        is_frequent = counts[end] > MIN_CLIPPED_RATIO * counts[next_level]
+        if is_near and is_frequent and counts[end] >= min_count:
             clipped.append((name, float(levels[end])))
     return clipped
 
 
 def _find_saturation(columns: Columns, output: str) -> Iterator[str]:
     values = columns.get(output, np.zeros(0))
-    for end, level in clip_levels(values):
+    for end, level in find_clip_levels(values):
         count = int((values == level).sum())
-        yield f"column {output!r} may be saturated: {count} readings stand exactly at its {end} {level:g}"
+        yield f"column {output!r} may be saturated: {count} readings equal its {end} {level:g}"
 
 
-MAX_STEP_DEGREES = 40.0  # °C, between neighbours: no body changes by more
+MAX_STEP_DEGREES = 40.0  # °C, largest credible change between consecutive readings
 
 
-def _find_leaps(
+def _find_wraparounds(
     converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
 ) -> Iterator[str]:
-    """Yield a warning of jumps other than error values and gaps: mostly wrap-around of a counter."""
+    """Yield a warning for each temperature column with jumps that are no error values: usually wrap-around."""
     errors = {a.column: a.rows for a in anomalies if a.code == "leap"}
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
             rows = rows[~np.isin(rows, errors.get(name, ()))]
             is_near = np.diff(records.time[rows]) <= records.silence
-            leap = np.abs(np.diff(converted.values[name][rows])) * is_near
-            if np.any(leap > MAX_STEP_DEGREES):
-                at = int(np.argmax(leap))
-                place, undo = converted.where(int(rows[at + 1])), f"{name}=PERIODdegC"
+            jump = np.abs(np.diff(converted.values[name][rows])) * is_near
+            if np.any(jump > MAX_STEP_DEGREES):
+                largest = int(np.argmax(jump))
+                place, period = converted.where(int(rows[largest + 1])), f"{name}=PERIODdegC"
                 yield (
-                    f"column {name!r} jumps by {leap[at]:.4g} °C at {place}: wrap-around of a counter? "
-                    f"{option('--unwrap', undo)} undoes it"
+                    f"column {name!r} jumps by {jump[largest]:.4g} °C at {place}: wrap-around of a counter? "
+                    f"Unwrap it with {option('--unwrap', period)}"
                 )
                 break
 
 
-# Share of all readings that distinct values are at most where values occur again by rounding.
-ROUNDED_SHARE = 0.5
-# Of a step, by which values on a grid may be off it; numbers are written with two digits more.
+# Largest number of distinct values, share of all readings, of a column whose values recur by rounding.
+MAX_DISTINCT_SHARE = 0.5
+# Largest deviation of a rounded value from its grid, in steps, as numbers are written with two more digits.
 OFF_GRID_STEPS = 0.01
 
 
-def rounding_step(values: np.ndarray) -> float:
-    """Return the step that a column is rounded to where rounding makes values recur, in its unit; else 0."""
-    return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
+def find_rounding_step(values: np.ndarray) -> float:
+    """Return the rounding step of a column whose values recur by rounding, in its unit; 0 for other columns."""
+    is_rounded = len(np.unique(values)) <= MAX_DISTINCT_SHARE * len(values)
+    return find_grid_step(values) if is_rounded else 0.0
 
 
-def resolution(values: np.ndarray, fewest: int = 3) -> float:
-    """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
+def find_grid_step(values: np.ndarray, fewest: int = 3) -> float:
+    """Return the step of the grid that contains all values of a column, in its unit; 0 without such a grid.
 
-    Found by Euclid's algorithm: the remainder of the gaps between values divided by a step is the next step. For fewer
-    than `fewest` different values, 0 is returned.
+    Euclid's algorithm: the next step is the smallest remainder of the values modulo the step. Returns 0 for fewer than
+    `fewest` distinct values.
     """
     levels = np.unique(values)
     if len(levels) < max(fewest, 2):
@@ -219,49 +216,49 @@ def resolution(values: np.ndarray, fewest: int = 3) -> float:
     gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
     step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
     while step > digits:
-        off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
-        if np.all(off < OFF_GRID_STEPS):
+        remainders = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
+        if np.all(remainders < OFF_GRID_STEPS):
             return step
-        step = float(step * off[off >= OFF_GRID_STEPS].min())
+        step = float(step * remainders[remainders >= OFF_GRID_STEPS].min())
     return 0.0
 
 
-def repeated_rows(columns: Columns) -> np.ndarray:
-    """Return the rows that repeat an earlier one in every column, NaN equal to NaN."""
+def find_repeated_rows(columns: Columns) -> np.ndarray:
+    """Return the indices of rows equal to an earlier row in every column; NaN equals NaN."""
     codes = np.zeros(len(next(iter(columns.values()))), np.int64)
     for name in sorted(columns, key=lambda name: (name != "time", columns[name].dtype.kind != "f")):
         values = columns[name]
-        number = values.dtype.kind == "f"
-        levels = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
-        both = codes * (int(levels.max()) + 1) + levels
-        _, first, codes = np.unique(both, return_index=True, return_inverse=True)
+        is_number = values.dtype.kind == "f"
+        levels = np.unique(values, return_inverse=True)[1] if is_number else distinct([values])[1]
+        combined = codes * (int(levels.max()) + 1) + levels
+        _, first, codes = np.unique(combined, return_index=True, return_inverse=True)
         if len(first) == len(codes):
             break
     return np.setdiff1d(np.arange(len(codes)), first)
 
 
-MIN_CHANGES = 20  # of a column, below which no change is usual in it
-# Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
-USUAL_CHANGES_SHARE = 0.9
-# °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another.
+MIN_CHANGES = 20  # changes of a column needed to determine their distribution
+# Quantile of a thermometer's changes that is taken as its normal rate; corners of a profile may exceed it.
+NORMAL_CHANGE_QUANTILE = 0.9
+# °C: repeatability of a thermometer with an error limit of 0.5 °C (uniform distribution).
 MIN_ANOMALY_DEGREES = 0.3
-# Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
-MIN_LEAP_STEPS = 3.0
-# Standard deviations of a column's noise, beyond which a reading is off its path.
-LEAP_NOISE_SD = 8.0
-# Share of all readings, that different values off the path are at most; more are a thermometer's noise, or its way.
-LEAP_SHARE = 0.05
-HALF_WIDTH = 3  # readings on either side, whose median is the path
-MAX_SHOWN_VALUES = 3  # of a column, that a message names
+# Rounding steps above which a change is a jump; noise toggles by one or two.
+MIN_JUMP_STEPS = 3.0
+# Standard deviations of a column's noise, above which a deviation from the running median is a jump.
+MIN_JUMP_SD = 8.0
+# Largest number of distinct outlying values, share of all readings; more are noise, or the signal itself.
+MAX_JUMP_SHARE = 0.05
+HALF_WIDTH = 3  # readings on either side of the running median
+MAX_SHOWN_VALUES = 3  # values of a column quoted in a message
 
 
 class Anomaly(NamedTuple):
-    """Readings at which a thermometer was wrong.
+    """Faulty readings of a temperature column.
 
     Attributes:
-        code: "leap", "held", "stuck" or "run".
-        description: in words, behind the name of the column.
-        rows: at which the column is certainly not the temperature; of a run, where it or another column is not.
+        code: "leap" (error value or spike), "held" (repeated value), "stuck" (constant) or "run" (differing run).
+        description: text that follows the name of the column.
+        rows: rows in which the column is not the temperature; for "run", in which it or another column is not.
     """
 
     code: str
@@ -273,45 +270,46 @@ class Anomaly(NamedTuple):
 def find_anomalies(
     columns: Columns, records: Records, thermometers: Collection[str], output: str
 ) -> list[Anomaly]:
-    """Find the anomalies of the columns of `thermometers`, °C; none without a column `time`.
+    """Find the anomalies of the temperature columns `thermometers`, °C; none without a column `time`.
 
-    A jump that the output follows is a real change of temperature, hence no anomaly.
+    A jump that also occurs in the output is a real change of temperature, hence no anomaly.
     """
-    if "time" not in columns or not (whole := records.stretches()):
+    if "time" not in columns or not (segments := records.stretches()):
         return []
     anomalies = list[Anomaly]()
-    names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # false of NaN
-    with np.errstate(all="ignore"):  # of numbers that no temperature is
-        body = off_path(columns.get(output, np.zeros(len(columns["time"]))), whole)
+    names = sorted(n for n in thermometers if np.ptp(columns[n]) > 0)  # NaN columns are excluded
+    with np.errstate(all="ignore"):  # overflow of absurd values
+        output_jumps = find_jumps(columns.get(output, np.zeros(len(columns["time"]))), segments)
         for name in names:
-            values, pieces = columns[name], whole
+            values, parts = columns[name], segments
             if np.count_nonzero(np.diff(values)) < MIN_CHANGES:
                 continue
-            leaps = np.setdiff1d(off_path(values, pieces, MIN_ANOMALY_DEGREES), body)
-            if 0 < len(np.unique(values[leaps])) <= LEAP_SHARE * len(values):
-                clean = (piece[~np.isin(piece, leaps)] for piece in pieces)
-                pieces = [piece for piece in clean if len(piece)]
-                some = dict.fromkeys(values[leaps][:MAX_SHOWN_VALUES].tolist())
-                read = ", ".join(map("{:g}".format, some))
-                text = f"reads {read} °C, far from the readings about it, in {len(leaps)} reading(s): an error value?"
-                anomalies.append(Anomaly("leap", name, text, leaps))
-            if len(rows := held_rows(values, pieces)):
-                text = "repeats a value until the next jump: held, or sampled seldom?"
-                anomalies.append(Anomaly("held", name, text, repeats(values, pieces, rows)))
-            elif len(rows := standing_rows(values, pieces)):
+            jumps = find_jumps(values, parts, MIN_ANOMALY_DEGREES)
+            jumps = np.setdiff1d(jumps, output_jumps)
+            if 0 < len(np.unique(values[jumps])) <= MAX_JUMP_SHARE * len(values):
+                clean = (segment[~np.isin(segment, jumps)] for segment in parts)
+                parts = [segment for segment in clean if len(segment)]
+                examples = dict.fromkeys(values[jumps][:MAX_SHOWN_VALUES].tolist())
+                listing = ", ".join(map("{:g}".format, examples))
+                text = f"reads {listing} °C, far from adjacent readings, in {len(jumps)} reading(s): an error value?"
+                anomalies.append(Anomaly("leap", name, text, jumps))
+            if len(rows := find_held_rows(values, parts)):
+                text = "repeats values between jumps: held values, or a low sampling rate?"
+                anomalies.append(Anomaly("held", name, text, select_repeats(values, parts, rows)))
+            elif len(rows := find_stuck_rows(values, parts)):
                 level = values[rows[0]]
-                text = f"stands at {level:g} in {len(rows)} readings, and seldom repeats elsewhere: saturated, stuck?"
+                text = f"is constant at {level:g} in {len(rows)} readings, few repeats elsewhere: saturated, stuck?"
                 anomalies.append(Anomaly("stuck", name, text, rows))
         return [*anomalies, *_find_differing_run(columns, records, names)]
 
 
-MIN_RMS_RATIO = 5.0  # of the residuals with a run to those without it, above which the run differs
+MIN_RMS_RATIO = 5.0  # minimum ratio of rms residuals with and without a differing run
 
 
 def _find_differing_run(
     columns: Columns, records: Records, names: Sequence[str]
 ) -> Iterator[Anomaly]:
-    """Find the run without which a thermometer is one function of another and its rate: one of both differed there."""
+    """Find the run in which the linear relation of a temperature column to another and its rate differs."""
     time, runs = records.time, records.rows
     if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
         return
@@ -322,104 +320,106 @@ def _find_differing_run(
         table[:, 1:] -= table[:, 1:].mean(axis=0)
         sizes, rms = np.maximum(np.abs(table).max(axis=0), np.finfo(float).tiny), list[float]()
         table /= sizes
-        # Without a run, by its share of the products: as fast for many runs as for a few.
+        # Leave-one-run-out by subtraction of its sums of products: as fast for many runs as for a few.
         products = np.array([table[rows].T @ table[rows] for rows in runs])
         for rows, p in zip(runs, products.sum(axis=0) - products, strict=True):
-            rest = p[3, 3] - p[:3, 3] @ np.linalg.pinv(p[:3, :3], hermitian=True) @ p[:3, 3]
-            rms.append(float(sizes[3] * np.sqrt(max(rest, 0.0) / (len(time) - len(rows)))))
-        run, second = np.argsort(rms)[:2]
-        if rms[second] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
+            rss = p[3, 3] - p[:3, 3] @ np.linalg.pinv(p[:3, :3], hermitian=True) @ p[:3, 3]
+            rms.append(float(sizes[3] * np.sqrt(max(rss, 0.0) / (len(time) - len(rows)))))
+        run, next_run = np.argsort(rms)[:2]
+        if rms[next_run] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
             label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
-            text = f"does not follow {other!r} in run {label} as it does in the others: one of both was different there"
+            text = f"deviates in run {label} from its relation to {other!r} in other runs: one of both was faulty there"
             yield Anomaly("run", name, text, runs[run])
 
 
-def off_path(values: np.ndarray, stretches: Sequence[np.ndarray], least: float = 0.0) -> np.ndarray:
-    """Return the rows off the median of their neighbours by more than pace, noise and rounding explain.
+def find_jumps(values: np.ndarray, segments: Segments, least: float = 0.0) -> np.ndarray:
+    """Return the outliers (rows) from the running median, beyond what rate of change, noise and rounding explain.
 
-    On a ramp, and on both sides of a step, a reading is that median itself. A value that repeats counts once.
+    On a ramp, and on both sides of a step, a reading equals the running median. A repeated value counts once.
     """
     outliers = [np.zeros(0, int)]
     step = float(np.diff(np.unique(values)).min(initial=np.inf))
-    for piece in stretches:
-        begins, counts = equal_runs(values[piece])
-        level = values[piece][begins]
-        if len(level) <= 2 * HALF_WIDTH:
+    for segment in segments:
+        begins, counts = equal_runs(values[segment])
+        levels = values[segment][begins]
+        if len(levels) <= 2 * HALF_WIDTH:
             continue
-        about = sliding_window_view(np.pad(level, HALF_WIDTH, mode="reflect"), 2 * HALF_WIDTH + 1)
-        pace = float(np.quantile(np.abs(np.diff(level)), USUAL_CHANGES_SHARE))
-        tolerance = max(least, MIN_LEAP_STEPS * step, LEAP_NOISE_SD * scatter(level))
-        off = np.abs(level - np.median(about, axis=1)) > tolerance + HALF_WIDTH * pace
-        outliers.append(piece[np.repeat(off, counts)])
+        padded = np.pad(levels, HALF_WIDTH, mode="reflect")
+        medians = np.median(sliding_window_view(padded, 2 * HALF_WIDTH + 1), axis=1)
+        change = float(np.quantile(np.abs(np.diff(levels)), NORMAL_CHANGE_QUANTILE))
+        tolerance = max(least, MIN_JUMP_STEPS * step, MIN_JUMP_SD * estimate_noise_sd(levels))
+        is_outlier = np.abs(levels - medians) > tolerance + HALF_WIDTH * change
+        outliers.append(segment[np.repeat(is_outlier, counts)])
     return np.sort(np.concatenate(outliers))
 
 
-def scatter(values: np.ndarray) -> float:
-    """Return the standard deviation of white noise in values, by the median of their second differences."""
+def estimate_noise_sd(values: np.ndarray) -> float:
+    """Estimate the white-noise standard deviation of values from the median absolute second difference."""
     return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
 
 
-MIN_HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
-MIN_HELD_SHARE = 0.05  # the same as a share of a stretch's changes
+MIN_HELD_JUMPS = 6  # minimum number of jumps between held values; good records have none
+MIN_HELD_SHARE = 0.05  # minimum share of these jumps in the changes of a segment
 
 
-def held_rows(values: np.ndarray, stretches: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the rows of stretches in which values are held until the next leap: the sensor was polled seldom.
+def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
+    """Return the rows of segments with held values: constant until the next jump, as of a rarely polled sensor.
 
-    Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
+    Rounded values repeat too, but change by a rounding step, the smallest difference of distinct values.
     """
-    held_stretches, pairs = [np.zeros(0, int)], 0
-    some = np.unique(values[np.concatenate([held_stretches[0], *stretches])])
-    leap = MIN_LEAP_STEPS * float(np.diff(some).min(initial=np.inf))
-    for piece in stretches:
-        begins, counts = equal_runs(values[piece])
-        repeated, change = counts > 1, np.abs(np.diff(values[piece][begins]))
-        pair = repeated[:-1] & repeated[1:] & (change > leap)
-        if pair.any() and pair.mean() > MIN_HELD_SHARE:
-            held_stretches.append(piece)
-            pairs += int(np.count_nonzero(pair))
-    return np.concatenate(held_stretches) if pairs >= MIN_HELD_LEAPS else held_stretches[0]
+    held, jump_count = [np.zeros(0, int)], 0
+    levels = np.unique(values[np.concatenate([held[0], *segments])])
+    min_jump = MIN_JUMP_STEPS * float(np.diff(levels).min(initial=np.inf))
+    for segment in segments:
+        begins, counts = equal_runs(values[segment])
+        repeated, change = counts > 1, np.abs(np.diff(values[segment][begins]))
+        is_jump = repeated[:-1] & repeated[1:] & (change > min_jump)
+        if is_jump.any() and is_jump.mean() > MIN_HELD_SHARE:
+            held.append(segment)
+            jump_count += int(np.count_nonzero(is_jump))
+    return np.concatenate(held) if jump_count >= MIN_HELD_JUMPS else held[0]
 
 
-def repeats(values: np.ndarray, stretches: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """Return those of `rows` that repeat the value before them in their stretch."""
-    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in stretches]
-    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
+def select_repeats(values: np.ndarray, segments: Segments, rows: np.ndarray) -> np.ndarray:
+    """Return those of `rows` that equal the preceding reading of their segment."""
+    repeated = [segment[1:][values[segment[1:]] == values[segment[:-1]]] for segment in segments]
+    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *repeated]))
 
 
-MIN_STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
-MIN_STUCK_RATIO = 4.0  # to the next longest stretch without a change; below, it is like others
-# Largest share of the other readings that repeat the one before: above, all are rounded, or set.
+MIN_STUCK_READINGS = 8  # minimum number of consecutive equal readings of a stuck column
+MIN_STUCK_RATIO = 4.0  # minimum ratio to the longest constant segment at another level
+# Largest share of other readings that equal the preceding one; above it, the column is rounded or a setting.
 MAX_REPEATED_SHARE = 0.1
 
 
-def standing_rows(values: np.ndarray, stretches: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the rows of the one level at which a column stays for far longer than at any other, if there is one."""
-    begins, lengths = zip(*(equal_runs(values[piece]) for piece in stretches), strict=True)
-    levels = np.concatenate([values[p[first]] for p, first in zip(stretches, begins, strict=True)])
-    rows, lengths = np.concatenate(stretches), np.concatenate(lengths)
-    worst = levels[np.argmax(lengths)]
-    others = lengths[levels != worst]
-    least = max(MIN_STUCK_READINGS, MIN_STUCK_RATIO * np.max(others, initial=1))
+def find_stuck_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
+    """Return the rows of the level at which a column is constant for far longer than elsewhere; empty if none."""
+    begins, lengths = zip(*(equal_runs(values[segment]) for segment in segments), strict=True)
+    starts = [segment[first] for segment, first in zip(segments, begins, strict=True)]
+    levels = values[np.concatenate(starts)]
+    rows, lengths = np.concatenate(segments), np.concatenate(lengths)
+    longest = levels[np.argmax(lengths)]
+    others = lengths[levels != longest]
+    min_length = max(MIN_STUCK_READINGS, MIN_STUCK_RATIO * np.max(others, initial=1))
     by_rounding = np.sum(others - 1) > MAX_REPEATED_SHARE * np.sum(others)
-    far = others.size and np.max(lengths) >= least and not by_rounding
-    return np.sort(rows[values[rows] == worst]) if far else rows[:0]
+    is_stuck = others.size and np.max(lengths) >= min_length and not by_rounding
+    return np.sort(rows[values[rows] == longest]) if is_stuck else rows[:0]
 
 
-ROOM_DEGREES = 20.0  # °C, near which a record begins where its counter leaves open which of its periods it is in
+ROOM_DEGREES = 20.0  # °C, assumed start temperature of a record with a wrapping counter
 
 
 def unwrap(values: np.ndarray, records: Records, period: float, start: float) -> np.ndarray:
-    """Unwrap a counter that wraps at `period`; return the column in the order of the file (n,).
+    """Unwrap a counter that wraps around at `period`; return the column in the order of the file (n,).
 
-    Each record is unwrapped from one reading to the next. The first begins near `start` (20 °C, or 0); the mean of
-    a later one is as near as may be to that of the first.
+    Each record is unwrapped separately, in its unit. The first begins near `start` (20 °C, or 0); later ones are
+    shifted by multiples of the period so that their means are closest to that of the first.
     """
-    unwrapped, middle = values.copy(), None
+    unwrapped, mean = values.copy(), None
     for rows in (record[np.isfinite(values[record])] for record in records.rows):
         if rows.size:
-            piece = np.unwrap(values[rows], period=period)
-            near = piece[0] - start if middle is None else piece.mean() - middle
-            unwrapped[rows] = piece - period * np.round(near / period)
-            middle = unwrapped[rows].mean() if middle is None else middle
+            segment = np.unwrap(values[rows], period=period)
+            offset = segment[0] - start if mean is None else segment.mean() - mean
+            unwrapped[rows] = segment - period * np.round(offset / period)
+            mean = unwrapped[rows].mean() if mean is None else mean
     return unwrapped

@@ -1,9 +1,9 @@
-"""Matching of a file's headers to an instrument's columns: the rules, as tables, and the user's options.
+"""Matching of a file's headers to an instrument's columns, by tables of names and the user's options.
 
-A header has several possible readings as a name and a unit ("Temp (°C)", "gyro_z_dps", 'angle/"'); one counts only if
-the quantity that is expected there has a unit of its kind. So "Temp_C" is a temperature in °C, since nothing else that
-is written C is a temperature. A header with one reading is taken, with a flag; one that looks like a column is
-proposed. Further columns are kept if they have a unit: an effect of the user may need them; none is a reason to refuse.
+A header can be split into a name and a unit in several ways ("Temp (°C)", "gyro_z_dps", 'angle/"'); a split counts if
+its unit has the dimension of the column. So "Temp_C" is a temperature in °C, because C stands for no other unit of
+temperature. A header with exactly one valid split is matched, and a flag reports it; a similar header is proposed to
+the user. Further columns with a unit are kept, since a user-defined effect may need them; they never cause an error.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from bayescal._data.read_options import (
 )
 from bayescal._data.unit_conversion import (
     ANY,
-    WHERE_EXPECTED,
+    CONTEXT_SPELLINGS,
     base_unit,
     fixed_unit,
+    format_unit,
     is_convertible,
     parse,
-    pretty,
     same_dimension,
     unit_in,
 )
@@ -46,16 +46,16 @@ from bayescal._tables.raw_table import (
     Header,
     Objections,
     Table,
-    called,
-    in_one_line,
+    find_header,
     load_whole,
     option,
-    readings_of,
+    possible_splits,
+    to_one_line,
 )
 
-# Further names of columns that many instruments have, the likeliest tier first, tiers parted by bars; a single letter
-# is a symbol, whose case matters.
-NAMES = {
+# Further names of common columns, in tiers separated by bars, the most probable tier first; a single letter is a
+# case-sensitive symbol.
+SYNONYMS = {
     "time": "t timestamp time_stamp date_time datetime epoch unix_time utc time_utc utc_time | date_and_time "
     "time_and_date zeitstempel datum_uhrzeit datum_zeit scan_time | sample_time start_time local_time | elapsed "
     "elapsed_time relative_time messzeit laufzeit sekunden seconds temps x_value millis zeit uhrzeit time_of_day heure "
@@ -67,239 +67,242 @@ NAMES = {
     "run": "run_no run_nr run_number run_id test_run",
     "device": "device_id serial serial_no serial_number sn",
 }
-# Names of columns of labels, where their values are labels too: text or whole numbers, each for a while; words for a
-# count, such as "no." or "id", are removed from a name before.
-LABELS = {
+# Names of label columns, valid if the cells are labels too: text or integers that repeat in blocks. Words for a number,
+# such as "no." or "id", are removed from a header before the comparison.
+LABEL_NAMES = {
     "run": "run run_label test_run cycle zyklus lauf laufnummer messung messreihe versuch versuchsnummer durchgang "
     "durchlauf essai passage sweep trial test repetition wiederholung mounting montage aufspannung einspannung setup",
     "device": "device dut unit sensor serial sensor_sn sn prufling pruefling seriennummer serien geraet gerat capteur "
     "serie",
     "axis": "axis achse axe",
 }
-COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
-# Texts in place of a unit where there is none.
-NO_UNIT = frozenset(
+NUMBER_WORDS = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
+# Texts in the place of a unit that mean that there is no unit.
+BLANK_UNITS = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
 )
-MIN_READINGS_PER_LABEL = 3.0  # readings, on average, that have one label before the next
-# Beginnings of names in logs, by the unit of their column.
-BEGINNINGS = {
+MIN_READINGS_PER_LABEL = 3.0  # mean number of consecutive readings with the same label
+# Prefixes of channel names in logs, by the unit of the channel.
+PREFIXES = {
     "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
     "ug": ("acc", "ax", "ay", "az"),
     "rad": ("tilt", "angle", "incl", "roll", "pitch"),
 }
-# Names of a column of dates beside one of times of day, in languages that write both with points.
-DAYS = (
+# Names of a date column that accompanies a column of times of day, in several languages.
+DATE_NAMES = (
     *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
     *("paiva", "paivamaara", "pvm"),
 )
-RAW = ("V", "Hz", "A", "count")  # units of a raw output, which a nominal scale turns into another
-# Units of channels on the output's own axis; one in another unit, such as a drive voltage, is of the same sensor.
-MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
-WORDS = frozenset(  # units that may be other words
+RAW_UNITS = ("V", "Hz", "A", "count")  # units of a raw output, which a nominal scale converts
+# Units that mark a column along the output's axis as another channel; in another unit it may be a drive voltage, say.
+MOTION_UNITS = ("m/s^2", "rad/s", "rad", "uT", "count")
+AMBIGUOUS_UNITS = frozenset(  # unit names that may also be ordinary words
     ["min", "day", "days", "bar", "rev", "count", "counts", "second", "minute", "hour", "degree"]
     + ["atm", "psi", "gram", "grams", "lb", "cc", "kp", "mol"]
 )
-_AXIS = re.compile(
+_AXIS_LETTER = re.compile(
     r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
 )
 
 
-def units_among(header: Header, kinds: tuple[str, ...]) -> dict[str, Header]:
-    """Return the units of these kinds that a header has, each with its reading."""
-    pairs = ((unit_in(reading.unit or "", kinds), reading) for reading in readings_of(header))
-    return {unit: replace(reading, unit=unit) for unit, reading in pairs if unit}
+def find_units(header: Header, kinds: tuple[str, ...]) -> dict[str, Header]:
+    """Return the units of the given dimensions that a header may have: unit → the header split accordingly."""
+    pairs = ((unit_in(split.unit or "", kinds), split) for split in possible_splits(header))
+    return {unit: replace(split, unit=unit) for unit, split in pairs if unit}
 
 
-def unit_behind(header: Header) -> Header | None:
-    """Return the reading of a header that ends in a unit of any quantity: in brackets, or of two letters behind _."""
-    reading = None if header.unit else longest_unit(header)
-    unit = (reading and reading.unit) or ""
+def split_trailing_unit(header: Header) -> Header | None:
+    """Split a header that ends in a unit of any quantity, in brackets or of two letters or more; None for others."""
+    split = None if header.unit else split_off_unit(header)
+    unit = (split and split.unit) or ""
     brackets = header.raw[-1:] in tuple(")]}>")
-    return reading if unit and (brackets or (len(unit) > 1 and unit not in WORDS)) else None
+    return split if unit and (brackets or (len(unit) > 1 and unit not in AMBIGUOUS_UNITS)) else None
 
 
-def longest_unit(header: Header) -> Header | None:
-    """Return the reading of a header with the longest unit, of any quantity; None where that may be half of a unit.
+def split_off_unit(header: Header) -> Header | None:
+    """Split a header so that its unit, of any quantity, is as long as possible; None if that may be half of a unit.
 
-    So "Rate in deg/hr" is in °/h, not "Rate in deg" in h; "flow_L_min" is left open.
+    "Rate in deg/hr" has the unit °/h, not the name "Rate in deg" and the unit h; "flow_L_min" remains undecided.
     """
-    candidates = [(r, unit) for r in readings_of(header) if (unit := unit_in(r.unit or "", (ANY,)))]
+    splits = possible_splits(header)
+    candidates = [(s, unit) for s in splits if (unit := unit_in(s.unit or "", (ANY,)))]
     if not candidates:
         return None
-    reading, unit = max(candidates, key=lambda pair: len(pair[0].unit or ""))
-    before = re.split(r"[\s_./]+", reading.name.strip())[1:]
-    divides = parse(unit).powers.keys() in ({"s"}, {"m"})  # a usual denominator
-    half = divides and header.raw[-1:].isalnum() and any(unit_in(t, (ANY,)) for t in before[-1:])
-    return None if half else replace(reading, unit=unit)
+    split, unit = max(candidates, key=lambda pair: len(pair[0].unit or ""))
+    words = re.split(r"[\s_./]+", split.name.strip())[1:]
+    is_denominator = parse(unit).powers.keys() in ({"s"}, {"m"}) and header.raw[-1:].isalnum()
+    is_half_unit = is_denominator and any(unit_in(t, (ANY,)) for t in words[-1:])
+    return None if is_half_unit else replace(split, unit=unit)
 
 
 def unit_like_ending(header: Header) -> str | None:
-    """Return the end of a header without a known unit that may be meant as a unit; None if there is none.
-
-    That is a text in brackets, unless it is a number, and behind a gap a unit as it is written where one is expected.
-    """
+    """Return the end of a header that may be an unknown unit: a text in brackets, or after a blank; else None."""
     end = header.raw[-UNIT_SEARCH_CHARACTERS:]
-    if bracketed := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
-        return None if bracketed[2].strip().isdigit() else bracketed[2].strip()
-    spellings = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
-    meant = spellings.difference(("G", "g")) | {"K"}
-    return next((r.unit for r in readings_of(header) if r.unit in meant), None)
+    if match := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
+        return None if match[2].strip().isdigit() else match[2].strip()
+    spellings = {text for texts in CONTEXT_SPELLINGS.values() for text in texts if text.isascii()}
+    unit_spellings = spellings.difference(("G", "g")) | {"K"}
+    return next((r.unit for r in possible_splits(header) if r.unit in unit_spellings), None)
 
 
-@lru_cache(maxsize=4096)  # each is asked for by many columns
-def plain(name: str) -> str:
-    """Return a name normalised for comparison: case, accents, spaces, "temp" for temperature."""
-    bare = unicodedata.normalize("NFD", name)
-    bare = "".join(c for c in bare if not unicodedata.combining(c))  # Prüfling as Prufling
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare)  # boardTemp as board_Temp
-    words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
+@lru_cache(maxsize=4096)  # one header is compared with many columns
+def normalise(name: str) -> str:
+    """Normalise a name for comparison: lower case, no accents, underscores for blanks, "temp" as temperature."""
+    letters = unicodedata.normalize("NFD", name)
+    letters = "".join(c for c in letters if not unicodedata.combining(c))  # Prüfling as Prufling
+    separated = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", letters)  # boardTemp as board_Temp
+    words = re.sub(r"[^a-z0-9]+", "_", separated.lower()).strip("_").split("_")
     return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
 
 
-def compared(reading: Header) -> str:
-    """Return the name of a reading, normalised; a symbol of one letter as it is."""
-    name = reading.name.strip()
-    return name if len(name) == 1 else plain(name)
+def comparison_key(split: Header) -> str:
+    """Return the normalised name of a split header; a symbol of one letter unchanged."""
+    name = split.name.strip()
+    return name if len(name) == 1 else normalise(name)
 
 
-def labels_in(header: Header) -> str | None:
-    """Return the column of labels that a header names by one of the names in `LABELS`; None for none."""
-    names = (plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT)
-    nouns = {"_".join(word for word in name.split("_") if word not in COUNTED) for name in names}
-    return next((ours for ours, those in LABELS.items() if nouns & {*those.split()}), None)
+def find_label_column(header: Header) -> str | None:
+    """Return the label column ("run", "device" or "axis") that a header names; None for any other header."""
+    splits = (s for s in possible_splits(header) if (s.unit or "").lower() in BLANK_UNITS)
+    words = (normalise(split.name).split("_") for split in splits)
+    nouns = {"_".join(word for word in name if word not in NUMBER_WORDS) for name in words}
+    return next((n for n, names in LABEL_NAMES.items() if nouns & {*names.split()}), None)
 
 
 def are_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
-    """Return whether cells are labels: several, text or whole numbers, each for a while, or (devices) in turn."""
+    """Return whether cells are labels: text or integers, of two values or more, in blocks or (devices) interleaved."""
     levels = set(texts.tolist())
     blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
-    whole = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
-    return whole and len(levels) > 1 and MIN_READINGS_PER_LABEL * blocks <= len(texts)
+    valid = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
+    return valid and len(levels) > 1 and MIN_READINGS_PER_LABEL * blocks <= len(texts)
 
 
 @dataclass(frozen=True)
 class ColumnRule:
-    """Rule by which the header of a column is matched: its units are of `kinds` ("any" for further columns)."""
+    """Rule that matches headers to a column; their units have one of the dimensions `kinds` ("any" for all)."""
 
     column: Column
     kinds: tuple[str, ...]
     output: bool = False
 
     @property
-    def tiers(self) -> list[frozenset[str]]:
-        """Return the names of the column, the likeliest first: its own, then further ones."""
-        own_names = frozenset(map(plain, (self.column.name, *self.column.also)))
-        further = NAMES.get(self.column.name, "").split("|")
-        return [own_names, *(frozenset(tier.split()) for tier in further)]
+    def name_tiers(self) -> list[frozenset[str]]:
+        """Return the column's names in tiers: its own names, then synonyms, the most probable first."""
+        own_names = frozenset(map(normalise, (self.column.name, *self.column.also)))
+        synonym_tiers = SYNONYMS.get(self.column.name, "").split("|")
+        return [own_names, *(frozenset(tier.split()) for tier in synonym_tiers)]
 
     def matches(
-        self, headers: Sequence[Header], free: Collection[int], user_units: Mapping[str, str]
+        self, headers: Sequence[Header], unmatched: Collection[int], user_units: Mapping[str, str]
     ) -> dict[int, Header]:
-        """Return the free headers that can be read as the column, under the likeliest of its names that occur.
+        """Return the unmatched headers, by index, that have a name of the first name tier that any of them has.
 
-        `user_units` are units that the user gives.
+        `user_units`: header or name → unit given by the user.
         """
-        tried = (
-            {i: r for i in sorted(free) if (r := self._reading(headers[i], names, user_units))}
-            for names in self.tiers
-        )
-        return next(filter(None, tried), {})
+        for names in self.name_tiers:
+            splits = {
+                i: self._split_header(headers[i], names, user_units) for i in sorted(unmatched)
+            }
+            if matches := {i: split for i, split in splits.items() if split}:
+                return matches
+        return {}
 
-    def _reading(
+    def _split_header(
         self, header: Header, names: Collection[str], user_units: Mapping[str, str]
     ) -> Header | None:
-        """Return the reading of a header under one of these names, in a unit of the column's kind or in none."""
-        for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
-            if compared(reading) not in names:
+        """Split a header into one of these names and a unit of the column's dimension or none; None if impossible."""
+        for split in sorted(possible_splits(header), key=lambda r: r.unit is None):
+            if comparison_key(split) not in names:
                 continue
-            if reading.unit is None:
-                return reading
-            if unit := unit_in(reading.unit, self.kinds):
-                return replace(reading, unit=unit)
-            if header.raw in user_units or reading.name in user_units:
-                unit = user_units.get(reading.name, "")
-                return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
+            if split.unit is None:
+                return split
+            if unit := unit_in(split.unit, self.kinds):
+                return replace(split, unit=unit)
+            if header.raw in user_units or split.name in user_units:
+                unit = user_units.get(split.name, "")
+                return replace(split, unit=unit if unit_in(unit, (ANY,)) else None)
         return None
 
-    def sole_reading(self, header: Header, units: Mapping[str, str]) -> Header | None:
-        """Return the one reading of a header, of any name, with a unit of the column's kind; None if not just one."""
+    def unique_split(self, header: Header, units: Mapping[str, str]) -> Header | None:
+        """Return the only split of a header whose unit has the column's dimension; None for no split or several."""
         if ANY in self.kinds:
-            return None if header.raw in units else longest_unit(header)
-        readings = units_among(header, self.kinds)
-        readings.pop("1", None)
-        return readings.popitem()[1] if len(readings) == 1 and header.raw not in units else None
+            return None if header.raw in units else split_off_unit(header)
+        splits = find_units(header, self.kinds)
+        splits.pop("1", None)
+        return splits.popitem()[1] if len(splits) == 1 and header.raw not in units else None
 
     def candidates(self, headers: Sequence[Header]) -> list[Header]:
-        """Return the headers that may mean the column: in a unit of its kind, else in none; of these those that share a
-        word with its name, if any does."""
-        word = plain(self.column.name)
-        tiers = (MOTION, self.kinds) if ANY in self.kinds else (self.kinds, RAW * self.output)
-        tried = ([h for h in headers if units_among(h, kinds)] for kinds in tiers)
-        unknown = [h for h in headers if not longest_unit(h)]
-        fitting = next(filter(None, tried), [])
-        named = [h for h in (fitting or unknown) if _share_a_word(plain(h.name), word)]
-        unsaid = [h for h in unknown if self.column.unit and not unit_like_ending(h)]
-        return named or fitting or unsaid
+        """Return the headers to propose for the column: with a unit of its dimension, else without a unit; of these
+        only those that share a word with its name, if there are any."""
+        word = normalise(self.column.name)
+        preferred = MOTION_UNITS if ANY in self.kinds else self.kinds
+        tiers = (preferred, self.kinds if ANY in self.kinds else RAW_UNITS * self.output)
+        by_kind = ([h for h in headers if find_units(h, kinds)] for kinds in tiers)
+        with_unit = next(filter(None, by_kind), [])
+        without_unit = [h for h in headers if not split_off_unit(h)]
+        headers = with_unit or without_unit
+        similar = [h for h in headers if _has_common_word(normalise(h.name), word)]
+        bare = [h for h in without_unit if self.column.unit and not unit_like_ending(h)]
+        return similar or with_unit or bare
 
-    def could_mean(self, header: Header) -> bool:
-        """Return whether a header contains a name of the column; never for a label or a known uncertainty."""
+    def contains_name(self, header: Header) -> bool:
+        """Return whether a header contains a name of the column; False for labels and for known uncertainties."""
         if self.column.unit is None or self.column.name == UNCERTAINTY:
             return False
-        own_names, *further = self.tiers
-        names = own_names.union(n for tier in further for n in tier if len(n) > 2)
-        parts = set(plain(self.column.name).split("_"))
-        words = (plain(reading.name) for reading in readings_of(header))
+        own_names, *synonym_tiers = self.name_tiers
+        names = own_names.union(n for tier in synonym_tiers for n in tier if len(n) > 2)
+        parts = set(normalise(self.column.name).split("_"))
+        words = (normalise(split.name) for split in possible_splits(header))
         return any(name in names or parts <= set(name.split("_")) for name in words)
 
 
-def _share_a_word(theirs: str, ours: str) -> bool:
-    """Return whether names share a word, or the beginning of one, of three letters or more, or one letter (an axis)."""
-    words = [(a, b) for a in theirs.split("_") for b in ours.split("_") if a and b]
+def _has_common_word(header_name: str, column_name: str) -> bool:
+    """Return whether names share a word, an axis letter, or the first three letters (or more) of a word."""
+    words = [(a, b) for a in header_name.split("_") for b in column_name.split("_") if a and b]
     return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
 
 
-def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
-    """Return the columns that are channels of the unit whose output this is: of another axis, of its own axis and
-    another motion, or of another number and the same quantity.
+def other_channels(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
+    """Return the columns that are other channels of the same device: another axis, another motion along the same axis,
+    or the same quantity with another channel number.
 
-    Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
-    `columns` (name → unit) are those that no instrument declares.
+    Channels of a device share temperatures and times; hence they correlate without causing each other.
+    `columns`: name → unit of the columns that the instrument does not declare; `unit`: the output's.
     """
-    numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
+    numbered, axis = re.sub(r"\d+", "#", output), _axis_letter(output)
     channels = []
-    for name, their_unit in columns.items():
-        same_unit = their_unit and unit and same_dimension(their_unit, unit)
+    for name, column_unit in columns.items():
+        same_unit = column_unit and unit and same_dimension(column_unit, unit)
         same_quantity = same_unit and re.sub(r"\d+", "#", name) == numbered
-        moves = their_unit is None or any(same_dimension(their_unit, motion) for motion in MOTION)
-        another = axis and (its := _axis(name)) and (its != axis or moves)
-        if another or (same_quantity and "#" in numbered):
+        is_motion = not column_unit or any(same_dimension(column_unit, m) for m in MOTION_UNITS)
+        is_on_axis = axis and (letter := _axis_letter(name)) and (letter != axis or is_motion)
+        if is_on_axis or (same_quantity and "#" in numbered):
             channels.append(name)
     return channels
 
 
-def _axis(name: str) -> str:
-    """Return the letter of the axis that a name ends in or begins with; "" if there is none."""
-    return next((text[-1].lower() for text in reversed(_AXIS.findall(name))), "")
+def _axis_letter(name: str) -> str:
+    """Return the axis letter (x, y or z) at the end or the beginning of a name; "" if there is none."""
+    return next((text[-1].lower() for text in reversed(_AXIS_LETTER.findall(name))), "")
 
 
-MAX_SHOWN_HEADERS = 4  # of those that may be meant
+MAX_SHOWN_HEADERS = 4  # headers proposed for a missing column
 
 
 @dataclass
 class MatchedFile:
     """A file whose headers are matched to an instrument's columns.
 
-    A header means a column of the instrument if it has one reading as such, which a note reports. A column that the
-    file holds under its own name, or that `columns=` names, is not searched for.
+    A header is matched to a column if exactly one split of it is possible; a note reports the match. A column is not
+    searched for if its exact name is in the file, or if `columns=` assigns it.
 
     Attributes:
-        table: the file, with the name and unit that each header means.
-        instrument: whose columns are expected.
-        options: of the user.
-        problems: to add to.
-        expected: the columns that are expected, by our names, in the units in which they are kept.
-        positions: our name of every column → its position in the file.
+        table: the file, its headers split into name and unit.
+        instrument: the instrument that declares the expected columns.
+        options: the user's options of reading.
+        problems: list to which problems are added.
+        expected: the expected columns by bayescal's name, in the units in which they are stored.
+        positions: bayescal's name of each column → its position in the file.
     """
 
     table: Table
@@ -310,60 +313,60 @@ class MatchedFile:
     positions: dict[str, int] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Match the headers: by the user's options, by their names and units, then by their cells."""
+        """Match the headers by the user's options, then by names and units, then by their cells."""
         self.expected = expected_columns(self.instrument)
         self._headers, self._notes = list(self.table.headers), list(self.table.notes)
-        self._free = set(range(len(self._headers)))
-        self._take_named()
-        named = set(self.positions)
-        self._take_known()
-        self._take_three_axes()
-        self._take_by_cells()
-        self._take_others(named)
+        self._unmatched = set(range(len(self._headers)))
+        self._assign_user_columns()
+        user_names = set(self.positions)
+        self._assign_instrument_columns()
+        self._assign_axes()
+        self._assign_label_columns()
+        self._register_further_columns(user_names)
         self.table = replace(self.table, headers=tuple(self._headers), notes=tuple(self._notes))
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in self.positions else None
-            meant = name in self.options.columns and not _known_unit(unit)
-            if column.unit is None and not meant and (unit or "").lower() not in NO_UNIT:
-                came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
+            is_forced = name in self.options.columns and not _known_unit(unit)
+            if column.unit is None and not is_forced and (unit or "").lower() not in BLANK_UNITS:
+                fault, expected = f"has the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
-                self.problem(self.header(name).raw, came, meant, cure)
+                self.report(self.header(name).raw, fault, expected, cure)
         self._fix_units()
 
-    def _take(self, position: int, reading: Header, name: str, why: str = "") -> None:
-        """Take a header, in this reading, as our column `name`."""
-        self._free.discard(position)
+    def _assign(self, position: int, split: Header, name: str, reason: str = "") -> None:
+        """Assign the header at a position, split as given, to the column `name`."""
+        self._unmatched.discard(position)
         self.positions[name] = position
-        self._rename(position, reading, name + why)
+        self._rename(position, split, name + reason)
 
-    def _rename(self, position: int, reading: Header, say: str) -> None:
-        old, self._headers[position] = self._headers[position], reading
-        if reading != old:
-            unit = f" in {pretty(reading.unit)}" if reading.unit else ""
-            self._notes.append(f"{self.table.file}: read {old.raw!r} as {say}{unit}")
+    def _rename(self, position: int, split: Header, description: str) -> None:
+        old, self._headers[position] = self._headers[position], split
+        if split != old:
+            unit = f" in {format_unit(split.unit)}" if split.unit else ""
+            self._notes.append(f"{self.table.file}: read {old.raw!r} as {description}{unit}")
 
-    def _take_named(self) -> None:
-        """Take the columns that the user names."""
-        for ours, theirs in self.options.columns.items():
-            wanted_header = in_one_line(theirs)
-            position = called(self._headers, wanted_header)
+    def _assign_user_columns(self) -> None:
+        """Assign the columns that the user names (`columns=`)."""
+        for column_name, user_header in self.options.columns.items():
+            user_text = to_one_line(user_header)
+            position = find_header(self._headers, user_text)
             if position is None:
-                came = f"has no column {theirs!r} ({option('--columns', f'{ours}={theirs}')})"
-                self.problem("", came, cure=f"It has: {names_in(self.table)}")
-            elif position not in self._free:
+                fault = f"has no column {user_header!r} ({option('--columns', f'{column_name}={user_header}')})"
+                self.report("", fault, cure=f"It has: {names_in(self.table)}")
+            elif position not in self._unmatched:
                 other = next(name for name, index in self.positions.items() if index == position)
-                came = f"both {other} and {ours} by --columns"
-                self.problem(theirs, came, cure="Name one for each")
+                fault = f"both {other} and {column_name} by --columns"
+                self.report(user_header, fault, cure="Name one for each")
             else:
                 header = self._headers[position]
-                reading = self.rule(ours).sole_reading(header, self.options.units)
-                name = header.name if wanted_header in (header.name, header.raw) else wanted_header
-                self._take(position, replace(reading or header, name=name), ours)
+                split = self.rule(column_name).unique_split(header, self.options.units)
+                name = header.name if user_text in (header.name, header.raw) else user_text
+                self._assign(position, replace(split or header, name=name), column_name)
 
-    def _take_known(self) -> None:
-        """Take the columns of the instrument: by their own names, else by usual names with a fitting unit."""
+    def _assign_instrument_columns(self) -> None:
+        """Assign the instrument's columns by their exact names, else by synonyms with a unit of the right dimension."""
         headers = self._headers
-        exact = {headers[i].name: i for i in self._free}
+        exact = {headers[i].name: i for i in self._unmatched}
         for name, column in self.expected.items():
             if name in self.options.columns:
                 continue
@@ -371,76 +374,76 @@ class MatchedFile:
             own_names, rule = [n for n in (name, *also) if n in exact], self.rule(name)
             for second in own_names[1:]:
                 first, other = headers[exact[own_names[0]]].raw, headers[exact[second]].raw
-                self.problem(other, f"a second {name!r} beside {first!r}", cure="Remove one")
+                self.report(other, f"a second {name!r} besides {first!r}", cure="Remove one")
             if own_names:
                 position = exact[own_names[0]]
                 unit = unit_in(headers[position].unit or "", rule.kinds) or headers[position].unit
-                self._take(position, replace(headers[position], unit=unit), name)
+                self._assign(position, replace(headers[position], unit=unit), name)
                 continue
-            matches = rule.matches(headers, self._free, self.options.units)
+            matches = rule.matches(headers, self._unmatched, self.options.units)
             if len(matches) == 1:
-                position, reading = matches.popitem()
-                self._take(position, replace(reading, name=name), name)
+                position, split = matches.popitem()
+                self._assign(position, replace(split, name=name), name)
 
-    def _take_three_axes(self) -> None:
-        """Take the outputs of three axes: the one triple of headers in their dimension that differ only in x, y, z at
-        the beginning or the end of their names."""
+    def _assign_axes(self) -> None:
+        """Assign the outputs of three axes, if exactly one triple of headers with units of acceleration, rate or field
+        differs only in x, y, z at the beginning or the end of the names."""
         outputs = getattr(self.instrument, "outputs", ())
         if not outputs or not {*self.positions, *self.options.columns}.isdisjoint(outputs):
             return
         triples = dict[str, dict[str, tuple[int, Header]]]()
-        for i in sorted(self._free):
+        for i in sorted(self._unmatched):
             header = self._headers[i]
             if header.raw not in self.options.units:
-                header = longest_unit(header) or header
+                header = split_off_unit(header) or header
             unit, name = unit_of(header, "", self.options), header.name.lower()
             if name and unit and is_convertible(unit, str(self.expected[outputs[0]].unit)):
                 for key, axis in ((f"{name[:-1]}?", name[-1]), (f"?{name[1:]}", name[0])):
                     triples.setdefault(key, {})[axis] = i, header
-        whole = [triple for triple in triples.values() if triple.keys() >= {*"xyz"}]
-        if len(whole) == 1:
+        complete = [triple for triple in triples.values() if triple.keys() >= {*"xyz"}]
+        if len(complete) == 1:
             for axis in "xyz":
-                position, header = whole[0][axis]
-                self._take(position, replace(header, name=f"output_{axis}"), f"output_{axis}")
+                position, header = complete[0][axis]
+                self._assign(position, replace(header, name=f"output_{axis}"), f"output_{axis}")
 
-    def _take_by_cells(self) -> None:
-        """Take labels by their names and cells."""
-        for i in sorted(self._free):
-            ours = labels_in(self._headers[i])
-            if ours is None or ours in {*self.positions, *self.options.columns}:
+    def _assign_label_columns(self) -> None:
+        """Assign label columns (run, device, axis) by header and cells."""
+        for i in sorted(self._unmatched):
+            column_name = find_label_column(self._headers[i])
+            if column_name is None or column_name in {*self.positions, *self.options.columns}:
                 continue
-            if self._holds_labels(i, ours == "device"):
-                reading = replace(self._headers[i], name=ours, unit=None)
-                self._take(i, reading, ours, ", as its values are labels")
+            if self._holds_labels(i, column_name == "device"):
+                split = replace(self._headers[i], name=column_name, unit=None)
+                self._assign(i, split, column_name, ", as its values are labels")
 
-    def _take_others(self, named: set[str]) -> None:
-        """Name the other columns, those in `named` by the user, as the file does; without their units."""
-        for i in sorted(self._free):
-            reading = unit_behind(self._headers[i])
-            if reading and reading.name not in self.expected:
-                self._rename(i, reading, reading.name)
+    def _register_further_columns(self, user_names: set[str]) -> None:
+        """Register the remaining columns under the file's names, without units; `user_names`: the user's."""
+        for i in sorted(self._unmatched):
+            split = split_trailing_unit(self._headers[i])
+            if split and split.name not in self.expected:
+                self._rename(i, split, split.name)
             name = self._headers[i].name
             if name in self.positions:
-                other = f"{name!r} beside {self._headers[self.positions[name]].raw!r}"
-                other += ", which --columns names" if name in named else ""
+                other = f"{name!r} besides {self._headers[self.positions[name]].raw!r}"
+                other += ", which --columns assigns" if name in user_names else ""
                 cure = f"Rename it, or leave {name!r} out of --columns"
-                self.problem(self._headers[i].raw, f"a second {other}", cure=cure)
+                self.report(self._headers[i].raw, f"a second {other}", cure=cure)
             elif name:
                 self.positions[name] = i
 
     def _fix_units(self) -> None:
-        """Give columns a unit in place of "any": the fixed unit of what the file has; a known uncertainty its output's.
+        """Replace the unit "any" of expected columns by the fixed unit of the quantity in the file.
 
-        A column without a valid unit is refused where it is converted; a nominal scale for an output of unit "any" is a
-        problem here.
+        A known uncertainty gets the unit of the output. A nominal scale for an output with unit "any" is a problem; a
+        column without a valid unit is reported later, at its conversion.
         """
         for name, column in self.expected.items():
             if column.unit != ANY or name not in self.positions:
                 continue
             if self.options.nominal_scale is not None:
-                came = "a nominal scale was given, but it is taken in the unit that it is in"
-                cure = "Leave the scale out, or choose an instrument whose output has a unit"
-                self.problem(name, came, cure=cure)
+                fault = "a nominal scale was given, but this instrument has no fixed output unit to convert to"
+                cure = "Omit the nominal scale, or choose an instrument whose output has a unit"
+                self.report(name, fault, cure=cure)
             unit = unit_of(self.header(name), name, self.options)
             if name == UNCERTAINTY:
                 self.expected[name] = replace(column, unit=self.expected["output"].unit)
@@ -455,7 +458,7 @@ class MatchedFile:
         return are_labels(load_whole(self.table, {position: False})[position].values, in_turn)
 
     def rule(self, name: str) -> ColumnRule:
-        """Return the rule by which the header of our column `name` is matched."""
+        """Return the matching rule of the column that bayescal calls `name`."""
         column, output = self.expected.get(name), output_name(self.instrument)
         if column is None:
             return ColumnRule(Column(name, ANY), (ANY,))
@@ -466,69 +469,64 @@ class MatchedFile:
         return ColumnRule(column, kinds, name == output)
 
     def header(self, name: str) -> Header:
-        """Return the header of a column by our name."""
+        """Return the header of the column that bayescal calls `name`."""
         return self.table.headers[self.positions[name]]
 
-    def problem(self, column: str, came: str, *about: str, **details: Any) -> None:
-        """Add a problem of a column, given by its header; arguments as of `Table.objection`."""
-        self.problems.append(self.table.objection(column, came, *about, **details))
+    def report(self, column: str, fault: str, *about: str, **details: Any) -> None:
+        """Add a problem of a column, given by its header; the other arguments as in `Table.objection`."""
+        self.problems.append(self.table.objection(column, fault, *about, **details))
 
     def note_missing(self) -> bool:
-        """Add a problem for each required column that the file lacks, with the headers that may be meant, if any.
-
-        Returns whether one is lacking.
-        """
+        """Add a problem, with similar headers, for each missing required column; return whether any is missing."""
         positions = {self.positions[name] for name in self.expected if name in self.positions}
-        free = [h for i, h in enumerate(self.table.headers) if h.name and i not in positions]
-        lacking = [
+        unmatched = [h for i, h in enumerate(self.table.headers) if h.name and i not in positions]
+        absent = [
             column
             for name, column in self.expected.items()
-            if _needed(column) and name not in self.positions and name not in self.options.columns
+            if _is_required(column) and name not in {*self.positions, *self.options.columns}
         ]
         has = f"It has: {names_in(self.table)}. "
-        for column in lacking:
-            self._note_lack(column, self.rule(column.name).candidates(free), has)
-            has = ""  # once
-        return bool(lacking)
+        for column in absent:
+            self._note_lack(column, self.rule(column.name).candidates(unmatched), has)
+            has = ""  # list the headers only once
+        return bool(absent)
 
     def _note_lack(self, column: Column, candidates: Sequence[Header], has: str) -> None:
         expected = f"{column.name} [{column.example}]" if column.unit else column.name
         expected += f" ({column.meaning})" * bool(column.meaning)
         if not candidates:
-            self.problem(column.name, "no such column", expected, f"{has}Add such a column")
+            self.report(column.name, "no such column", expected, f"{has}Add such a column")
             return
-        some = candidates[:MAX_SHOWN_HEADERS]
-        choices = [self._as_column(column, header) for header in some]
+        proposed = candidates[:MAX_SHOWN_HEADERS]
+        choices = [self._as_column(column, header) for header in proposed]
         suggestion = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
-        names = ", ".join(header.raw for header in some)
+        names = ", ".join(header.raw for header in proposed)
         advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
         if "--nominal-scale" in suggestion:
-            advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
-        of_unit = {h.name: (longest_unit(h) or h).unit or "" for h in candidates}
-        moving = [n for n, unit in of_unit.items() if any(is_convertible(unit, m) for m in MOTION)]
-        if len(moving) > 1 and column.name == output_name(self.instrument):
-            together = option("--channels", ",".join(moving))
-            advice += f"Together, as channels of one unit: {together}. "
-        cure = f"{has}{advice}Add such a column, or say which it is"
-        self.problem(column.name, "no such column", expected, cure, suggestion)
+            advice += "The nominal scale is the raw output per unit of output, --nominal-zero the raw output at zero. "
+        units = {h.name: (split_off_unit(h) or h).unit or "" for h in candidates}
+        channel_names = [
+            n for n, u in units.items() if any(is_convertible(u, m) for m in MOTION_UNITS)
+        ]
+        if len(channel_names) > 1 and column.name == output_name(self.instrument):
+            channels_option = option("--channels", ",".join(channel_names))
+            advice += f"For a joint analysis of these channels of one device: {channels_option}. "
+        cure = f"{has}{advice}Add such a column, or name it"
+        self.report(column.name, "no such column", expected, cure, suggestion)
 
     def _as_column(self, column: Column, header: Header) -> str:
-        """Return the options that declare a header to be a column; unknown values are left to fill in."""
+        """Return the command-line options that assign a header to a column, with placeholders for unknown values."""
         options, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
-        if column.unit is None or rule.sole_reading(header, {}):
+        if column.unit is None or rule.unique_split(header, {}):
             return options
-        raw = next(iter(units_among(header, RAW)), None)
+        raw = next(iter(find_units(header, RAW_UNITS)), None)
         if raw and rule.output and self.options.nominal_scale is None:
             per = f"({column.unit})" if "/" in column.unit else column.unit
             return f"{options} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
         return options if header.unit else f"{options} {option('--unit', f'{header.raw}=UNIT')}"
 
     def further_columns(self) -> tuple[dict[str, Column], list[str]]:
-        """Return the columns beyond the instrument's that are kept, in base units, and flags of those ignored.
-
-        One that the instrument could use, or that ends in an unknown text that may be a unit, is a problem: only the
-        user excludes it.
-        """
+        """Return the kept columns that the instrument does not declare, in base units, and flags of ignored ones."""
         columns, flags, file = dict[str, Column](), list[str](), self.table.file
         if self.options.only:
             return columns, flags
@@ -537,10 +535,11 @@ class MatchedFile:
             header = self.table.headers[position]
             if name in self.expected or self.options.is_ignored(header):
                 continue
-            if plain(header.name) in DAYS and not header.unit and "time" in self.positions:
-                continue  # taken with the time of day
+            is_date = normalise(header.name) in DATE_NAMES and not header.unit
+            if is_date and "time" in self.positions:
+                continue  # read together with the time of day
             if name in RESERVED_NAMES:
-                message = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
+                message = f"{file}: column {header.raw!r} ignored: the name {name!r} is reserved"
                 flags.append(Flag(message, "column.ignored", header.raw))
                 continue
             unit = unit_of(header, name, self.options)
@@ -549,8 +548,8 @@ class MatchedFile:
                 continue
             unit, possible = unit or unit_like_ending(header), self._possible_column(header)
             text = (unit or "").lower()
-            meant = text not in NO_UNIT or (possible and not text)
-            if meant and (possible or _known_unit(unit) or not self._holds_labels(position)):
+            is_unit = text not in BLANK_UNITS or (possible and not text)
+            if is_unit and (possible or _known_unit(unit) or not self._holds_labels(position)):
                 self._note_unclear(header, unit, possible)
             else:
                 without_unit.append(header.raw)
@@ -558,41 +557,41 @@ class MatchedFile:
         without_unit += [f"column {i}, without a name" for i, h in numbered if not h.name]
         if without_unit:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
-            lacking = [n for n in needs_none if n not in self.positions]
-            meant = " or ".join(option("--columns", f"{n}={without_unit[0]}") for n in lacking)
-            meant = f"to say what one is: {meant}; " * bool(lacking)
+            absent = [n for n in needs_none if n not in self.positions]
+            advice = " or ".join(option("--columns", f"{n}={without_unit[0]}") for n in absent)
+            advice = f"to assign one to a column: {advice}; " * bool(absent)
             message = (
-                f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
-                f"({meant}to keep one in addition to the instrument's, write 'name [unit]' or give units=)"
+                f"{file}: columns ignored because they have no unit: {', '.join(without_unit)} "
+                f"({advice}to keep one besides the instrument's columns, write 'name [unit]' or give units=)"
             )
             flags.append(Flag(message, "column.ignored", *without_unit))
         return columns, flags
 
     def _possible_column(self, header: Header) -> Column | None:
-        """Return the first optional column that the file lacks and whose name a header contains; None for none."""
-        lacking = (c for n, c in self.expected.items() if n not in self.positions)
-        named = (c for c in lacking if not _needed(c) and self.rule(c.name).could_mean(header))
-        return next(named, None)
+        """Return the first optional column, absent from the file, whose name a header contains; else None."""
+        absent = (c for n, c in self.expected.items() if n not in self.positions)
+        optional = (c for c in absent if not _is_required(c))
+        return next((c for c in optional if self.rule(c.name).contains_name(header)), None)
 
     def _note_unclear(self, header: Header, unit: str | None, column: Column | None) -> None:
-        """Add a problem for a column that would be ignored and may be of use: how to keep it, and how to exclude it."""
+        """Add a problem for a column of unclear unit, with the options that keep or exclude it."""
         known_unit = _known_unit(unit, (column and column.unit) or ANY)
-        came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
+        fault = f"ends in [{unit}], which is not a known unit" if unit else "has no unit"
         ignore_option = option("--ignore", header.raw)
-        keep = option("--unit", f"{header.raw}={known_unit or 'UNIT'}")
-        expected, suggestion = "a unit known here", keep if known_unit else ignore_option
+        keep_option = option("--unit", f"{header.raw}={known_unit or 'UNIT'}")
+        expected, suggestion = "a known unit", keep_option if known_unit else ignore_option
         if column:
             expected = f"{column.name} [{column.example}]"
-            suggestion = f"{option('--columns', f'{column.name}={header.raw}')} {keep}"
-        cure = f"Say what it is and its unit, {keep}, or leave the column out, {ignore_option}"
-        self.problem(header.raw, came, expected, cure, suggestion)
+            suggestion = f"{option('--columns', f'{column.name}={header.raw}')} {keep_option}"
+        cure = f"Give its unit, {keep_option}, or exclude the column, {ignore_option}"
+        self.report(header.raw, fault, expected, cure, suggestion)
 
 
 def _known_unit(unit: str | None, kind: str = ANY) -> str | None:
-    """Return the unit that a text may be meant as; None for none."""
-    spelled = [name for name, texts in WHERE_EXPECTED.items() if unit in texts]
+    """Return the known unit that a text spells, of dimension `kind`; None if none or several."""
+    spelled = [name for name, texts in CONTEXT_SPELLINGS.items() if unit in texts]
     return unit_in(unit or "", (kind,)) or (spelled[0] if len(spelled) == 1 else None)
 
 
-def _needed(column: Column) -> bool:
+def _is_required(column: Column) -> bool:
     return column.required and column.default is None

@@ -16,6 +16,7 @@ from bayescal._core.annex import first_offered
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data import averaging
 from bayescal._data import dataset_checks as checks
@@ -40,28 +41,30 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
-# Changes from one record to the other, per reading: beyond, two are simultaneous and neither continues the other.
+SINCE = "since"  # attribute of `time`: seconds since 1970 at time zero, for files with dates
+# Alternations between two records per reading, above which they are simultaneous and neither continues the other.
 MAX_INTERLEAVED_SHARE = 0.2
-MAX_SHOWN_LABELS = 5  # of a column
-CAUSE = "cause"  # attribute of a column: 0 where it is no possible cause
+MAX_SHOWN_LABELS = 5  # labels of a column that are printed
+CAUSE = "cause"  # attribute of a column: 0 if it is excluded as a covariate
 
 
+@renamed(oddities="anomalies", on_clock="align_clock")
+@renamed(followed_by="concatenate", continued_in="find_continuations")
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Printed):
-    """Readings of an instrument, in its fixed units and in the order in which they came.
+    """Readings of an instrument, in its fixed units and in the order of the file.
 
-    Made by `read` or `from_arrays`, which check them. The arrays are read-only.
+    Created by `read` or `from_arrays`, which check them. The arrays are read-only.
 
     Attributes:
-        values: name → one entry a reading; numbers are float64, labels are text.
+        values: column name → one entry per reading; float64 numbers, or labels as text.
         units: name → the column's fixed unit; None for labels.
-        sources: the files they came from.
-        flags: warnings of readings that were accepted, a sentence each.
+        sources: the files that were read.
+        flags: warnings about accepted readings, one sentence each.
         output: name of the output column.
-        scale: nominal scale from a raw output to the instrument's, where the user gave one.
-        no_causes: columns that are no possible causes: other channels, and those that the user excludes.
-        since: seconds since 1970 at time zero; None where the time counts from no date.
+        scale: nominal scale from a raw output to the instrument's, if the user gave one.
+        no_causes: columns excluded as covariates: other channels, and those that the user excludes.
+        since: seconds since 1970 at time zero; None if the times are not dates.
     """
 
     values: Mapping[str, np.ndarray]
@@ -75,24 +78,24 @@ class Measurements(Printed):
 
     def __post_init__(self) -> None:
         """Make the arrays read-only; raise InputError for an unknown unit, or columns of unequal shapes."""
-        columns = {name: _column(values, self.units[name]) for name, values in self.values.items()}
+        columns = {n: _freeze_column(values, self.units[n]) for n, values in self.values.items()}
         if {v.ndim for v in columns.values()} != {1} or len({*map(len, columns.values())}) > 1:
             shapes = ", ".join(f"{name} {v.shape}" for name, v in columns.items()) or "none"
             raise InputError(
-                f"measurements have the one dimension {ROW!r}, these have columns of unequal shapes: {shapes}"
+                f"the columns of measurements must be vectors of equal length, these have the shapes: {shapes}"
             )
         object.__setattr__(self, "values", columns)
         object.__setattr__(self, "units", {name: self.units[name] for name in columns})
 
     @classmethod
-    def of_variables(cls, held: Mapping[str, Any], **other_fields: Any) -> Measurements:
-        """Make readings of `variables`, unchecked; `other_fields` are those beyond these, such as `sources`."""
-        gone = (name for name, variable in held.items() if not variable.attrs.get(CAUSE, 1))
+    def from_variables(cls, variables: Mapping[str, Any], **other_fields: Any) -> Measurements:
+        """Create measurements from NetCDF variables, unchecked; `other_fields`: further fields, such as `sources`."""
+        excluded = (name for name, v in variables.items() if not v.attrs.get(CAUSE, 1))
         return cls(
-            {name: variable.values for name, variable in held.items()},
-            {name: variable.attrs.get("units") for name, variable in held.items()},
-            no_causes=frozenset(gone),
-            since=held["time"].attrs.get(SINCE) if "time" in held else None,
+            {name: variable.values for name, variable in variables.items()},
+            {name: variable.attrs.get("units") for name, variable in variables.items()},
+            no_causes=frozenset(excluded),
+            since=variables["time"].attrs.get(SINCE) if "time" in variables else None,
             **other_fields,
         )
 
@@ -109,51 +112,49 @@ class Measurements(Printed):
         missing: str = "refuse",
         **columns: ArrayLike,
     ) -> Measurements:
-        """Make measurements of arrays, checked as `read` checks a file; options as of `read`.
+        """Create measurements from arrays, checked as `read` checks a file.
 
         Args:
-            instrument: whose columns these are.
+            instrument: the instrument that declares the columns.
             arrays: columns as a mapping ("humidity [%]"), or a data frame of pandas, polars or xarray, with its
                 coordinates and a named index.
-            units: unit of a column that is not in the instrument's own (or has none: "any"), and of further columns
-                to keep.
-            local_gravity: as of `read`.
-            allow_one_temperature: accept one temperature, as for a prediction.
+            units: column → unit, if it is not the instrument's, and for further columns to keep.
+            local_gravity: m/s², as in `read`.
+            allow_one_temperature: accept readings at a single temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.
-            **columns: one entry per reading, or one for all; in the instrument's units unless `units` says otherwise, a
-                unit of pint or astropy that they carry, an attribute `units` of xarray's,
-                or a name like a file's header, `humidity [%]`.
+            **columns: one entry per reading, or one for all; in the instrument's units unless `units`, a pint or
+                astropy quantity, an xarray attribute `units`, or a name such as `humidity [%]` gives another unit.
 
         Raises:
-            InputError: what `read` refuses, or columns of unequal length.
+            InputError: the columns have unequal lengths, or fail a check of `read`.
         """
         named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
-        held, own_units = _held_columns({} if arrays is None else arrays, columns)
-        table = Table.of_columns(ARRAYS, broadcast_columns(held), default_units | own_units)
+        vectors, attached = _extract_columns({} if arrays is None else arrays, columns)
+        table = Table.of_columns(ARRAYS, broadcast_columns(vectors), default_units | attached)
         options = ReadOptions(units=units or {}, local_gravity=local_gravity, missing=missing)
         return measure_tables([table], instrument, options, allow_one_temperature)
 
     @cached_property
     def records(self) -> Records:
-        """Return the records: each run of each device and axis."""
+        """Return the records in time: one per run of each device and axis."""
         return Records.of(self.values)
 
     @cached_property
     def rates(self) -> dict[str, np.ndarray]:
-        """Return the slope of each column of temperatures over the last minute of its record, °C/s; {} without time."""
-        warm = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
-        return {n: self.records.slope(self[n]) for n in warm} if self.has("time") else {}
+        """Return the slope of each temperature column over the preceding minute (n,), °C/s; {} without times."""
+        thermometers = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
+        return {n: self.records.slope(self[n]) for n in thermometers} if self.has("time") else {}
 
     @cached_property
-    def oddities(self) -> tuple[checks.Anomaly, ...]:
-        """Return the anomalies of the columns of thermometers."""
-        warm = [n for n in self.columns if self.unit(n) == "degC"]
-        return tuple(checks.find_anomalies(self.values, self.records, warm, self.output))
+    def anomalies(self) -> tuple[checks.Anomaly, ...]:
+        """Return the anomalies of the temperature columns: error values, repeated values, stuck readings."""
+        thermometers = [n for n in self.columns if self.unit(n) == "degC"]
+        return tuple(checks.find_anomalies(self.values, self.records, thermometers, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a column, in its fixed unit; labels as text; InputError where there is none of that name."""
+        """Return a column in its fixed unit, or labels as text; raise InputError for an unknown name."""
         if name not in self.values:
             raise InputError(
                 f"{self.file} has no column {name!r}; it has: {', '.join(self.columns)}"
@@ -166,7 +167,7 @@ class Measurements(Printed):
     def __contains__(self, name: object) -> bool:
         return name in self.values
 
-    def __reduce__(self) -> Any:  # through `__post_init__`: pickled arrays can be written to
+    def __reduce__(self) -> Any:  # calls `__post_init__`, since unpickled arrays are writable
         return Measurements, tuple(getattr(self, f.name) for f in fields(self))
 
     def _parts(self) -> list[str | ResultTable]:
@@ -186,8 +187,8 @@ class Measurements(Printed):
         return [f"{len(self)} readings of {self.file}", table]
 
     def _brief(self) -> str:
-        named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
-        return f"{len(self)} readings of {self.file}: {', '.join(named)}"
+        columns = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
+        return f"{len(self)} readings of {self.file}: {', '.join(columns)}"
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the readings as a `pandas.DataFrame`, columns in their fixed units."""
@@ -195,14 +196,14 @@ class Measurements(Printed):
 
     def to_xarray(self) -> xr.Dataset:
         """Return the readings as an `xarray.Dataset`; each column of numbers has the attribute `units`."""
-        import xarray as xr  # half a second that reading does without
+        import xarray as xr  # takes half a second, hence not imported by `read`
 
         return xr.Dataset(
             {n: (v.dims, v.values.copy(), v.attrs) for n, v in self.variables().items()}
         )
 
     def variables(self) -> dict[str, Variable]:
-        """Return the columns with their attributes, as a NetCDF file holds them."""
+        """Return the columns with their attributes, as variables of a NetCDF file."""
         variables = {}
         for name, values in self.values.items():
             unit = self.units[name]
@@ -213,7 +214,7 @@ class Measurements(Printed):
         return variables
 
     def has(self, name: str) -> bool:
-        """Return whether there is a column of that name."""
+        """Return whether a column of this name exists."""
         return name in self
 
     @property
@@ -223,23 +224,23 @@ class Measurements(Printed):
 
     @property
     def file(self) -> str:
-        """Return the names of the source files, short, for messages."""
+        """Return the abbreviated names of the source files, for messages."""
         return file_names([source.file for source in self.sources])
 
     def unit(self, name: str) -> str | None:
-        """Return a column's fixed unit; None for labels; InputError where there is no column of that name."""
+        """Return a column's fixed unit, None for labels; raise InputError for an unknown name."""
         self[name]
         return self.units[name]
 
     def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
-        """Exclude columns, which are there, as causes; the others as before, or (without `others`) all allowed."""
+        """Exclude existing columns as covariates; if not `others`, allow all other columns again."""
         for name in names:
             self[name]
         no_causes = self.no_causes if others else frozenset()
         return replace(self, no_causes=no_causes.union(names))
 
     def add_to(self, digest: Any) -> None:
-        """Add names, units and values of all columns to a digest of `hashlib`."""
+        """Update a `hashlib` digest with the names, units and values of all columns."""
         for name in sorted(self.columns):
             column = self[name]
             digest.update(f"{name} [{self.unit(name)}] {len(column)}\n".encode())
@@ -247,25 +248,25 @@ class Measurements(Printed):
             digest.update(json.dumps(column.tolist()).encode() if text else column.tobytes())
 
     def same_as(self, other: Measurements) -> bool:
-        """Return whether both have the same columns, and equal entries in each."""
+        """Return whether the columns and all their entries are equal to those of other measurements."""
         return self.values.keys() == other.values.keys() and all(
             np.array_equal(self[name], other[name], equal_nan=unit is not None)
             for name, unit in self.units.items()
         )
 
-    def followed_by(self, later: Measurements) -> Measurements:
-        """Concatenate these readings and later ones, in the columns that both have; unchecked."""
+    def concatenate(self, later: Measurements) -> Measurements:
+        """Concatenate these and later readings in their common columns, unchecked."""
         names = [n for n in self.columns if later.has(n) and self.unit(n) == later.unit(n)]
         values = {n: np.concatenate([self[n], later[n]]) for n in names}
         return replace(self, values=values, no_causes=frozenset())
 
     def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
-        """Return the members of a grouping, in order of appearance, and each reading's index among them.
+        """Return the members of a grouping, in order of appearance, and each reading's index among them (n,).
 
         Args:
-            name: "run", "device", "axis" (a single "1" where there is no such column), another column of labels,
-                "reading" (each its own member), or "cell": run × temperature point, −1 for readings without one. Any
-                other raises InputError.
+            name: "run", "device", "axis" (one member "1" if the column is absent), another label column, "reading"
+                (each reading a member), or "cell" (run × temperature point; −1 for readings without a temperature
+                point). Raises InputError for any other column.
         """
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
@@ -281,33 +282,26 @@ class Measurements(Printed):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
             raise InputError(
-                f"{self.file}: column {name!r} holds numbers and makes no groups; use labels"
+                f"{self.file}: column {name!r} contains numbers and cannot define groups; use labels"
             )
         levels, codes = distinct([self[name]])
         return tuple(label for (label,) in levels), codes
 
-    def select(self, chosen: ArrayLike) -> Measurements:
-        """Select readings by a mask or by indices; InputError for a mask of another length, or for none chosen."""
-        index = np.asarray(chosen)
+    def select(self, selection: ArrayLike) -> Measurements:
+        """Select readings by a mask or by indices; raise InputError for a mask of wrong length, or no reading."""
+        index = np.asarray(selection)
         if index.dtype == bool and index.shape != (len(self),):
             raise InputError(
-                f"a mask of shape {index.shape} cannot choose among the {len(self)} readings of "
+                f"a mask of shape {index.shape} does not fit the {len(self)} readings of "
                 f"{self.file}: give one entry per reading"
             )
         index = np.flatnonzero(index) if index.dtype == bool else index
         if not index.size:
-            raise InputError(f"no reading of {self.file} was chosen: choose at least one")
+            raise InputError(f"no reading of {self.file} was selected: select at least one")
         return replace(self, values={name: values[index] for name, values in self.values.items()})
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
-        """Replace or add one column, one value per reading; unchecked.
-
-        Args:
-            unit: of a new column of numbers; a column that is there keeps its own.
-
-        Raises:
-            InputError: an unknown unit.
-        """
+        """Replace a column, or add one in `unit`, one value per reading, unchecked; raise InputError if unknown."""
         unit = self.unit(name) if self.has(name) else unit
         return replace(
             self,
@@ -317,14 +311,14 @@ class Measurements(Printed):
             since=None if name == "time" else self.since,
         )
 
-    def on_clock(self, epoch: float | None, changing: Callable[[], str]) -> Measurements:
-        """Count times from a calibration's `epoch`, s since 1970; None where it has no dates.
+    def align_clock(self, epoch: float | None, changing: Callable[[], str]) -> Measurements:
+        """Return the readings with times relative to a calibration's `epoch`, s since 1970 (None: it has no dates).
 
-        Times without dates count from the calibration's zero where that has no date either: a column `time` has one
-        origin over all runs. `changing` gives what changes with the date, for the message; empty for nothing.
+        If neither has dates, the times are unchanged: a column `time` has one origin for all runs. `changing` lists the
+        effects that depend on the date, for the message; empty for none.
 
         Raises:
-            InputError: one has dates and the other has none, and something changes with the date.
+            InputError: only one of both has dates, and an effect depends on the date.
         """
         if not self.has("time") or self.since == epoch:
             return self
@@ -333,65 +327,66 @@ class Measurements(Printed):
             return replace(self.with_column("time", time), since=epoch)
         if not (names := changing()):
             return self
-        dated = "has no dates" if epoch is None else f"counts time from {format_date(epoch)}"
-        has, example = ("dates", "9 days") if epoch is None else ("no dates", "2026-05-13 10:14:20")
-        of = self.sources[0].file if len(self.sources) == 1 else "FILE"
+        clock_text = "has no dates" if epoch is None else f"counts time from {format_date(epoch)}"
+        example = "9 days" if epoch is None else "2026-05-13 10:14:20"
+        file = self.sources[0].file if len(self.sources) == 1 else "FILE"
         raise InputError(
-            f"{self.file}: its times have {has}, the calibration {dated}; with the date changes {names}. Say "
-            f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
-            f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
+            f"{self.file}: its times have {'no ' * (epoch is not None)}dates, the calibration {clock_text}; "
+            f"{names} depends on the date. Give the time of its first reading"
+            f"{' on the clock of the calibration' * (epoch is None)}: "
+            f"{option('--begin', f'{file}={example}')} (in Python, read(…, begin={example!r}))"
         )
 
-    def continued_in(self, later: Measurements) -> dict[str, np.ndarray]:
-        """Return the rows, by run, of later readings that continue runs of these.
+    def find_continuations(self, later: Measurements) -> dict[str, np.ndarray]:
+        """Return the rows of later readings that continue runs of these: run → rows.
 
-        They have the run's name (and device and axis), and follow its readings in blocks, the first without a pause. A
-        file of another test, whose clock restarts, has times that fall among all of the record's, or far from them.
+        Such rows have the run's name, device and axis, and follow its readings in blocks, the first without a gap. In a
+        file of another test, whose clock restarts, times are interleaved with those of the run, or far from them.
         """
         if not (self.has("time") and later.has("time")) or self.since != later.since:
             return {}
-        at, continued = later["time"], {}
+        later_times, continued = later["time"], {}
         for i, (name, times) in later.records.matching_records(self.records).items():
             rows = later.records.rows[i]
-            first = float(at[rows].min())
-            before = times[times < first]
-            if not before.size or times.size < 2 or np.isin(at[rows], times).any():
+            first = float(later_times[rows].min())
+            earlier = times[times < first]
+            if not earlier.size or times.size < 2 or np.isin(later_times[rows], times).any():
                 continue
             merged = np.concatenate([np.zeros(times.size, bool), np.ones(rows.size, bool)])
-            merged = merged[np.argsort(np.concatenate([times, at[rows]]), kind="stable")]
-            most = max(2.0, MAX_INTERLEAVED_SHARE * min(times.size, rows.size))
-            in_blocks = np.count_nonzero(np.diff(merged)) <= most
-            if in_blocks and first - before[-1] <= PAUSE_STEPS * median_step(times):
+            merged = merged[np.argsort(np.concatenate([times, later_times[rows]]), kind="stable")]
+            max_alternations = max(2.0, MAX_INTERLEAVED_SHARE * min(times.size, rows.size))
+            in_blocks = np.count_nonzero(np.diff(merged)) <= max_alternations
+            if in_blocks and first - earlier[-1] <= PAUSE_STEPS * median_step(times):
                 continued[name] = rows
         return continued
 
     def average(self, step: str | float) -> Measurements:
-        """Average over consecutive times readings whose labels and settings agree.
+        """Average consecutive readings with equal labels and settings over an averaging time.
 
-        Each mean keeps its noise: `noise.white` of a fit is that of the mean of most readings, the column
-        `output_uncertainty` holds the excess of a mean of fewer, and a flag gives the noise of a single reading.
-        Correlated noise slower than `step` stays as it is. Changes within `step` are lost: rates, lags and vibration
-        that fast, and spikes, which a mean hides: set them aside first.
+        `noise.white` of a fit is the noise of the mean of most readings; the column `output_uncertainty` contains the
+        excess noise of means of fewer readings, and a flag states the noise of a single reading. Correlated noise with
+        time constants above `step` is unchanged. Rates, lags, vibration and spikes within `step` are averaged out:
+        exclude spikes first (`set_aside`).
 
         Args:
-            step: such as "1 s", "0.5 s" or "2 min"; a number is in s.
+            step: averaging time, such as "1 s", "0.5 s" or "2 min"; a number is in s.
 
         Raises:
-            InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
+            InputError: invalid time, no column `time`, or a time over which no two readings, or all, are averaged.
         """
-        seconds, time, units = averaging.duration(step), self["time"], self.units
+        seconds, time, units = averaging.parse_duration(step), self["time"], self.units
         labels = [n for n, unit in units.items() if unit is None or n == MAY_BE_EMPTY]
         codes = label_codes(self.values, labels)
         order = np.lexsort((time, codes))
-        same = np.diff(codes[order], prepend=-1) == 0  # as the reading before, in this order
-        bins = averaging.bin_times(time[order], same, seconds)
-        starts = ~same | (np.diff(bins, prepend=bins[:1]) != 0)
+        same_group = np.diff(codes[order], prepend=-1) == 0  # as the reading before, in this order
+        bins = averaging.bin_times(time[order], same_group, seconds)
+        starts = ~same_group | (np.diff(bins, prepend=bins[:1]) != 0)
         varying = ("time", self.output, UNCERTAINTY, *labels)
         for name in (n for n, unit in units.items() if unit != "degC" and n not in varying):
-            starts |= averaging.find_steps(self[name][order], same)
+            starts |= averaging.find_steps(self[name][order], same_group)
         begins = np.flatnonzero(starts)
         counts = np.diff(begins, append=time.size)
-        averaging.refuse_useless(time[order], same, counts, seconds, self.file)
+        averaging.check_averaging_time(time[order], same_group, counts, seconds, self.file)
         means = {
             name: v[order][begins] if units[name] is None else averaging.mean_rows(v[order], begins)
             for name, v in self.values.items()
@@ -399,21 +394,21 @@ class Measurements(Printed):
         noise = averaging.noise_of_reading(self.values, self.output, order, ~starts)
         uncertainty = averaging.uncertainty_of_means(self.values, order, begins, noise)
         means |= {} if uncertainty is None else {UNCERTAINTY: uncertainty}
-        row = np.lexsort((means["time"], self.records.codes[order][begins]))
+        rows = np.lexsort((means["time"], self.records.codes[order][begins]))
         low, high, unit = int(counts.min()), int(counts.max()), self.unit(self.output)
-        sizes = str(high) if low == high else f"{low} to {high}"
-        flag = f"{self.file}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {sizes}"
+        counts_text = str(high) if low == high else f"{low} to {high}"
+        flag = f"{self.file}: {time.size} readings averaged over {seconds:g} s, to {counts.size} means of {counts_text}"
         if noise:
             noise_text = f"{noise:.3g} {unit_label(unit or '')}".rstrip()
-            flag += f"; noise.white is that of a mean of {high}, {noise_text} that of one"
-        values, units = {name: v[row] for name, v in means.items()}, {UNCERTAINTY: unit, **units}
+            flag += f"; noise.white: noise of a mean of {high}; noise of one reading: {noise_text}"
+        values, units = {n: v[rows] for n, v in means.items()}, {UNCERTAINTY: unit, **units}
         return replace(self, values=values, units=units, flags=(*self.flags, flag))
 
     def write(self, path: str | Path) -> Path:
-        """Write the readings to a .csv file, as `read` reads it; dated times count from 1970.
+        """Write the readings to a .csv file that `read` can read; times with dates as seconds since 1970.
 
         Raises:
-            InputError: another suffix, or a place that cannot be written to.
+            InputError: the suffix is not .csv, or the file cannot be written.
         """
         dated = self
         if self.since is not None and self.has("time"):
@@ -429,56 +424,56 @@ def measure_tables(
     labels: Sequence[str] = ("",),
     problems: Objections | None = None,
 ) -> Measurements:
-    """Convert tables of files, or of arrays, to measurements; raise InputError with all problems of all of them.
+    """Convert tables of files or arrays to measurements; raise InputError with all their problems.
 
-    `labels` are of the files' runs, where they have no column `run`; `problems` of files that could not be opened.
+    `labels` name the runs of files without a column `run`; `problems` are those of files that could not be opened.
     """
-    problems, parts = Objections(problems or ()), list[ConvertedColumns]()
+    problems, converted = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
         unused_options(tables, options, problems)
     file_options = [options.of_file(table, tables) for table in tables]
     for table, table_options in zip(tables, file_options, strict=True):
         with problems.collecting():
-            parts.append(convert_columns(table, instrument, table_options))
+            converted.append(convert_columns(table, instrument, table_options))
     problems.refuse()
-    whole, output = join_files(parts, labels), output_name(instrument)
-    checks.problems_of_whole(whole, instrument, one_temperature).refuse()
+    joined, output = join_files(converted, labels), output_name(instrument)
+    checks.find_problems(joined, instrument, one_temperature).refuse()
     sources = tuple(
         Source(t.file, t.sha256, t.rows, o.columns.get(output, ""), dict(o.columns), dict(o.units))
         for t, o in zip(tables, file_options, strict=True)
         if t.sha256
     )
     names = file_names([source.file for source in sources])
-    values, units = whole.values, whole.units
-    repeated = checks.repeated_rows(values)
-    flags = checks.flags_of(whole, output, names, repeated)
-    # with the time among the columns, none can be a reading of its own
+    values, units = joined.values, joined.units
+    repeated = checks.find_repeated_rows(values)
+    flags = checks.flags_of(joined, output, names, repeated)
+    # with equal times, a repeated row cannot be a separate reading
     if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
         as_scalar = first_offered("scalar_readings", f"reading {', '.join(outputs)}")
         values, units, scalar_flags = as_scalar(instrument, values, units, names)
         flags += tuple(scalar_flags)
-    channels, scale = frozenset(whole.other_channels & values.keys()), options.nominal_scale
-    return Measurements(values, units, sources, flags, output, scale, channels, whole.origin)
+    channels, scale = frozenset(joined.other_channels & values.keys()), options.nominal_scale
+    return Measurements(values, units, sources, flags, output, scale, channels, joined.origin)
 
 
-def _held_columns(frame: Any, columns: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the columns of a mapping or a data frame as bare arrays, and the units that they carry."""
+def _extract_columns(frame: Any, columns: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the columns of a mapping or a data frame as plain arrays, and the units attached to them."""
     names = [*getattr(frame, "coords", ()), *getattr(frame, "columns", frame)]
     table = {str(name): frame[name] for name in names} | columns
     if (name := getattr(getattr(frame, "index", None), "name", None)) is not None:
         table.setdefault(str(name), frame.index)
-    units = {name: unit for name, values in table.items() if (unit := _unit_of(values))}
+    units = {name: unit for name, values in table.items() if (unit := _attached_unit(values))}
     return {n: getattr(v, "magnitude", getattr(v, "value", v)) for n, v in table.items()}, units
 
 
-def _unit_of(values: Any) -> str | None:
-    """Return the unit that a column carries in pint, astropy or xarray, as text; None where it carries none."""
+def _attached_unit(values: Any) -> str | None:
+    """Return the unit attached to a column by pint, astropy or xarray, as text; None if there is none."""
     unit = getattr(values, "units", getattr(values, "unit", None))
     unit = getattr(values, "attrs", {}).get("units", None if isinstance(unit, str) else unit)
     kind = getattr(unit, "dimensionality", getattr(unit, "physical_type", None))
-    if str(kind).strip("[]") == "mass":  # g is gravity here, and a gram there
+    if str(kind).strip("[]") == "mass":  # g is gravity in bayescal, a gram in pint and astropy
         return getattr(unit, "long_names", [str(unit)])[0]
     if kind is None and not isinstance(unit, str):  # such as the resolution of dates
         return None
@@ -486,8 +481,8 @@ def _unit_of(values: Any) -> str | None:
     return text.replace("g_0", "g").replace("Δ°", "delta_deg") or "1"
 
 
-def _column(values: ArrayLike, unit: str | None) -> np.ndarray:
-    """Return a read-only column: text without a unit, numbers with one."""
+def _freeze_column(values: ArrayLike, unit: str | None) -> np.ndarray:
+    """Return a read-only column: float64 numbers with a unit, text without."""
     if unit is not None:
         parse(unit)
     view = np.asarray(values).astype(str) if unit is None else np.asarray(values, np.float64).view()

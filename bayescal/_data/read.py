@@ -1,4 +1,4 @@
-"""`read`: measurements from files, or an error that says where the fault is and what to do."""
+"""Reading of measurements from files, with error messages that name the fault, its place and the remedy."""
 
 from __future__ import annotations
 
@@ -55,46 +55,43 @@ def read(  # pyright: ignore[reportInconsistentOverload]
 ) -> Measurements | dict[str, Measurements]:
     """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel, MATLAB, or logs.
 
-    Headers read `name [unit]`, or as people write them ("Temp (°C)", "gyro_z_dps"), where that can be read in one
-    way only, which a flag says; lines that begin with # may stand above a CSV's header. Columns are converted to the
-    instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since the first reading
-    of all files; a date without a zone counts as UTC. Where several files have no column `run`, each is a run named
-    after its file. A column that the instrument does not know is kept in base units if it has a unit, and otherwise
-    left out with a flag. Of a log (PX4 .ulg, ArduPilot .bin) only the channels are read that
-    `columns` names, or that the instrument knows by name.
+    Headers have the form `name [unit]`, or another unambiguous form ("Temp (°C)", "gyro_z_dps"), which a flag reports;
+    a CSV header may be preceded by lines that begin with #. Columns are converted to the instrument's units, and rows
+    keep their order. Dates, and times since 1970, become seconds since the first reading of all files; a date without a
+    time zone is UTC. Each of several files without a column `run` is a run named after the file. A column that the
+    instrument does not declare is kept in base units if it has a unit, else ignored with a flag. From a log (PX4 .ulg,
+    ArduPilot .bin), only channels that `columns` or the instrument names are read.
 
     Args:
         path_or_paths: the files.
-        instrument: whose readings they are.
-        outputs: the file's names of several channels of one unit: each is read as the output, the others left out.
-        columns: our name → the file's, where they differ: {"output": "gyro_x"}; several, where files differ.
-        units: the file's name (or ours) → unit, where the header has none or a wrong one.
-        local_gravity: m/s², for columns in m/s²; internal accelerations are in local g. Where it is not given, standard
-            gravity is taken, and scale factors that hang on it are as uncertain as that.
-        local_field: magnitude of the magnetic field that magnetometers are turned in, such as "48.2 uT".
-        nominal_scale: how a raw output (V, Hz) becomes the instrument's, in place of its own: "250 V/g".
-        nominal_zero: the raw output at zero, such as "1.21 V".
-        allow_one_temperature: accept one temperature, as for a prediction.
-        missing: "refuse" files with missing readings, or "drop" the rows in which one is missing; they are gaps.
-        decimal: "." or "," in the numbers of text files; empty where the file shows it.
-        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" for times such
-            as 10.11.12; empty where a day above 12 shows it.
-        ignore: columns of the file that are left out.
-        unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}, {"temperature":
-            "256degC"}.
-        begin: when the first reading of a file without dates was taken: a date, or a time on the clock of `like` such
-            as "9 days"; of several files, or in place of a file's dates, by its name: {"b.csv": "2026-05-13 10:14"}.
-        like: readings, as of a calibration, whose headers mean the same in these files unless given otherwise here;
-            and their nominal scale holds.
+        instrument: the instrument that declares the columns.
+        outputs: the file's names of several output channels of a device; each is read as the output without the others.
+        columns: bayescal's name → the file's, if they differ: {"output": "gyro_x"}; a list, if files differ.
+        units: the file's name (or bayescal's) → unit, if the header's is absent or wrong.
+        local_gravity: m/s², for conversion of columns in m/s² to local g. By default standard gravity is assumed, and
+            scale factors that depend on it have its uncertainty.
+        local_field: magnitude of the magnetic field at the test site, for magnetometers, such as "48.2 uT".
+        nominal_scale: raw output (V, Hz) per unit of output, in place of the instrument's value: "250 V/g".
+        nominal_zero: raw output at zero input, such as "1.21 V".
+        allow_one_temperature: accept readings at a single temperature, as for a prediction.
+        missing: "refuse" files with missing readings, or "drop" their rows, which leaves gaps.
+        decimal: decimal mark of text files, "." or ","; empty to detect it.
+        date_order: order of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" for times
+            of day such as 10.11.12; empty to detect it from a day above 12.
+        ignore: columns of the file to exclude.
+        unwrap: the file's name (or bayescal's) → period of a counter that wraps around: {"time": "2^32us"},
+            {"temperature": "256degC"}.
+        begin: time of the first reading of a file without dates: a date, or a time on the clock of `like`, such as
+            "9 days"; by file name for several files, or to replace dates: {"b.csv": "2026-05-13 10:14"}.
+        like: earlier readings, such as those of a calibration, whose assignments of headers and nominal scale apply.
         max_bytes: limit on the size of all files together.
 
     Returns:
-        The readings; of several outputs, by their names.
+        The readings; for several outputs, a dictionary by output.
 
     Raises:
-        InputError: a file, a column, a unit or a cell cannot be used. One problem is a sentence that names file, row
-            and column, what was read, what was expected, and what to do; several are a list of these, and the
-            error's `problems`.
+        InputError: a file, column, unit or cell cannot be used. The message names file, row and column, the fault, what
+            was expected and the remedy; several problems are a list, also in the error's `problems`.
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)
     paths = [Path(path) for path in paths]
@@ -130,9 +127,9 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     if outputs is None:
         return read_one(options)
     if not outputs or len(set(outputs)) < len(outputs):
-        raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
+        raise InputError(f"outputs={list(outputs)}: name each channel once, and at least one")
     if (output := output_name(instrument)) in options.columns:
-        raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
+        raise InputError(f"{output}={options.columns[output]} and channels: give the channels only")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
         raise InputError(
             f"{name!r} is not an output channel: {instrument.name!r} uses it as a covariate"
@@ -147,11 +144,11 @@ def read(  # pyright: ignore[reportInconsistentOverload]
 
 
 def _run_labels(paths: Sequence[Path]) -> list[str]:
-    """Return a run's label for each file: its stem, with folder or number where that is not unique."""
+    """Return a run label for each file: its stem, with folder or number if it is not unique."""
     stems, labels = Counter(path.stem for path in paths), list[str]()
     for path in paths:
         folder = f"{path.resolve().parent.name}/" * (stems[path.stem] > 1)
         label = one_line(f"{folder}{path.stem}")
-        tried = (label, *(f"{label} ({number})" for number in range(2, len(paths) + 1)))
-        labels.append(next(text for text in tried if text not in labels))
+        candidates = (label, *(f"{label} ({number})" for number in range(2, len(paths) + 1)))
+        labels.append(next(text for text in candidates if text not in labels))
     return labels

@@ -1,7 +1,4 @@
-"""Options of reading a file, and the columns that an instrument expects in it.
-
-A file may call its columns otherwise (`columns=`), and leave their units out or get them wrong (`units=`).
-"""
+"""Options of reading a file, and the columns that an instrument expects in it."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from bayescal._data.unit_conversion import (
     is_convertible,
     needs_gravity,
     parse,
-    quantity,
+    parse_quantity,
     same_dimension,
 )
 from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, parse_date
@@ -30,17 +27,17 @@ from bayescal._tables.raw_table import (
     Objection,
     Objections,
     Table,
-    called,
-    in_one_line,
+    find_header,
     option,
-    readings_of,
+    possible_splits,
+    to_one_line,
 )
 
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
 class InstrumentLike(Protocol):
-    """Instrument as reading a file needs it. (It may also name its `output`.)"""
+    """Protocol of an instrument whose files are read; it may also have an attribute `output`, a column name."""
 
     @property
     def name(self) -> str: ...
@@ -51,7 +48,7 @@ class InstrumentLike(Protocol):
 
 
 class ExpectedColumns(NamedTuple):
-    """Columns that a file must hold, in place of an instrument."""
+    """Expected columns of a file, for use in place of an instrument."""
 
     name: str
     columns: tuple[Column, ...]
@@ -61,16 +58,16 @@ class ExpectedColumns(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options of the user for reading a file; those not listed here are as `read` takes them.
+    """The user's options for reading a file; those not listed here are the arguments of `read`.
 
     Attributes:
-        columns: our name → the file's, or several, where files differ; for one file (`of_file`) the one that it has.
-        local_field: in the unit of the instrument's column `magnitude`.
-        only: whether all columns beside the instrument's are left out.
-        others: columns of the file that are outputs of other channels, and left out.
-        remembered: files read before with options: a header of theirs means the same.
-        begin: a file's name, or "" for files without dates → when its first reading was taken.
-        epoch: of the calibration, seconds since 1970; None where it has none.
+        columns: bayescal's name → the file's, or several if files differ; reduced to one by `of_file`.
+        local_field: magnitude of the field, in the unit of the instrument's column `magnitude`.
+        only: whether to ignore all columns that the instrument does not declare.
+        others: columns to ignore because they are outputs of other channels.
+        remembered: files read before, whose assignments of headers apply again.
+        begin: name of a file, or "" for files without dates → time of its first reading.
+        epoch: time zero of the calibration, seconds since 1970; None if it has no dates.
     """
 
     columns: Mapping[str, Any] = field(default_factory=dict)
@@ -90,13 +87,13 @@ class ReadOptions:
     epoch: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise InputError where `missing`, `decimal` or `date_order` is another word."""
+        """Raise InputError for an invalid value of `missing`, `decimal` or `date_order`."""
         allowed = {"missing": ("refuse", "drop")}
         allowed |= {"decimal": ("", ".", ","), "date_order": ("", *ORDERS)}
         for name, words in allowed.items():
             if (value := getattr(self, name)) not in words:
                 argument = f"{name}={value!r} (--{name.replace('_', '-')})"
-                raise InputError(f"{argument} is none of {', '.join(filter(None, words))}")
+                raise InputError(f"{argument} is not one of {', '.join(filter(None, words))}")
 
     @classmethod
     def of(
@@ -110,11 +107,7 @@ class ReadOptions:
         begin: str | Mapping[str, str] = "",
         **other_options: Any,
     ) -> ReadOptions:
-        """Parse options that a user gives as text: nominal scale and zero, and the local field.
-
-        Raises:
-            InputError: one of them is not of its form, or not in a unit of this instrument.
-        """
+        """Create options from texts: nominal scale and zero, local field; raise InputError for a malformed text."""
         options = cls(
             ignore=tuple(ignore),
             begin={"": begin} if begin and isinstance(begin, str) else dict(begin or {}),
@@ -131,35 +124,36 @@ class ReadOptions:
 
     @property
     def gravity(self) -> float:
-        """Return the local gravity used, m/s²: standard gravity where nobody stated it."""
+        """Return the local gravity, m/s²; standard gravity if it was not given."""
         return STANDARD_GRAVITY if self.local_gravity is None else self.local_gravity
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Return all headers that the user names for columns."""
+        """Return all headers that the user assigns to columns."""
         return tuple(name for names in self.columns.values() for name in _as_sequence(names))
 
     def of_file(self, table: Table, other_tables: Sequence[Table] = ()) -> ReadOptions:
-        """Return the options for one file: of several headers of a column, the one that it has.
+        """Return the options for one file, with the one header that it has among several of a column.
 
-        A header that it lacks and another file has is meant for that one: here it is not an option.
+        A header that only another of the files has is not an option for this file.
         """
         columns, units = dict[str, str](), dict(self.units)
 
         def present_in(names: Sequence[str], source: Table = table) -> list[str]:
-            return [n for n in names if called(source.headers, in_one_line(n)) is not None]
+            return [n for n in names if find_header(source.headers, to_one_line(n)) is not None]
 
-        for ours, names in self.columns.items():
+        for name, names in self.columns.items():
             present = present_in(_as_sequence(names))
             if present or not any(present_in(_as_sequence(names), other) for other in other_tables):
-                columns[ours] = (present or _as_sequence(names))[0]
-        raw, named = {header.raw for header in table.headers}, {*self.headers}
-        for before in self.remembered:
-            for ours, theirs in before.columns.items():
-                new = ours not in {*self.columns, *columns}
-                if new and theirs not in {*named, *columns.values()} and present_in([theirs]):
-                    columns[ours] = theirs
-            units = {h: unit for h, unit in before.units.items() if h in raw} | units
+                columns[name] = (present or _as_sequence(names))[0]
+        raw, assigned = {header.raw for header in table.headers}, {*self.headers}
+        for earlier in self.remembered:
+            for name, header in earlier.columns.items():
+                is_new = name not in {*self.columns, *columns}
+                is_free = header not in {*assigned, *columns.values()}
+                if is_new and is_free and present_in([header]):
+                    columns[name] = header
+            units = {h: unit for h, unit in earlier.units.items() if h in raw} | units
         return replace(self, columns=columns, units=units, remembered=())
 
     def is_ignored(self, header: Header) -> bool:
@@ -171,60 +165,60 @@ def _as_sequence(names: str | Sequence[str]) -> Sequence[str]:
     return [names] if isinstance(names, str) else names
 
 
-def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, zero: str) -> NominalScale:
-    """Return a nominal scale with the raw output at zero, such as "1.21 V"."""
-    argument = f"nominal_zero={zero!r} (--nominal-zero)"
+def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str) -> NominalScale:
+    """Return a nominal scale with the given raw output at zero input, such as "1.21 V"."""
+    argument = f"nominal_zero={text!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
-            f"{argument} and no scale: {instrument.name!r} has none of its own. Say how the raw output becomes the "
-            "instrument's: --nominal-scale '250 V/g'"
+            f"{argument} without a nominal scale, which {instrument.name!r} does not define. Give the raw output per "
+            "unit of output: --nominal-scale '250 V/g'"
         )
-    value, unit = _number_and_unit(zero, argument, f"1.21 {scale.unit}")
+    value, unit = _number_and_unit(text, argument, f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"{argument} is in {unit}, but the nominal scale is of a raw output in {scale.unit}: give the raw output "
-            f"at zero in {scale.unit}"
+            f"{argument} is in {unit}, but the nominal scale applies to raw outputs in {scale.unit}: give the raw "
+            f"output at zero in {scale.unit}"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 
 
 def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) -> NominalScale:
-    """Parse a number in raw units per output unit, "250 V/g", or the other way round, "61 ug/count"."""
+    """Parse a nominal scale in raw units per output unit, "250 V/g", or inverted, "61 ug/count"."""
     unit = expected_columns(instrument)[output_name(instrument)].unit or "1"
     example = f"250 mV/({unit})" if "/" in unit else f"250 mV/{unit}"
-    flag = f"nominal_scale={text!r} (--nominal-scale)"
-    gain, ratio = _number_and_unit(text, flag, example)
+    argument = f"nominal_scale={text!r} (--nominal-scale)"
+    gain, ratio = _number_and_unit(text, argument, example)
     above, _, below = (part.strip() for part in ratio.partition("/"))
     for raw, inverse in ((above, False), (below, True)):
         target = f"({unit})/{raw}" if inverse else f"{raw}/({unit})"
-        for whole in (ratio, f"{above}/({below})"):  # as it stands, and "mV/°/s" as it is meant
+        for whole in (ratio, f"{above}/({below})"):  # as written, and "mV/°/s" as mV/(°/s)
             if is_convertible(whole, target) and not is_convertible(raw, unit):
-                per = float(convert(gain, whole, target, local_gravity=local_gravity))
+                gain = float(convert(gain, whole, target, local_gravity=local_gravity))
                 by_gravity = needs_gravity(whole, target)
-                return NominalScale(raw, 1 / per if inverse and per else per, by_gravity=by_gravity)
+                return NominalScale(raw, 1 / gain if inverse and gain else gain, 0.0, by_gravity)
     raise InputError(
-        f"{flag} is not a raw unit per {unit}: give what one unit of output is of the raw output, such as {example!r}"
+        f"{argument} is not in raw units per {unit}: give the raw output per unit of output, such as {example!r}"
     )
 
 
 def _parse_field(instrument: InstrumentLike, text: str) -> float:
-    """Parse the magnitude of the local field, such as "48.2 uT", into the unit of the instrument's column."""
+    """Parse the magnitude of the local field, such as "48.2 uT"; return it in the unit of the instrument's column."""
     argument = f"local_field={text!r} (--local-field)"
     value, unit = _number_and_unit(text, argument, "48.2 uT")
     target = next((str(c.unit) for c in instrument.columns if c.name == MAGNITUDE), "1")
     if same_dimension(unit, "uT") and same_dimension("uT", target):
         return float(convert(value, unit, target))
     raise InputError(
-        f"{argument} is nothing that {instrument.name!r} can take: it is the magnitude of a magnetic field, such as "
-        "'48.2 uT', and of magnetometers"
+        f"{argument} does not suit {instrument.name!r}: it is the magnitude of a magnetic field, such as '48.2 uT', "
+        "for magnetometers only"
     )
 
 
 def _number_and_unit(text: str, argument: str, example: str) -> tuple[float, str]:
     try:
-        return quantity(text)
+        return parse_quantity(text)
     except InputError as error:
-        raise InputError(f"{argument}: {error}: write it such as {example!r}") from None
+        raise InputError(f"{argument}: {error}: write, for example, {example!r}") from None
 
 
 def output_name(instrument: InstrumentLike) -> str:
@@ -234,7 +228,7 @@ def output_name(instrument: InstrumentLike) -> str:
 
 
 def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
-    """Return the instrument's columns, and those that every instrument may have."""
+    """Return the instrument's columns and those common to all instruments, by name."""
     expected = {column.name: column for column in instrument.columns}
     if (time := expected.get("time")) is not None and time.high is None:
         expected["time"] = replace(time, high=LATEST)
@@ -247,19 +241,19 @@ def expected_columns(instrument: InstrumentLike) -> dict[str, Column]:
     return expected
 
 
-def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
-    """Return the unit of a column: the user's, else its header's; None if neither."""
-    names = (n for n in (header.raw, header.name, ours) if n in options.units)
+def unit_of(header: Header, name: str, options: ReadOptions) -> str | None:
+    """Return the unit of a column: the user's, else its header's, else None."""
+    names = (n for n in (header.raw, header.name, name) if n in options.units)
     return next((options.units[n] for n in names), header.unit or None)
 
 
 def parse_period(text: str) -> tuple[float, str]:
-    """Parse the period of a counter, a number and its unit: "2^32us", "604800 s", "65536"."""
+    """Parse the wrap-around period of a counter, a number and its unit: "2^32us", "604800 s", "65536"."""
     match = _PERIOD.fullmatch(text.strip())
     if not match or not float(match[1]) > 0:
         raise InputError(
-            f"unwrap={text!r} (--unwrap): write what the counter held when it began anew, such as '2^32us', '604800s' "
-            "or '65536count'"
+            f"unwrap={text!r} (--unwrap): write the period after which the counter wraps around, such as '2^32us', "
+            "'604800s' or '65536count'"
         )
     unit = match[3] or "1"
     parse(unit)
@@ -267,13 +261,13 @@ def parse_period(text: str) -> tuple[float, str]:
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Parse the time of a first reading: seconds, and whether they count from 1970 or on a calibration's clock."""
+    """Parse the time of a first reading; return seconds, and whether they count from 1970 (or from a calibration)."""
     with contextlib.suppress(ValueError):
         (seconds,) = parse_date(text).values()
         if seconds >= EARLIEST:
             return seconds, True
     with contextlib.suppress(InputError):
-        number, unit = quantity(text)
+        number, unit = parse_quantity(text)
         return float(convert(number, unit, "s")), False
     raise InputError(
         f"begin={text!r} (--begin) is neither a date such as '2026-05-13 10:14:20' nor a time on the clock of the "
@@ -282,24 +276,24 @@ def parse_begin(text: str) -> tuple[float, bool]:
 
 
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
-    """Add a problem for each unit, ignored column and counter period given for a column that no file has."""
+    """Add a problem for each option (unit, --ignore, --unwrap) given for a column that no file has."""
     first, *others = [t.file for t in tables]
     headers = [h for t in tables for h in t.headers]
-    known_names = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
+    known_names = {n for h in headers for n in (h.raw, *(r.name for r in possible_splits(h)))}
     known_names |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
     if "" in options.begin and others:
-        came = f"has one begin, {options.begin['']!r}, for {len(tables)} files"
+        fault = f"needs a begin of its own: {options.begin['']!r} is given for {len(tables)} files"
         suggestion = option("--begin", f"{first}={options.begin['']}")
-        problems.append(Objection(first, came, cure="Say of each", option=suggestion))
+        problems.append(Objection(first, fault, cure="Give one for each file", option=suggestion))
     arguments = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
     arguments |= {name: option("--ignore", name) for name in options.ignore}
     arguments |= {n: option("--unwrap", f"{n}={text}") for n, text in options.unwrap.items()}
     for name in (n for n in arguments if n not in known_names):
         cure = f"It has: {names_in(tables[0])}" + "".join(f", nor has {file!r}" for file in others)
-        came = f"has no column {name!r} ({arguments[name]})"
-        problems.append(Objection(first, came, cure=cure))
+        fault = f"has no column {name!r} ({arguments[name]})"
+        problems.append(Objection(first, fault, cure=cure))
 
 
 def names_in(table: Table) -> str:
-    """List the headers of a file, for messages."""
+    """Format the headers of a file for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)

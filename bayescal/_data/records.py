@@ -1,4 +1,4 @@
-"""Records in time (runs): grouping of readings, time order, pauses, and the rate of change of a column."""
+"""Records in time (runs): grouping of readings, time order, gaps, and the rate of change of a column."""
 
 from __future__ import annotations
 
@@ -13,23 +13,19 @@ import numpy as np
 Columns = Mapping[str, np.ndarray]
 
 RECORD = ("device", "axis", "run")  # columns of labels that identify a record in time
-# Time step over the median step, above which there is a pause; four lost readings in a row are none.
+# Time step over the median step, above which it is a gap; four consecutive lost readings are no gap.
 PAUSE_STEPS = 5.0
-RATE_WINDOW = 60.0  # s
-# Relative deviation of steps that count as even: time stamps jitter.
+RATE_WINDOW_S = 60.0  # over which a rate of change is estimated
+# Largest relative deviation of equal time steps, for jitter of time stamps.
 EVEN_STEPS = 0.05
-# Pause in windows of a rate (a minute each), after which a rate is undefined: a change over hours, such as a soak, does
-# not determine the present rate.
-SILENCE_WINDOWS = 10.0
-# A set step: largest ratio of the adjacent changes to it; least fraction of the sum of squared changes in set steps.
-MAX_NEIGHBOUR_RATIO, MIN_SET_SHARE = 0.1, 0.9
+# Longest time step, in rate windows of a minute, across which a rate is defined; a soak of hours has no present rate.
+MAX_GAP_WINDOWS = 10.0
+# Steps of a setting: largest ratio of adjacent changes to a step; minimum share of squared changes in steps.
+MAX_NEIGHBOUR_RATIO, MIN_STEP_SHARE = 0.1, 0.9
 
 
 def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """Return the distinct rows of columns in order of first appearance, and the index of each row among them.
-
-    Only the first row of each stretch of equal rows is looked up, without pandas, which takes half a second to load.
-    """
+    """Return the distinct rows of columns in order of first appearance, and the index of each row among them."""
     begins = np.ones(len(columns[0]), bool)
     begins[1:] = np.any([values[1:] != values[:-1] for values in columns], axis=0)
     first, codes = np.flatnonzero(begins), dict[tuple[Any, ...], int]()
@@ -39,7 +35,7 @@ def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.n
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """Number the combinations of labels in order of first appearance; NaN is a label."""
+    """Number the combinations of labels in order of first appearance (n,); NaN is a label."""
     labels = [columns[n] for n in names]
     labels = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in labels]
     return distinct(labels)[1] if labels else np.zeros(len(next(iter(columns.values()))), np.int64)
@@ -56,9 +52,9 @@ class Records:
     """Records in time: each run of each device and axis.
 
     Attributes:
-        names: of its axis, its device and its run, "1" where there is no such column.
+        names: "axis|device|run" of each record; the run is "1" without a column `run`.
         codes: index of each reading's record (n,).
-        time: of each reading, s (n,); empty without a column `time`.
+        time: time of each reading, s (n,); empty without a column `time`.
     """
 
     names: tuple[str, ...]
@@ -67,7 +63,7 @@ class Records:
 
     @classmethod
     def of(cls, columns: Columns) -> Records:
-        """Group the rows of columns into records, by their labels."""
+        """Group the rows of columns into records by device, axis and run."""
         codes = label_codes(columns, [n for n in RECORD if n in columns])
         first = np.flatnonzero(np.diff(np.maximum.accumulate(codes), prepend=-1))
         labels = [columns[n][first] for n in ("axis", "device") if n in columns]
@@ -77,20 +73,20 @@ class Records:
 
     @cached_property
     def rows(self) -> list[np.ndarray]:
-        """Return the rows of each record, in the order of the file."""
+        """Return the row indices of each record, in the order of the file."""
         order = np.argsort(self.codes, kind="stable")
         ends = 1 + np.flatnonzero(np.diff(self.codes[order]))
         return np.split(order, ends) if self.codes.size else []
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Return the order of time within records (n,); that of the file where there is no time."""
+        """Return the row indices sorted by record and time (n,); the order of the file without times."""
         has_time = self.time.size
         return np.lexsort((self.time, self.codes)) if has_time else np.arange(self.codes.size)
 
     @cached_property
     def step(self) -> np.ndarray:
-        """Return the time since the record's previous reading, s, in `order`; −1 at its first or without time (n,)."""
+        """Return the time steps within records, s, in the order `order` (n,); −1 at first readings or without times."""
         if not self.time.size:
             return -np.ones(self.codes.size)
         time = self.time[self.order]
@@ -100,11 +96,11 @@ class Records:
 
     @cached_property
     def in_time(self) -> list[np.ndarray]:
-        """Return the rows of each record, in the order of time."""
+        """Return the row indices of each record, in time order."""
         return np.split(self.order, np.flatnonzero(self.step < 0)[1:])
 
     def stretches(self, min_readings: int = 3) -> list[np.ndarray]:
-        """Return the row indices of each segment without a gap, of at least `min_readings` readings, in time order."""
+        """Return the row indices, in time order, of each gap-free segment of at least `min_readings` readings."""
         parts = []
         for rows in self.in_time:
             steps = np.diff(self.time[rows])
@@ -113,10 +109,10 @@ class Records:
         return [rows for rows in parts if len(rows) >= min_readings]
 
     def starts(self, record: Records | None = None) -> np.ndarray:
-        """Return the start time of each record, s: its first reading, or the start of the fitted run that it continues.
+        """Return the start time of each record, s: its first reading, or the start of the run that it continues.
 
-        It continues a run of `record` with the same name, device and axis if its first reading is within that run or
-        less than a pause after it.
+        It continues a run of `record` with the same name, device and axis if its first reading is within that run, or
+        follows it without a gap.
         """
         first = np.full(len(self.names), np.inf)
         np.minimum.at(first, self.codes, self.time)
@@ -128,7 +124,7 @@ class Records:
         return first
 
     def matching_records(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
-        """Return name and sorted times of other records, by the index of the record of the same name here."""
+        """Return name and sorted times of the records of the same names in `record`, by index of the record here."""
         return {
             i: (name, record.time[record.in_time[record.names.index(name)]])
             for i, name in enumerate(self.names)
@@ -136,36 +132,33 @@ class Records:
         }
 
     def elapsed(self, record: Records | None = None) -> np.ndarray:
-        """Return the time since the start of each reading's record, s (n,); `record` as of `starts`."""
+        """Return the time since the start of each reading's record, s (n,); `record` as in `starts`."""
         return self.time - self.starts(record)[self.codes]
 
     @property
     def silence(self) -> float:
-        """Return the longest time step, s, over which a column is interpolated."""
-        return SILENCE_WINDOWS * rate_window(self.step)
+        """Return the longest time step, s, across which a column is interpolated."""
+        return MAX_GAP_WINDOWS * rate_window(self.step)
 
     def set_in_steps(self, values: np.ndarray) -> bool:
-        """Return whether a column is piecewise constant (a setting, such as a load) rather than a measured series.
-
-        Then nearly all of the sum of squared changes is in isolated changes.
-        """
-        change = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
-        padded = np.pad(change, 1)
-        is_isolated = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * change
-        total = float(np.sum(change**2))
-        return total > 0 and float(np.sum(change[is_isolated] ** 2)) > MIN_SET_SHARE * total
+        """Return whether a column is a piecewise constant setting: nearly all squared change is in isolated steps."""
+        changes = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
+        padded = np.pad(changes, 1)
+        is_isolated = np.maximum(padded[:-2], padded[2:]) < MAX_NEIGHBOUR_RATIO * changes
+        total = float(np.sum(changes**2))
+        return total > 0 and float(np.sum(changes[is_isolated] ** 2)) > MIN_STEP_SHARE * total
 
     def slope(self, values: np.ndarray) -> np.ndarray:
-        """Return the least-squares slope over the last minute (or the last step, if longer) of each record, unit/s.
+        """Return the least-squares slope over the preceding minute (or step, if longer) at each reading (n,), unit/s.
 
-        Zero at the first reading of a record, and at the first after a long pause. Linear in the values.
+        It is zero at the first reading of a record and after a long gap, and linear in the values.
         """
         t, y, index = self.time[self.order], values[self.order], np.arange(self.time.size)
         window = rate_window(self.step) * (1 + 1e-9)
-        first = np.empty(t.size, dtype=int)  # reading of each window
+        first = np.empty(t.size, dtype=int)  # index of the first reading of each window
         for low, high in itertools.pairwise([*np.flatnonzero(self.step < 0), t.size]):
             times = t[low:high]
-            last = (np.searchsorted(times, times) - 1).clip(0)  # of an earlier time at least
+            last = (np.searchsorted(times, times) - 1).clip(0)  # at least one earlier time
             first[low:high] = low + np.clip(np.searchsorted(times, times - window), 0, last)
         sum_t, sum_y, sum_tt, sum_ty = _window_sums(t, y, first)
         count = index - first + 1
@@ -182,18 +175,18 @@ def median_step(times: np.ndarray) -> float:
 
 
 def rate_window(step: np.ndarray) -> float:
-    """Return the window of a rate, s: a minute, or the usual step between readings, if longer."""
+    """Return the window of a rate, s: a minute, or the median step between readings, if longer."""
     steps = step[step > 0]
-    return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
+    return max(RATE_WINDOW_S, float(np.median(steps)) if steps.size else 0.0)
 
 
 def solve_recursion(decay: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Solve xᵢ = shareᵢ·xᵢ₋₁ + pushᵢ from zero for x (*s, n): a unit bidiagonal matrix, LAPACK's banded solver."""
-    from scipy.linalg.lapack import dtbtrs, ztbtrs  # only what computes loads SciPy
+    """Solve xᵢ = decayᵢ·xᵢ₋₁ + driveᵢ, x₋₁ = 0, for x (*s, n), as a banded triangular system (LAPACK)."""
+    from scipy.linalg.lapack import dtbtrs, ztbtrs  # SciPy is slow to import
 
     decay, drive = np.broadcast_arrays(decay, drive)
     solve = ztbtrs if np.iscomplexobj(decay) else dtbtrs
-    # All recursions are one, which begins anew at the first element of each.
+    # All recursions are solved as one; a zero decay separates them.
     band = np.ones((decay.size, 2), decay.dtype)
     np.negative(decay.reshape(-1)[1:], out=band[:-1, 1])
     band[decay.shape[-1] - 1 :: decay.shape[-1], 1] = 0.0
@@ -201,24 +194,24 @@ def solve_recursion(decay: np.ndarray, drive: np.ndarray) -> np.ndarray:
 
 
 def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return sums of dt, dy, dt² and dt·dy over the readings first[i] … i, for each i; `first` rises.
+    """Return the sums (4, n) of dt, dy, dt², dt·dy over the readings first[i] … i for each i; `first` is increasing.
 
-    An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
-    nothing is ever subtracted from a sum, so no digits are lost however long the record.
+    Each window contains an anchor: dt and dy are differences from it, and sums are accumulated from it to both sides,
+    so that no sums are subtracted and no digits are lost in long records.
     """
     index = np.arange(t.size)
-    beyond = np.searchsorted(first, index, side="right")  # the first window without this reading
+    next_window = np.searchsorted(first, index, side="right")  # first window after this reading
     anchors = [0]
-    while (after := int(beyond[anchors[-1]])) < t.size:
-        anchors.append(after)
-    stretch = np.searchsorted(anchors, index, side="right") - 1
-    at, after = np.array(anchors)[stretch], np.array([*anchors[1:], t.size - 1])[stretch]
+    while (next_anchor := int(next_window[anchors[-1]])) < t.size:
+        anchors.append(next_anchor)
+    block = np.searchsorted(anchors, index, side="right") - 1
+    anchor, next_anchor = np.array(anchors)[block], np.array([*anchors[1:], t.size - 1])[block]
 
-    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # of each stretch, in this direction
+    def sums(origin: np.ndarray, rows: slice) -> np.ndarray:  # cumulative within each block
         dt, dy = t - t[origin], y - y[origin]
         terms = np.stack([dt, dy, dt * dt, dt * dy])[:, rows]
-        same = np.diff(stretch[rows], prepend=-1) == 0
-        return solve_recursion(same.astype(float), terms)[:, rows]
+        is_continued = np.diff(block[rows], prepend=-1) == 0
+        return solve_recursion(is_continued.astype(float), terms)[:, rows]
 
-    since, until = sums(at, slice(None)), sums(after, slice(None, None, -1))
-    return since + np.where(first < at, until[:, first], 0.0)
+    backward_sums = sums(next_anchor, slice(None, None, -1))[:, first]
+    return sums(anchor, slice(None)) + np.where(first < anchor, backward_sums, 0.0)

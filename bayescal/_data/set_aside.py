@@ -1,9 +1,8 @@
 """Exclusion of faulty readings before a calibration: clipped or stuck ones, spikes, wrong temperatures.
 
-Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
-and one of them can outweigh thousands of readings. At spikes of a thermometer the temperature of the output is not
-known; nor where one that the model needs repeats an old value, is stuck, or stands at its end. Hold-out data that are
-fitted already do not test the prediction of new readings.
+Spikes of the output, single readings far from both neighbours, are faults of the record and not of the sensor; one can
+outweigh thousands of readings. Where a thermometer that the model needs has a spike, repeats a value, is stuck or
+saturated, the temperature is unknown. Hold-out data that were also fitted do not test the prediction of new readings.
 """
 
 from __future__ import annotations
@@ -21,20 +20,19 @@ from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RECORD, Columns
 
-# Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
-# none.
+# Distance of a spike from the line through its neighbours, robust standard deviations; not exceeded by normal noise.
 MIN_SPIKE_SD = 8.0
-# Readings of a stretch, below which its scatter is not known well enough to call one a spike.
+# Minimum number of readings of a segment, to estimate its noise well enough for the detection of spikes.
 MIN_SPIKE_READINGS = 50
-# Share of all readings; where more stand out, the noise may be heavy-tailed, and its law takes them.
+# Largest share of spikes in all readings; more outliers indicate heavy-tailed noise, which a noise law describes.
 MAX_SPIKE_SHARE = 0.005
-SPIKE_NEIGHBOURS = 3  # readings on either side, whose distances that of a spike exceeds
-# Share of the hold-out data that are readings of the fit: what rounding makes equal by chance is less.
-MIN_NOT_NEW_SHARE = 0.9
+SPIKE_NEIGHBOURS = 3  # readings on either side, from whose lines they deviate less than the spike
+# Share of hold-out readings equal to fitted ones, above which the data are not new; rounding alone causes less.
+MIN_FITTED_SHARE = 0.9
 
 
 class Fault(NamedTuple):
-    """Rows of readings to exclude (none where there is no fault), and the reason, in words."""
+    """Rows of readings to exclude (empty without a fault), and the reason, in words."""
 
     rows: np.ndarray = np.zeros(0, int)
     reason: str = ""
@@ -43,25 +41,25 @@ class Fault(NamedTuple):
 def set_aside(
     readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
 ) -> Measurements:
-    """Return the readings without clipped and stuck ones and spikes, named in flags.
+    """Exclude clipped and stuck readings and spikes; flags report them.
 
     Args:
-        readings: as recorded.
-        keep_spikes: leave spikes in, and wrong temperatures.
-        needed: columns that a model needs: without readings, too, at which a thermometer among them was wrong.
+        readings: readings as recorded.
+        keep_spikes: keep spikes, and readings with wrong temperatures.
+        needed: columns that a model needs; readings with a wrong temperature in one of these are excluded too.
     """
-    for find in (_find_clipped, _find_stuck):
-        readings = _without(readings, find(readings))
-    if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
+    for search in (_find_clipped, _find_stuck):
+        readings = _exclude(readings, search(readings))
+    if keep_spikes or not readings.has("time"):  # both are detected from adjacent readings in time
         return readings
     initial_count = len(readings)
-    while len((fault := _find_wrong(readings, needed, initial_count)).rows):
-        readings = _without(readings, fault)
-    return _without(readings, _find_spikes(readings))
+    while len((fault := _find_wrong_temperatures(readings, needed, initial_count)).rows):
+        readings = _exclude(readings, fault)
+    return _exclude(readings, _find_spikes(readings))
 
 
-def _without(readings: Measurements, fault: Fault) -> Measurements:
-    """Return the readings without a fault's rows, with a flag; unchanged if none would remain."""
+def _exclude(readings: Measurements, fault: Fault) -> Measurements:
+    """Exclude the rows of a fault, with a flag; return the readings unchanged if none would remain."""
     kept_rows = np.setdiff1d(np.arange(len(readings)), fault.rows)
     if not len(fault.rows) or not len(kept_rows):
         return readings
@@ -70,87 +68,91 @@ def _without(readings: Measurements, fault: Fault) -> Measurements:
 
 
 def _format_rows_read(rows: np.ndarray, values: np.ndarray, unit: str = "") -> str:
-    """Format the first five rows, counted from 1, with their values."""
+    """Format the first five row numbers, from 1, with their values."""
     listing = ", ".join(f"{row + 1} ({values[row]:.6g}{unit})" for row in rows[:5])
     return f"row {listing}{' …' * (len(rows) > 5)}"
 
 
 def _find_clipped(readings: Measurements) -> Fault:
-    """Find the readings exactly at a clipped end of the output: such a reading is only a bound."""
+    """Find the readings at a clipped end of the output's range: each is only a bound of the true output."""
     output = readings["output"]
-    ends = [] if checks.rounding_step(output) else checks.clip_levels(output)
+    ends = [] if checks.find_rounding_step(output) else checks.find_clip_levels(output)
     rows = np.flatnonzero(np.isin(output, [level for _, level in ends]))
     counts = " and ".join(f"{np.sum(output == v)} at its {end} {v:.6g}" for end, v in ends)
-    cure = "what lies beyond was not measured, and no calibration holds there"
-    return Fault(rows, f"{len(rows)} clipped reading(s) of the output set aside, {counts}: {cure}")
+    counts += ": the calibration does not apply beyond"
+    return Fault(rows, f"{len(rows)} clipped reading(s) of the output set aside, {counts}")
 
 
 def _find_stuck(readings: Measurements) -> Fault:
-    """Find the repeats of one reading by a stuck output: only the first was measured."""
+    """Find the repeated readings of a stuck or rarely sampled output; only the first of each was measured."""
     output = readings["output"]
-    if np.ptp(output) == 0 or checks.rounding_step(output):
+    if np.ptp(output) == 0 or checks.find_rounding_step(output):
         return Fault()
-    rows = checks.standing_rows(output, [np.arange(len(output))])[1:]
+    rows = checks.find_stuck_rows(output, [np.arange(len(output))])[1:]
     if len(rows):
-        fault = f"stands still at {output[rows[0]]:.6g} (rows {rows[0] + 1} to {rows[-1] + 1})"
+        fault = f"is constant at {output[rows[0]]:.6g} (rows {rows[0] + 1} to {rows[-1] + 1})"
     elif readings.has("time"):
-        stretches = readings.records.stretches()
-        rows = checks.repeats(output, stretches, checks.held_rows(output, stretches))
-        at = rows[0] + 1 if len(rows) else 0
-        fault = f"repeats a value until the next leap, first in row {at}: a logger asked it seldom"
+        segments = readings.records.stretches()
+        rows = checks.select_repeats(output, segments, checks.find_held_rows(output, segments))
+        first_row = rows[0] + 1 if len(rows) else 0
+        fault = f"repeats values between jumps, first in row {first_row}: a low sampling rate"
     else:
         return Fault()
     return Fault(rows, f"{len(rows)} reading(s) set aside: the output {fault}")
 
 
-def _find_wrong(readings: Measurements, needed: Collection[str], total: int) -> Fault:
-    """Find readings at which a thermometer was certainly wrong, by one kind of fault.
+def _find_wrong_temperatures(readings: Measurements, needed: Collection[str], total: int) -> Fault:
+    """Find the readings of one anomaly of a thermometer.
 
-    For a thermometer that the model does not need, only where they are few. Where too many would go, or a device's
-    readings or all temperatures but one, they stay, and the fault is a reason not to believe the result.
+    If the model does not need the thermometer, only few readings are excluded. If too many readings, all of a device or
+    all temperatures but one were concerned, none is excluded, and the anomaly counts against the result.
     """
-    for odd in (o for o in readings.oddities if o.code != "run"):  # of which column is not known
-        few = odd.code == "leap" and len(odd.rows) <= checks.LEAP_SHARE * total
-        if (few or odd.column in needed) and _leaves_enough(readings.values, odd, total):
-            rows = _format_rows_read(odd.rows, readings[odd.column], " °C")
-            where = f"{len(odd.rows)} reading(s) set aside, column {odd.column!r}"
-            return Fault(odd.rows, f"{where} {odd.description}: {rows}; keep_spikes keeps them")
+    # a differing run has no known faulty column
+    for fault in (anomaly for anomaly in readings.anomalies if anomaly.code != "run"):
+        is_rare = fault.code == "leap" and len(fault.rows) <= checks.MAX_JUMP_SHARE * total
+        if (is_rare or fault.column in needed) and _leaves_enough(readings.values, fault, total):
+            rows = _format_rows_read(fault.rows, readings[fault.column], " °C")
+            heading = f"{len(fault.rows)} reading(s) set aside, column {fault.column!r}"
+            return Fault(
+                fault.rows, f"{heading} {fault.description}: {rows}; keep_spikes keeps them"
+            )
     return Fault()
 
 
-def _leaves_enough(columns: Columns, odd: checks.Anomaly, total: int) -> bool:
-    """Return whether enough remains without the wrong rows: half of the readings; of a held column, each value once."""
-    count = len(columns[odd.column])
-    remaining = np.setdiff1d(np.arange(count), odd.rows)
-    least = checks.MIN_CHANGES if odd.code == "held" and count == total else 0.5 * total
-    if len(remaining) < least:
+def _leaves_enough(columns: Columns, fault: checks.Anomaly, total: int) -> bool:
+    """Return whether enough readings remain without those of an anomaly: half, or one per value of a held column."""
+    count = len(columns[fault.column])
+    remaining = np.setdiff1d(np.arange(count), fault.rows)
+    min_count = checks.MIN_CHANGES if fault.code == "held" and count == total else 0.5 * total
+    if len(remaining) < min_count:
         return False
     labels = [n for n in RECORD if n != "run" and n in columns]
-    complete = all(set(columns[n][remaining]) == set(columns[n]) for n in labels)
-    return complete and bool(np.ptp(columns[odd.column][remaining]) > settings().temperature_span)
+    is_complete = all(set(columns[n][remaining]) == set(columns[n]) for n in labels)
+    span = float(np.ptp(columns[fault.column][remaining]))
+    return is_complete and span > settings().temperature_span
 
 
 def _find_spikes(readings: Measurements) -> Fault:
-    """Find spikes, each an outlier by its distance from the line through its neighbours in its run.
+    """Find spikes: single outliers from the line through their neighbours in the run.
 
-    A smooth signal, however large, has small distances; a step has two large ones side by side and is kept. Where more
-    readings stand out than spikes would, there are none: the noise may have heavy tails.
+    A smooth signal deviates little from this line; a step deviates in two adjacent readings and is kept. If there are
+    more outliers than `MAX_SPIKE_SHARE`, none is a spike: the noise may have heavy tails.
     """
-    most, output = max(1.0, MAX_SPIKE_SHARE * len(readings)), readings["output"]
-    pieces = readings.records.stretches(MIN_SPIKE_READINGS)
-    spikes = (p[_find_outliers(output[p], most)] for p in pieces)
+    max_count, output = max(1.0, MAX_SPIKE_SHARE * len(readings)), readings["output"]
+    segments = readings.records.stretches(MIN_SPIKE_READINGS)
+    spikes = (segment[_find_outliers(output[segment], max_count)] for segment in segments)
     rows = np.sort(np.concatenate([np.zeros(0, int), *spikes]))
-    if len(rows) > most:
+    if len(rows) > max_count:
         return Fault()
     listing = f"far from both neighbours: {_format_rows_read(rows, output)}; keep_spikes keeps them"
     return Fault(rows, f"{len(rows)} reading(s) set aside as spikes, {listing}")
 
 
-def _find_outliers(y: np.ndarray, most: float) -> np.ndarray:
-    """Return the indices of outliers from the line through their neighbours, until they are more than `most`.
+def _find_outliers(y: np.ndarray, max_count: float) -> np.ndarray:
+    """Return the indices of outliers from the line through their neighbours; stop at more than `max_count`.
 
-    Those that stand out the most among their neighbours are taken out and the others are judged anew, until none does.
-    A spike at an end and its neighbour stand out alike: then it is the end.
+    The largest local outliers are removed and the remaining readings reassessed until there is none. If the last
+    reading and its neighbour deviate equally, the last one is the outlier.
     """
     remaining, outliers, scale = np.arange(len(y)), np.zeros(0, int), 0.0
     while True:
@@ -159,33 +161,33 @@ def _find_outliers(y: np.ndarray, most: float) -> np.ndarray:
         heights = np.concatenate([inner[:1], inner, inner[-1:] * (1.0 + 1e-12)])
         scale = scale or 1.4826 * float(np.median(heights))
         is_spike = (heights > 0) & (heights >= MIN_SPIKE_SD * scale)
-        few = len(remaining) < SPIKE_NEIGHBOURS
-        if few or scale == 0 or len(outliers) > most or not is_spike.any():
+        is_short = len(remaining) < SPIKE_NEIGHBOURS
+        if is_short or scale == 0 or len(outliers) > max_count or not is_spike.any():
             return outliers
         windows = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
-        before, after = windows[:, :SPIKE_NEIGHBOURS], windows[:, SPIKE_NEIGHBOURS + 1 :]
-        is_spike &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
+        preceding, following = windows[:, :SPIKE_NEIGHBOURS], windows[:, SPIKE_NEIGHBOURS + 1 :]
+        is_spike &= (heights > preceding.max(axis=1)) & (heights >= following.max(axis=1))
         outliers, remaining = np.concatenate([outliers, remaining[is_spike]]), remaining[~is_spike]
 
 
-def said_of(readings: Measurements, holdout: Measurements) -> str:
-    """Return a flag if hold-out data are readings that are fitted, whatever their time and labels; else "".
+def flag_fitted_holdout(readings: Measurements, holdout: Measurements) -> str:
+    """Return a flag if hold-out readings were also fitted, with any times and labels; else "".
 
-    A reading is identified by its numbers except the time: output, temperatures, inputs. Where these are so rounded
-    that most recur, there is no flag.
+    Readings are compared by all numbers except the time: output, temperatures, inputs. There is no flag if rounding
+    makes most of these recur.
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
-    shared = [n for n in numbers if holdout.has(n)]
-    rows = [np.column_stack([np.nan_to_num(r[n]) for n in shared]) for r in (readings, holdout)]
+    common = [n for n in numbers if holdout.has(n)]
+    rows = [np.column_stack([np.nan_to_num(r[n]) for n in common]) for r in (readings, holdout)]
     codes = np.unique(np.round(np.concatenate(rows), 12), axis=0, return_inverse=True)[1].ravel()
-    mine, theirs = np.split(codes, [len(readings)])
-    many = int(np.isin(theirs, mine).sum())
-    rounded = len(np.unique(mine)) <= checks.ROUNDED_SHARE * len(mine)
-    if rounded or many <= MIN_NOT_NEW_SHARE * len(theirs):
+    fitted_codes, holdout_codes = np.split(codes, [len(readings)])
+    count = int(np.isin(holdout_codes, fitted_codes).sum())
+    is_rounded = len(np.unique(fitted_codes)) <= checks.MAX_DISTINCT_SHARE * len(fitted_codes)
+    if is_rounded or count <= MIN_FITTED_SHARE * len(holdout_codes):
         return ""
     message = (
-        f"{holdout.file}: {many} of the {len(holdout)} hold-out readings were also fitted "
-        "(same output, temperature and inputs, whatever their times and labels): the hold-out error says nothing about "
-        "new readings. Take readings of another run"
+        f"{holdout.file}: {count} of the {len(holdout)} hold-out readings were also fitted "
+        "(same output, temperature and inputs, ignoring times and labels): the hold-out error does not apply to new "
+        "readings. Use readings of another run"
     )
     return Flag(message, "holdout.not_new")

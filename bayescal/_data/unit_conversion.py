@@ -1,9 +1,9 @@
-"""Known units, parsing of a unit's text (factor, powers of base units, offset), and conversion between units.
+"""Known units, parsing of a unit (factor, exponents of base units, offset), and conversion between units.
 
-The units are our own: customary tables read g as gram and Hz as an angle rate, while here g is the local
-acceleration of gravity, angle and frequency are dimensions of their own, and dps is known; a mass is in gram. Base
-units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz, m, kg and others. A unit is
-defined, with its other spellings, by its row of `REGISTRY`.
+Unlike usual unit libraries, which read g as gram and Hz as an angular rate, g is the local acceleration of gravity
+here, angle and frequency are dimensions of their own, and dps (°/s) is known; the gram is `gram`. Base units are s, K
+(written degC for differences), rad, µg of local g, V, Hz, m, kg and others. Each unit is defined, with its other
+spellings, by a row of `REGISTRY`.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from numpy.typing import ArrayLike
 from bayescal._core.errors import InputError
 
 STANDARD_GRAVITY = 9.80665  # m/s²
-ANY = "any"  # in place of a unit: the column is kept in the fixed unit of whatever it is in
+ANY = "any"  # placeholder for a unit: the column is stored in the fixed unit of its quantity
 
 
 class Unit(NamedTuple):
-    """A row of the registry.
+    """A unit of the registry.
 
     Attributes:
-        name: as the library writes it.
-        size: in its base; 0 for a product of units that only has other spellings.
-        base: a product of base units; empty for a plain number.
-        prefixes: of the SI, that it may have.
-        also: other spellings anywhere, parted by spaces.
-        in_context: other spellings where a unit of its kind is expected, and unambiguous; parted by commas.
-        symbol: for people, where that is not its name.
-        zero: of a temperature scale, K.
+        name: bayescal's spelling.
+        size: one unit expressed in `base`; 0 for a row that only adds spellings of a product of units.
+        base: product of base units; empty for a dimensionless unit.
+        prefixes: SI prefixes that the unit may have.
+        also: other spellings, always recognised; separated by spaces.
+        in_context: other spellings, recognised where a unit of this dimension is expected; separated by commas.
+        symbol: printed symbol, if it differs from the name.
+        zero: zero of a temperature scale, K.
     """
 
     name: str
@@ -135,16 +135,16 @@ KNOWN_UNITS = {name: (1.0, name) for name in BASE} | {
     if unit.size
 }
 SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
-WHERE_EXPECTED = {unit.name: unit.in_context.split(", ") for unit in REGISTRY if unit.in_context}
-# Spellings of products of units that are unambiguous anywhere; "rads" and "degs" may be words.
-_COMPOUND = {
+CONTEXT_SPELLINGS = {unit.name: unit.in_context.split(", ") for unit in REGISTRY if unit.in_context}
+# Spellings of products of units that are always unambiguous; "rads" and "degs" may be words.
+_COMPOUND_SPELLINGS = {
     text: unit.name for unit in REGISTRY if not unit.size for text in unit.in_context.split(", ")
 }
 for _word in ("", "rads", "degs"):
-    _COMPOUND.pop(_word)
-_ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
+    _COMPOUND_SPELLINGS.pop(_word)
+_SCALE_ZEROS_K = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
 _SYMBOLS = {unit.name: unit.symbol for unit in REGISTRY if unit.symbol} | {"mdeg": "m°"}
-_REWRITTEN = {
+_REPLACEMENTS = {
     "μ": "u", "µ": "u", "º": "°", "℃": "degC", "℉": "degF", "°C": "degC", "°F": "degF", "°": "deg",
     "%RH": "%", "%rH": "%", "%rh": "%", "% RH": "%", "%rF": "%", "% r.F.": "%", "%r.F.": "%",
     "\u03a9": "ohm", "\u2126": "ohm",
@@ -165,7 +165,7 @@ class ParsedUnit:
         factor: conversion factor to base units.
         powers: exponents of the base units.
         offset: zero of a temperature scale, K.
-        names: unit names as written, each with its exponent, before any cancel.
+        names: unit names as written, each with its exponent, before cancellation.
     """
 
     factor: float
@@ -182,21 +182,21 @@ class ParsedUnit:
         return ParsedUnit(self.factor * other.factor**power, nonzero)
 
     def __str__(self) -> str:
-        """Format the dimension in base units, for messages."""
-        return f"[{_in_base(self.powers)}]" if self.powers else "a plain number"
+        """Format the dimension as a product of base units, for messages."""
+        return f"[{_format_base(self.powers)}]" if self.powers else "a plain number"
 
 
-NUMBER = ParsedUnit(1.0, {})
+UNITY = ParsedUnit(1.0, {})
 
 
 @lru_cache(maxsize=512)
 def parse(text: str) -> ParsedUnit:
-    """Parse a unit; raise InputError for a text that is none."""
-    plain = normalised(text)
-    # As a Python expression: factors side by side are multiplied, ^ is a power.
-    side_by_side = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
-    expression = re.sub(side_by_side, "*", plain).replace("^", "**").strip()
-    product = NUMBER
+    """Parse a unit; raise InputError if the text is not a unit."""
+    spelling = normalise_unit(text)
+    # Converted to a Python expression: adjacent factors are multiplied, ^ is a power.
+    adjacent = r"(?<=[\w)])\s*(?=\()|(?<=\))\s*(?=\w)|(?<=\w)\s+(?=\w)|(?<=\d)(?=[A-Za-z])"
+    expression = re.sub(adjacent, "*", spelling).replace("^", "**").strip()
+    product = UNITY
     try:
         names = tuple(_factors(ast.parse(expression, mode="eval").body))
         for name, power in names:
@@ -207,11 +207,11 @@ def parse(text: str) -> ParsedUnit:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    return ParsedUnit(product.factor, product.powers, _ZEROS.get(plain), names)
+    return ParsedUnit(product.factor, product.powers, _SCALE_ZEROS_K.get(spelling), names)
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
-    """Return the names in a parsed product, quotient or power, each with its power."""
+    """Return the unit names in a parsed product, quotient or power, each with its exponent."""
     match part:
         case ast.Name(id=name) if name in KNOWN_UNITS:
             return [(name, 1.0)]
@@ -223,73 +223,75 @@ def _factors(part: ast.expr) -> list[tuple[str, float]]:
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = float(ast.literal_eval(right))
             return [(name, power * exponent) for name, exponent in _factors(left)]
-    raise ValueError("no product of units")
+    raise ValueError("not a product of units")
 
 
-def normalised(text: str) -> str:
+def normalise_unit(text: str) -> str:
     """Normalise a unit's spelling: plain ASCII, known names, ^ for powers; raise InputError for unknown names."""
     if not text.strip() or len(text) > 60:
         raise InputError(f"[{text[:60]}] is not a unit: write one such as [degC], [deg/s] or [1]")
-    plain = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)  # m/s²
-    for spelling, meant in _REWRITTEN.items():
-        plain = plain.replace(spelling, meant)
-    plain = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", plain)  # deg/√h
-    plain = re.sub(r"([A-Za-z])([2-4]|-[1-4])\b", r"\1^\2", plain)  # m/s2, m s-2
-    if re.search(r"\bms\^-?2", plain):
+    unit = re.sub(r"([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", r"^\1", text.strip()).translate(_SUPERSCRIPTS)  # m/s²
+    for spelling, replacement in _REPLACEMENTS.items():
+        unit = unit.replace(spelling, replacement)
+    unit = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", unit)  # deg/√h
+    unit = re.sub(r"([A-Za-z])([2-4]|-[1-4])\b", r"\1^\2", unit)  # m/s2, m s-2
+    if re.search(r"\bms\^-?2", unit):
         raise InputError(
-            f"[{text}] may be m/s² or of square milliseconds: write [m/s^2] or [1/s^2]"
+            f"[{text}] is ambiguous, m/s² or square milliseconds: write [m/s^2] or [1/s^2]"
         )
-    plain = re.sub(r"(?<=[A-Za-z)])\.(?=[A-Za-z(])", "*", plain)  # rad.s-1
-    plain = "1" if plain == "-" else plain
-    plain = NAME.sub(lambda m: SPELLINGS.get(m[0], m[0]), plain)
-    names = NAME.findall(plain)
+    unit = re.sub(r"(?<=[A-Za-z)])\.(?=[A-Za-z(])", "*", unit)  # rad.s-1
+    unit = "1" if unit == "-" else unit
+    unit = NAME.sub(lambda m: SPELLINGS.get(m[0], m[0]), unit)
+    names = NAME.findall(unit)
     for name in names:
         if name not in KNOWN_UNITS:
-            raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
+            raise InputError(f"[{text}] is not a known unit: {name!r}{_suggest_units(name)}")
     # Without its powers, each name as "u", a unit may hold operators and a lone 1, as in 1/degC.
-    skeleton = NAME.sub("u", EXPONENT.sub("", plain))
+    skeleton = NAME.sub("u", EXPONENT.sub("", unit))
     if re.search(r"[^u1*/() ]|11|1u", skeleton):
         raise InputError(
-            f"[{text}] is not a unit: a unit is made of names, *, /, ^ and brackets, without "
-            "numbers in front. Write one such as [ug/mg^2] or [deg/s/degC]"
+            f"[{text}] is not a unit: a unit consists of names, *, /, ^ and brackets, without a "
+            "number in front. Write one such as [ug/mg^2] or [deg/s/degC]"
         )
-    return plain
+    return unit
 
 
-# symbols that are no units here, and the units that may be meant
-_OTHERS = {"C": ("the coulomb", "degC"), "F": ("the farad", "degF"), "S": ("the siemens", "s")}
+# symbols of unsupported units, and the units that may be intended
+_NON_UNITS = {"C": ("the coulomb", "degC"), "F": ("the farad", "degF"), "S": ("the siemens", "s")}
 
 
-def _near(name: str) -> str:
-    if name in _OTHERS:
-        called, meant = _OTHERS[name]
-        return f" ({name!r} is {called}; is {meant} meant?)"
-    near = [k for k in KNOWN_UNITS if k.lower() == name.lower()]
-    near = near or difflib.get_close_matches(name, KNOWN_UNITS, 3)
-    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(KNOWN_UNITS)})"
+def _suggest_units(name: str) -> str:
+    if name in _NON_UNITS:
+        quantity_name, unit = _NON_UNITS[name]
+        return f" ({name!r} is {quantity_name}; do you mean {unit}?)"
+    similar = [k for k in KNOWN_UNITS if k.lower() == name.lower()]
+    similar = similar or difflib.get_close_matches(name, KNOWN_UNITS, 3)
+    listing = f"do you mean {' or '.join(similar)}?" * bool(similar)
+    return f" ({listing or 'known: ' + ', '.join(KNOWN_UNITS)})"
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """Return the one unit that a text spells, of the dimension of one of `kinds` ("any" expects none), else None."""
-    if _is(text, kinds):
+    """Return the only unit that a text spells, of a dimension among `kinds` ("any" admits all); None if ambiguous."""
+    if _has_dimension(text, kinds):
         return text
     if ANY in kinds:
-        return _COMPOUND.get(text.translate(_SUPERSCRIPTS))
-    lower, spellings = text.lower(), WHERE_EXPECTED.items()
+        return _COMPOUND_SPELLINGS.get(text.translate(_SUPERSCRIPTS))
+    lower, spellings = text.lower(), CONTEXT_SPELLINGS.items()
     exact = {u for u, texts in spellings if text in texts}
-    loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
-    folded = {u for u in KNOWN_UNITS if u.lower() == lower}
-    tried = ({u for u in some if _is(u, kinds)} for some in (exact or loose, folded, {lower}))
-    matches = next((some for some in tried if some), set())
-    return matches.pop() if len(matches) == 1 else None
+    any_case = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
+    caseless = {u for u in KNOWN_UNITS if u.lower() == lower}
+    tiers = (exact or any_case, caseless, {lower})
+    matches = ({u for u in tier if _has_dimension(u, kinds)} for tier in tiers)
+    unique = next(filter(None, matches), set())
+    return unique.pop() if len(unique) == 1 else None
 
 
-def _is(unit: str, kinds: tuple[str, ...]) -> bool:
-    """Return whether a text is a known unit of one of these kinds."""
+def _has_dimension(unit: str, kinds: tuple[str, ...]) -> bool:
+    """Return whether a text is a known unit with the dimension of one of these units ("any" admits all)."""
     return any(is_convertible(unit, unit if kind == ANY else kind) for kind in kinds)
 
 
-EARTH_GRAVITY = (9.7, 9.9)  # m/s²; nowhere on Earth is it outside
+EARTH_GRAVITY = (9.7, 9.9)  # m/s²; range that contains the gravity everywhere on Earth
 
 
 def convert(
@@ -302,24 +304,24 @@ def convert(
 ) -> np.ndarray:
     """Convert numbers (any shape) from one unit to another.
 
-    Temperatures in degC, K and degF are absolute unless a `delta_` unit or `difference` (of an uncertainty) says
-    otherwise. Accelerations in m/s² become g (and the reverse) by the local gravity, m/s².
+    Temperatures in degC, K and degF are absolute unless the unit begins with `delta_` or the values are differences
+    (`difference`), as for an uncertainty. Accelerations convert between m/s² and g by the local gravity, m/s².
 
     Raises:
-        InputError: an unknown unit, units of different dimensions, a difference of temperatures where a temperature
-            is wanted, or a gravity not found on Earth.
+        InputError: an unknown unit, units of different dimensions, a temperature difference in place of a temperature,
+            or a local gravity outside the range on Earth.
     """
     old, new = parse(from_unit), parse(to_unit)
     values = np.array(values, dtype=np.float64)
     power = _power_of_gravity(old.powers, new.powers)
     if power is None:
         raise InputError(
-            f"[{from_unit}] cannot be converted to [{to_unit}], a unit of another quantity: correct the unit"
+            f"[{from_unit}] cannot be converted to [{to_unit}], a unit of another dimension: correct the unit"
         )
     if new.offset is not None and not difference:
         if old.offset is None:
             raise InputError(
-                f"[{from_unit}] is a difference of temperatures, [{to_unit}] a temperature: write [degC], [K] or [degF]"
+                f"[{from_unit}] is a temperature difference, [{to_unit}] a temperature: write [degC], [K] or [degF]"
             )
         same = old == new
         return values if same else (values * old.factor + old.offset - new.offset) / new.factor
@@ -328,7 +330,7 @@ def convert(
         low, high = EARTH_GRAVITY
         if not low <= local_gravity <= high:
             raise InputError(
-                f"local gravity {local_gravity:g} m/s² is not found on Earth ({low} … {high} m/s²): give it in m/s², "
+                f"local gravity {local_gravity:g} m/s² is outside the range on Earth ({low} … {high} m/s²): give m/s², "
                 "such as 9.80665"
             )
         factor *= (1e6 / local_gravity) ** power
@@ -338,21 +340,21 @@ def convert(
 _QUANTITY = re.compile(r"([+\-−]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s.].*)")
 
 
-def quantity(text: str) -> tuple[float, str]:
-    """Parse the number and the unit of a text such as "48.2 uT" or "2min"; raise InputError for any other."""
+def parse_quantity(text: str) -> tuple[float, str]:
+    """Parse a number with a unit, such as "48.2 uT" or "2min"; raise InputError for any other text."""
     if not (match := _QUANTITY.fullmatch(text.strip())):
-        raise InputError("it is no number with a unit")
+        raise InputError("it is not a number with a unit")
     parse(match[2])
     return float(match[1].replace("−", "-")), match[2]
 
 
 def same_dimension(a: str, b: str) -> bool:
-    """Return whether one unit converts to the other (m/s² and g do); raise InputError for an unknown unit."""
+    """Return whether two units have the same dimension (m/s² and g do); raise InputError for an unknown unit."""
     return _power_of_gravity(parse(a).powers, parse(b).powers) is not None
 
 
 def is_convertible(a: str, b: str) -> bool:
-    """Return whether both texts are units, of one dimension."""
+    """Return whether two texts are known units of the same dimension."""
     with contextlib.suppress(InputError):
         return same_dimension(a, b)
     return False
@@ -364,134 +366,137 @@ def needs_gravity(from_unit: str, to_unit: str) -> bool:
 
 
 def coefficient_factor(unit: str, slot_unit: str) -> float:
-    """Return unit ÷ slot unit in base units (s, K, rad, µg, …), of which degC is always a difference."""
+    """Return the factor that converts `unit` to `slot_unit`, degC taken as a temperature difference."""
     return parse(unit).factor / parse(slot_unit).factor
 
 
 @lru_cache(maxsize=4096)
 def basis_factor(
-    unit: str, slot_unit: str, named: tuple[str, ...], open_: bool, others: tuple[str, ...]
+    unit: str, slot_unit: str, column_units: tuple[str, ...], is_open: bool, others: tuple[str, ...]
 ) -> float:
-    """Return the factor that converts a coefficient in its unit, times a basis in its columns' units, to the slot's.
+    """Return the factor that converts coefficient × basis, in their own units, to the unit of the slot.
 
-    The basis has the dimension of slot unit ÷ unit, and is in the product of column units that has this dimension:
-    where the slot is in um/s^2, a coefficient in um/s^2/hPa on a column in hPa has the factor 1, on one in Pa 0.01. A
-    ratio has no dimension: a percent below the coefficient's stroke stands for the columns that are ratios.
+    The basis has the dimension slot unit ÷ coefficient unit. Its unit is the product of column units of this dimension:
+    if the slot is in um/s^2 and the coefficient in um/s^2/hPa, the factor is 1 for a column in hPa, 0.01 for one in Pa.
+    A percent in the denominator of the coefficient's unit refers to the columns that are dimensionless ratios.
 
     Args:
-        unit, slot_unit: of the coefficient and of the slot.
-        named: units of the columns that the effect names.
-        open_: whether it names a column that no instrument declares: such a one is in base units.
-        others: units of shapes and of further columns, for an effect that names too few.
+        unit, slot_unit: units of the coefficient and of the slot.
+        column_units: units of the columns that the effect names.
+        is_open: whether the effect names a column that no instrument declares (stored in base units).
+        others: units of shape parameters and of further columns, used if the named ones are insufficient.
 
     Raises:
-        InputError: an unknown unit; columns that make no such product, or several products of different size.
+        InputError: an unknown unit, or columns of which no product, or more than one, has the required dimension.
     """
     coef, slot = parse(unit), parse(slot_unit)
     basis = {n: slot.powers.get(n, 0) - coef.powers.get(n, 0) for n in {*slot.powers, *coef.powers}}
     basis = {name: power for name, power in basis.items() if power}
-    factor = coef.factor / slot.factor * _ratio_unit_factor(unit, slot_unit, named, open_)
-    clock = () if any(parse(u).powers == {"s": 1} for u in named) else ("s",)
-    tried = [named, (*named, *clock)]
-    # m/s² of a column that no instrument declares is kept as local g: write the coefficient per g
-    if open_ and not ("m" in basis and basis.get("s") == -2 * basis["m"]):
-        tried.append((*named, *BASE))
-    tried.append((*named, *clock, *others))
-    for units in tried:
-        size = _product(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
+    factor = coef.factor / slot.factor * _ratio_factor(unit, slot_unit, column_units, is_open)
+    time_units = () if any(parse(u).powers == {"s": 1} for u in column_units) else ("s",)
+    unit_sets = [column_units, (*column_units, *time_units)]
+    # an undeclared column in m/s² is stored in local g: the coefficient must be per g
+    if is_open and not ("m" in basis and basis.get("s") == -2 * basis["m"]):
+        unit_sets.append((*column_units, *BASE))
+    unit_sets.append((*column_units, *time_units, *others))
+    for units in unit_sets:
+        size = _product_factor(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
         if size is not None:
             return factor * size
     raise InputError(
-        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_in_base(basis)}], and no product "
-        f"of its columns' units ({_list_units(named)}) is that"
+        f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_format_base(basis)}], but no "
+        f"product of the units of its columns ({_list_units(column_units)}) has this dimension"
     )
 
 
-def _ratio_unit_factor(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
-    """Return the product of the units of ratio columns (%, ppm, ppb, 1), each to the power that the coefficient has."""
-    ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
-    written = [power for name, power in parse(unit).names if not parse(name).powers]
-    below, above = (sum(max(sign * power, 0.0) for power in written) for sign in (-1.0, 1.0))
-    # a ratio's own coefficient has one above its stroke: the unit of the output
-    excess_exponent = above - (0.0 if parse(slot_unit).powers else min(above, 1.0))
-    if not ratios or not (below or excess_exponent):
+def _ratio_factor(unit: str, slot_unit: str, column_units: tuple[str, ...], is_open: bool) -> float:
+    """Return the factor of the units (%, ppm, ppb, 1) of dimensionless columns in the unit of a coefficient."""
+    ratios = {parse(u).factor for u in column_units if not parse(u).powers}
+    ratios |= {1.0} if is_open else set()
+    exponents = [power for name, power in parse(unit).names if not parse(name).powers]
+    numerator = sum(max(power, 0.0) for power in exponents)
+    denominator = numerator - sum(exponents)
+    # the numerator of the coefficient of a dimensionless output contains the output's own unit
+    excess_exponent = numerator - (0.0 if parse(slot_unit).powers else min(numerator, 1.0))
+    if not ratios or not (denominator or excess_exponent):
         return 1.0
-    if len(ratios) == 1 and not (below and excess_exponent):
-        return min(ratios) ** (below - excess_exponent)
+    if len(ratios) == 1 and not (denominator and excess_exponent):
+        return min(ratios) ** (denominator - excess_exponent)
     raise InputError(
-        f"a coefficient in [{unit}] on a slot in [{slot_unit}] does not say which of its columns, ratios in "
-        f"{_list_units(named)}, it is per: declare them in [1]"
+        f"a coefficient in [{unit}] on a slot in [{slot_unit}] is ambiguous, because its columns in "
+        f"{_list_units(column_units)} are all dimensionless: declare these columns in [1]"
     )
 
 
-def _product(
+def _product_factor(
     basis: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
 ) -> float | None:
-    """Return the size, in base units, of the product of these units that has a dimension; None where there is none."""
-    above, below = Counter[str](), Counter[str]()
+    """Return the factor to base units of the product of `units` with the dimension `basis`; None if none exists."""
+    numerator, denominator = Counter[str](), Counter[str]()
     for name, power in parse(unit).names:
         for base, exponent in parse(name).powers.items():
-            (above if power > 0 else below)[base] += exponent * power  # pyright: ignore[reportArgumentType]
+            (numerator if power > 0 else denominator)[base] += exponent * power  # pyright: ignore[reportArgumentType]
     slot = parse(slot_unit).powers
-    involved = {n for n in {*above, *below} if below[n] or above[n] != slot.get(n, 0)} | {*basis}
-    parts = {u: parse(u) for u in units if not involved.isdisjoint(parse(u).powers)}
+    of_output = {n for n in numerator if not denominator[n] and numerator[n] == slot.get(n, 0)}
+    dimensions = {*numerator, *denominator, *basis} - of_output
+    parts = {u: parse(u) for u in units if not dimensions.isdisjoint(parse(u).powers)}
     if not parts:
         return None if basis else 1.0
     names = sorted({*basis, *(n for part in parts.values() for n in part.powers)})
     matrix = np.array([[part.powers.get(n, 0.0) for part in parts.values()] for n in names])
-    aim = np.array([basis.get(n, 0.0) for n in names])
+    target = np.array([basis.get(n, 0.0) for n in names])
     sizes = np.log([part.factor for part in parts.values()])
-    powers, _, rank, _ = np.linalg.lstsq(matrix, aim)
-    if np.abs(matrix @ powers - aim).max() > 1e-9:
+    powers, _, rank, _ = np.linalg.lstsq(matrix, target)
+    if np.abs(matrix @ powers - target).max() > 1e-9:
         return None
-    free = np.linalg.svd(matrix)[2][rank:]
-    doubtful = np.abs(free[np.abs(free @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
-    if doubtful.any():
-        listed = _list_units([u for u, odd in zip(parts, doubtful, strict=True) if odd])
+    null = np.linalg.svd(matrix)[2][rank:]
+    is_ambiguous = np.abs(null[np.abs(null @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
+    if is_ambiguous.any():
+        listed = _list_units([u for u, flag in zip(parts, is_ambiguous, strict=True) if flag])
         raise InputError(
-            f"of columns in {listed} its basis may be made in several ways, of different size: declare them in one unit"
+            f"the unit of its basis is ambiguous: columns in {listed} have one dimension. Declare them in the same unit"
         )
     return float(np.exp(powers @ sizes))
 
 
 def _list_units(units: Sequence[str]) -> str:
-    return ", ".join(f"[{u}]" for u in dict.fromkeys(units)) or "none is named"
+    return ", ".join(f"[{u}]" for u in dict.fromkeys(units)) or "no column is named"
 
 
 def base_unit(unit: str) -> str:
-    """Return the unit of a column that no instrument prescribes: base units, or °C; raise InputError if unknown."""
+    """Return the stored unit of a column without a prescribed unit: base units, or °C; raise InputError if unknown."""
     parsed = parse(unit)
     if parsed.powers == {"m": 1, "s": -2}:
         return "ug"
     if parsed.powers == {"K": 1}:
         return "degC" if parsed.offset is not None else "delta_degC"
-    return _in_base(parsed.powers)
+    return _format_base(parsed.powers)
 
 
-def _in_base(powers: Mapping[str, float]) -> str:
-    """Format powers of base units as a unit; a temperature's is that of a difference."""
+def _format_base(powers: Mapping[str, float]) -> str:
+    """Format exponents of base units as a unit; K as degC, a temperature difference."""
     ranked = sorted(("degC" if n == "K" else n, p) for n, p in powers.items())
     parts = [(n if abs(p) == 1 else f"{n}^{abs(p):g}", p > 0) for n, p in ranked]
-    above = "*".join(part for part, is_above in parts if is_above)
-    return "/".join([above or "1", *(part for part, is_above in parts if not is_above)])
+    numerator = "*".join(part for part, is_numerator in parts if is_numerator)
+    return "/".join([numerator or "1", *(part for part, is_numerator in parts if not is_numerator)])
 
 
-def quotient(unit: str, by: str) -> str:
-    """Return a unit over another, the names of both cancelled: "degC" of "deg/s" by "deg/s/degC"."""
-    signed = (*parse(unit).names, *((name, -power) for name, power in parse(by).names))
+def quotient(unit: str, divisor: str) -> str:
+    """Return the quotient of two units with common names cancelled: "degC" for "deg/s" by "deg/s/degC"."""
+    signed = (*parse(unit).names, *((name, -power) for name, power in parse(divisor).names))
     powers = {name: sum(p for n, p in signed if n == name) for name, _ in signed}
-    return _in_base({name: power for name, power in powers.items() if power})
+    return _format_base({name: power for name, power in powers.items() if power})
 
 
 def fixed_unit(unit: str) -> str:
-    """Return the unit in which a quantity is kept: µg, °/s, rad, °C, s; a ratio in its own; else base units."""
+    """Return the unit in which a quantity is stored: µg, °/s, rad, °C, s; ratios unchanged; else base units."""
     if not parse(unit).powers and parse(unit).factor != 1:
-        return normalised(unit)  # ppm, ppb, %: as a plain number it would be shown as 3e-07
+        return normalise_unit(unit)  # ppm, ppb, %: in base units it would print as 3e-07
     return "deg/s" if (base := base_unit(unit)) == "rad/s" else base
 
 
-def pretty(unit: str) -> str:
-    """Format a unit as people write it: "deg/s/degC" as "°/s/°C", "ug/mg^2" as "µg/mg²"."""
+def format_unit(unit: str) -> str:
+    """Format a unit with symbols: "deg/s/degC" as "°/s/°C", "ug/mg^2" as "µg/mg²"."""
     if unit == ANY:
         return unit
     parse(unit)
@@ -500,7 +505,7 @@ def pretty(unit: str) -> str:
         text = match[0]
         return _SYMBOLS.get(text) or ("µ" + text[1:] if text[0] == "u" else text)
 
-    text = NAME.sub(name, normalised(unit)).replace("*", "·")
+    text = NAME.sub(name, normalise_unit(unit)).replace("*", "·")
     text = re.sub(r"(\w+)\^\(?0\.5\)?", r"√\1", text)  # °/√h
     digits = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
     return EXPONENT.sub(
@@ -509,12 +514,12 @@ def pretty(unit: str) -> str:
 
 
 def unit_label(unit: str) -> str:
-    """Format a unit for people; "" for a plain number."""
-    return pretty(unit) if unit not in ("", "1") else ""
+    """Format a unit with symbols; "" for a dimensionless unit."""
+    return format_unit(unit) if unit not in ("", "1") else ""
 
 
 def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:
-    """Return the power of m/s² that becomes local g in a conversion; None where there is no conversion."""
+    """Return the exponent of local gravity in a conversion between two dimensions; None if not convertible."""
     power, names = old.get("m", 0) - new.get("m", 0), {*old, *new}
     expected = {"m": power, "s": -2 * power, "ug": -power}
     matches = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)

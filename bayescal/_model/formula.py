@@ -23,7 +23,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.xp import xp
 from bayescal._data import unit_conversion as uc
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import NUMBER, ParsedUnit, base_unit, convert, parse
+from bayescal._data.unit_conversion import UNITY, ParsedUnit, base_unit, convert, parse
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -343,7 +343,7 @@ class _TypedLine:
     def _multiply(self, sign: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
         if sign != "^":
             is_unitless = a.unit is None and b.unit is None
-            product_unit = (a.unit or NUMBER).times(b.unit or NUMBER, 1.0 if sign == "*" else -1.0)
+            product_unit = (a.unit or UNITY).times(b.unit or UNITY, 1.0 if sign == "*" else -1.0)
             return self.apply(sign, None if is_unitless else product_unit, a, b)
         if b.unit is not None and b.unit.powers:
             raise self.error_at(b.at, f"an exponent must be a plain number; this is {b.unit}")
@@ -351,9 +351,9 @@ class _TypedLine:
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
                 raise self.error_at(b.at, f"the power of {unit} must be a constant, 10 at most")
-            unit = NUMBER.times(unit, b.tree)
+            unit = UNITY.times(unit, b.tree)
         elif b.unit is not None:
-            unit = NUMBER
+            unit = UNITY
         return self.apply(sign, unit, a, b)
 
     def _parse_call(self, name: str, arguments: list[ast.expr]) -> FormulaPart:
@@ -368,9 +368,9 @@ class _TypedLine:
             if powers and not (name in ("sin", "cos", "tan") and powers == {"rad": 1.0}):
                 why = f"{name} takes a plain number; this is {unit}: divide it by {unit}"
                 raise self.error_at(a.at, why)
-            unit = NUMBER
+            unit = UNITY
         elif name == "sqrt":
-            unit = unit and NUMBER.times(unit, 0.5)
+            unit = unit and UNITY.times(unit, 0.5)
         return self.apply(name, unit, a)
 
     def _parse_history(self, function: str, column_node: ast.expr, *tau: ast.expr) -> FormulaPart:
@@ -496,7 +496,7 @@ class _TypedLine:
         for name, part in self.coefficients.items():
             size = _SIZE.fullmatch(self.stated.get(name, ""))
             if size and size[3]:
-                product = parse(size[3].strip()).times(part.unit or NUMBER).powers
+                product = parse(size[3].strip()).times(part.unit or UNITY).powers
                 candidates = (s for s in self.instrument.slots if parse(s.unit).powers == product)
                 if matching_slot := next(candidates, None):
                     chosen_slot = matching_slot
@@ -507,7 +507,7 @@ class _TypedLine:
         self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
         """Build a coefficient with its prior; coefficient × basis is in the slot's unit."""
-        basis_unit, stated = unit or NUMBER, self.stated.get(name)
+        basis_unit, stated = unit or UNITY, self.stated.get(name)
         part = name if len(self.coefficients) > 1 else ""
         if stated is None:
             if size is None or slot_unit is None:

@@ -25,7 +25,7 @@ from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
 from bayescal._core.settings import seed_of, settings
 from bayescal._data.measurements import Measurements
-from bayescal._data.set_aside import said_of, set_aside
+from bayescal._data.set_aside import flag_fitted_holdout, set_aside
 from bayescal._inference.laplace import NO_START
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import Method
@@ -415,10 +415,10 @@ def prepare_readings(
         return used, None
     model.require(holdout)
     purpose = "what may be found, such as a drift" * readings.has("time")
-    on_clock = holdout.on_clock(readings.since, lambda: purpose)
+    on_clock = holdout.align_clock(readings.since, lambda: purpose)
     heldout = set_aside(on_clock, keep_spikes, model.columns)
-    flag = said_of(used, heldout)
-    if not flag and (continued := used.continued_in(heldout)):
+    flag = flag_fitted_holdout(used, heldout)
+    if not flag and (continued := used.find_continuations(heldout)):
         flag = (
             f"{used.file}: {sum(map(len, continued.values()))} readings of the hold-out data continue its run "
             f"{', '.join(continued)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"

@@ -26,9 +26,9 @@ from bayescal._tables.raw_table import (
     Header,
     Table,
     as_format,
-    in_one_line,
-    refuse_large,
-    refuse_many,
+    check_size,
+    check_width,
+    to_one_line,
     unusable,
 )
 
@@ -36,10 +36,10 @@ from bayescal._tables.raw_table import (
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     """Open a Parquet file; units stand in the column names or in the fields' metadata. Arguments as `open_table`."""
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
-        refuse_many(file, opened.metadata.num_columns)
+        check_width(file, opened.metadata.num_columns)
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
     unpacked.refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), unpacked.ARRAYS)
-    refuse_large(file, rows, len(schema), max_bytes)
+    check_size(file, rows, len(schema), max_bytes)
 
     def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
         cells = {}
@@ -83,7 +83,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
         columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == chosen}
-        refuse_large(file, data.sizes.get(chosen, 0), len(columns), max_bytes)
+        check_size(file, data.sizes.get(chosen, 0), len(columns), max_bytes)
         units = {n: str(v.attrs["units"]) for n, v in columns.items() if "units" in v.attrs}
         return Table.of_columns(file, {n: v.values for n, v in columns.items()}, units)
 
@@ -119,9 +119,9 @@ def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
     rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
     for values in sheet.iter_rows(values_only=True):
-        rows.append([in_one_line(format_cell(value)).replace('"', '""') for value in values])
+        rows.append([to_one_line(format_cell(value)).replace('"', '""') for value in values])
         count += sum(map(bool, rows[-1]))
-        refuse_large(file, count, 1, max_bytes)
+        check_size(file, count, 1, max_bytes)
     width = max((i + 1 for row in rows for i, cell in enumerate(row) if cell), default=0)
     padded = ([*row, *[""] * width][:width] if any(row) else [] for row in rows)
     return "".join("\t".join(f'"{cell}"' for cell in row) + "\n" for row in padded).encode()
@@ -157,7 +157,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         )
     rows = lengths.pop()
     chosen = {name: vector for name, vector in columns.items() if len(vector) == rows}
-    refuse_large(file, rows, len(chosen), max_bytes)
+    check_size(file, rows, len(chosen), max_bytes)
     return Table.of_columns(file, chosen)
 
 

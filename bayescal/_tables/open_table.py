@@ -14,7 +14,7 @@ from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import parse_text
-from bayescal._tables.raw_table import Table, bytes_text, unusable
+from bayescal._tables.raw_table import Table, format_bytes, unusable
 
 MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused before memory runs out
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
@@ -42,9 +42,9 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
             raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            limit = f"the limit is {bytes_text(max_bytes)}, and nothing was loaded"
+            limit = f"the limit is {format_bytes(max_bytes)}, and nothing was loaded"
             cure = "Average the readings, read fewer files, or raise max_bytes in Python"
-            raise unusable(name, f"brings all files to {bytes_text(total)}, {limit}", cure)
+            raise unusable(name, f"brings all files to {format_bytes(total)}, {limit}", cure)
     return names
 
 
@@ -54,8 +54,8 @@ def _reachable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        came = f"cannot be read: {error.strerror or error}"
-        raise unusable(str(path), came, "Check the name and the folder") from error
+        fault = f"cannot be read: {error.strerror or error}"
+        raise unusable(str(path), fault, "Check the name and the folder") from error
 
 
 def open_table(

@@ -13,7 +13,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from bayescal._tables.raw_table import bytes_text, unusable
+from bayescal._tables.raw_table import format_bytes, unusable
 
 SHEET, ARRAYS = (25, 2e7), (100, 1e8)
 """Largest ratio of unpacked to packed size of a format, and unpacked bytes that are always allowed.
@@ -28,11 +28,11 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
     """Raise InputError where a file unpacks to far more than readings do."""
     times, free = limit
     if unpacked > max(free, times * packed):
-        came = (
-            f"holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more, at least "
+        fault = (
+            f"holds {format_bytes(packed)} that unpack to {format_bytes(unpacked)} or more, at least "
             f"{unpacked / packed:,.0f} times as much; at most {times:g} times are read"
         )
-        raise unusable(file, came, _AS_CSV)
+        raise unusable(file, fault, _AS_CSV)
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
@@ -48,12 +48,12 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
             node = group[name] if isinstance(hard, h5py.HardLink) else None
             array = isinstance(node, h5py.Dataset)
             if node is None or (array and (node.is_virtual or node.external)):
-                came = f"is not all there: {inner} is a link to somewhere else, or its numbers stand in another file"
-                raise unusable(file, came, "Save the readings in the file itself")
+                fault = f"is not all there: {inner} is a link to somewhere else, or its numbers stand in another file"
+                raise unusable(file, fault, "Save the readings in the file itself")
             address = h5o.get_info(node.id).addr
             if len(visited) > _OBJECTS or (address in visited and not array):
-                came = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
-                raise unusable(file, came, _AS_CSV)
+                fault = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
+                raise unusable(file, fault, _AS_CSV)
             visited.add(address)
             total += int(node.size or 0) * node.dtype.itemsize if array else 0
             waiting += [node] * isinstance(node, h5py.Group)
@@ -95,5 +95,5 @@ def refuse_matlab(path: Path, file: str) -> None:
                     form = f"{order}{size_bytes // 4}i"
                     count = math.prod(struct.unpack_from(form, data, match.start() + 24))
                 if holding > _MAX_CONTAINERS or 8 * count > len(data):
-                    came = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
-                    raise unusable(file, came, _AS_CSV)
+                    fault = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
+                    raise unusable(file, fault, _AS_CSV)

@@ -29,8 +29,8 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
     convert,
+    format_unit,
     needs_gravity,
-    pretty,
     quotient,
     same_dimension,
     unit_label,
@@ -199,7 +199,7 @@ class Budget(Printed):
             TableColumn("coefficient", lambda c: c.name),
             TableColumn("estimate ± standard uncertainty", estimate),
             TableColumn("sensitivity c", lambda c: number(c.sensitivity)),
-            TableColumn("unit of c", lambda c: pretty(quotient(self.unit, c.unit)), left=True),
+            TableColumn("unit of c", lambda c: format_unit(quotient(self.unit, c.unit)), left=True),
             *common,
         )
         by_source = (

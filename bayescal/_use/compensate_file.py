@@ -21,8 +21,8 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
-from bayescal._data.dataset_checks import flags_of, problems_of_whole, repeated_rows
-from bayescal._data.header_matching import MatchedFile, unit_behind
+from bayescal._data.dataset_checks import find_problems, find_repeated_rows, flags_of
+from bayescal._data.header_matching import MatchedFile, split_trailing_unit
 from bayescal._data.measurements import Measurements
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, parse_text
@@ -122,8 +122,8 @@ def compensate_file(
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
         # History, unwrapped counters and times from the first row need the whole record checked.
         if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
-            problems_of_whole(converted, expected, True).refuse()
-            flags = flags_of(converted, "output", table.file, repeated_rows(converted.values))
+            find_problems(converted, expected, True).refuse()
+            flags = flags_of(converted, "output", table.file, find_repeated_rows(converted.values))
         since, columns = converted.origin, (converted.values, converted.units)
         readings = Measurements(*columns, (source,), since=since)
         _refuse_overlap(compensator, readings, bool(options.begin))
@@ -173,7 +173,7 @@ def _column_names(
     problems.refuse()
     table, positions = file.table, file.positions
     header = table.headers[positions["output"]]
-    unit_suffix = unit_behind(Header.parse(header.raw))  # of a unit in other brackets than [] too
+    unit_suffix = split_trailing_unit(Header.parse(header.raw))  # in brackets of any kind
     name = header.name if unit_suffix is None or header.name != header.raw else unit_suffix.name
     names = f"{name}_compensated", f"{name}_standard_uncertainty"
     for name in names:

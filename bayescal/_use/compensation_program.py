@@ -29,7 +29,7 @@ from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
-from bayescal._data.records import RATE_WINDOW, rate_window
+from bayescal._data.records import RATE_WINDOW_S, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, hold_flag_name
 from bayescal._tables.cells import format_date
@@ -119,7 +119,7 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
     add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
     for name, column in equation.rates:
         meaning = (
-            f"rate of {column}: least-squares slope over the last {RATE_WINDOW:g} s (or the last two readings, if "
+            f"rate of {column}: least-squares slope over the last {RATE_WINDOW_S:g} s (or the last two readings, if "
             "these are further apart), 0 at the start"
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))

@@ -106,7 +106,7 @@ class Compensator:
         """
         epoch = self.about.epoch
         if readings is not None:
-            readings = readings.on_clock(epoch, lambda: self.dated)
+            readings = readings.align_clock(epoch, lambda: self.dated)
         inputs, frame = gather_inputs(self.inputs, readings, columns, epoch)
         if method == "first order":
             value, noise_variance, square_slope = self.in_use.run(inputs["output"], inputs)

@@ -20,7 +20,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.inverse import MAX_NEWTON_STEPS
 from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
-from bayescal._data.records import RATE_WINDOW, SILENCE_WINDOWS
+from bayescal._data.records import MAX_GAP_WINDOWS, RATE_WINDOW_S
 from bayescal._use.compensation_program import (
     KINDS,
     PAST,
@@ -103,7 +103,7 @@ def _record_fields(program: CompensationProgram, fields: Mapping[str, str]) -> d
 
     lags = {(i.column, i.tau): fields[i.name] for i in by_kind["lag"]}
     slopes = [(i, lags[i.column, i.tau]) for i in by_kind["lag slope"]]
-    window = max((i.tau or RATE_WINDOW for i in by_kind["rate"]), default=0.0)
+    window = max((i.tau or RATE_WINDOW_S for i in by_kind["rate"]), default=0.0)
     return {
         "past": len(current) < len(program.inputs),
         "dated": "time" in columns,
@@ -115,7 +115,7 @@ def _record_fields(program: CompensationProgram, fields: Mapping[str, str]) -> d
         "rates": [field_pair(i) for i in by_kind["rate"]],
         "elapsed": [fields[i.name] for i in by_kind["elapsed"]],
         "window": window * (1 + 1e-9),  # as for rates of records
-        "silence": SILENCE_WINDOWS * window,
+        "silence": MAX_GAP_WINDOWS * window,
     }
 
 

@@ -38,7 +38,7 @@ def test_the_noise_of_a_single_reading_is_told() -> None:
     assert flag.startswith(
         "the given arrays: 20000 readings averaged over 1 s, to 2000 means of 10"
     )
-    told = float(flag.split("mean of 10, ")[1].split(" µg")[0])
+    told = float(flag.split("noise of one reading: ")[1].split(" µg")[0])
     assert told == pytest.approx(2.0, rel=0.03)
 
 
@@ -122,7 +122,7 @@ def test_times_are_read_as_people_write_them(text: str | float, seconds: float) 
 def test_averaging_that_cannot_be_is_refused() -> None:
     with pytest.raises(bc.InputError, match=r"no two readings .* within 0.05 s \(they are 0.1 s"):
         log().average("0.05 s")
-    with pytest.raises(bc.InputError, match="a mean over 3600 s is one of all 1000 readings"):
+    with pytest.raises(bc.InputError, match="averaging over 3600 s combines all 1000 readings"):
         log().average("1 h")
     timeless = bc.Measurements.from_arrays(SCALE, output=RNG.normal(size=30))
     with pytest.raises(bc.InputError, match="no column 'time'"):

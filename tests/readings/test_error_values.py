@@ -100,7 +100,7 @@ def test_chamber_that_steps_between_two_readings_is_kept() -> None:
         body[i] = goal[i] + (body[i - 1] - goal[i]) * np.exp(-200.0 / 300.0)
     output = 1.0 + SLOPE * (body - 30.0) + 1e-3 * rng.standard_normal(240)
     record = readings_of(time, warm, output)
-    assert bc.set_aside(record, needed=NEEDED) is record and record.oddities == ()
+    assert bc.set_aside(record, needed=NEEDED) is record and record.anomalies == ()
 
 
 @pytest.mark.parametrize("gone", ["none", "those near the end of the counter", "every seventh"])

@@ -49,7 +49,7 @@ def test_columns_and_units_can_be_named_from_outside(put):
     overruled = put("temperature [degC],output [deg/s]\n20,1\n30,2\n")
     m = bc.read(overruled, GYRO, units={"output": "rad/s"})
     assert m["output"][0] == pytest.approx(np.degrees(1))
-    assert any("taken as [rad/s], as --unit says" in flag for flag in m.flags)
+    assert any("read as [rad/s], as given by --unit" in flag for flag in m.flags)
 
 
 def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
@@ -57,7 +57,7 @@ def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
     m = bc.read(put(text), GYRO)
     np.testing.assert_allclose(m["output"], [3, 4], rtol=1e-12)
     np.testing.assert_allclose(m["output_uncertainty"], [2, 3])
-    assert "turned into °/s by the nominal scale of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
+    assert "converted to °/s by the nominal scale of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
     other = bc.read(put(text), GYRO, nominal_scale=bc.NominalScale("mV", gain=2.0))
     np.testing.assert_allclose(other["output"], [601.5, 602])
 
@@ -66,7 +66,7 @@ def test_local_gravity_is_used_and_said(put):
     path = put("temperature [degC],output [deg/s],pull [m/s^2]\n20,1,9.81\n30,2,-9.81\n")
     m = bc.read(path, GYRO, local_gravity=9.81)
     np.testing.assert_allclose(m["pull"], [1e6, -1e6])
-    assert m.unit("pull") == "ug" and "turned into local g by 9.81 m/s²" in m.flags[0]
+    assert m.unit("pull") == "ug" and "converted to local g with 9.81 m/s²" in m.flags[0]
 
 
 def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
@@ -74,7 +74,7 @@ def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
         "temperature [degC],output [deg/s],humidity [%],note,p [hPa],q [foo],cell [1],\n"
         "20,1,40,x,1000,1,1,\n30,2,41,y,?,1,1,\n"
     )
-    refused(put(text), r"'q \[foo\]'.*ends in \[foo\], no unit known here.*--ignore 'q \[foo\]'")
+    refused(put(text), r"'q \[foo\]'.*ends in \[foo\], which is not.*--ignore 'q \[foo\]'")
     m = bc.read(put(text), GYRO, ignore=["q [foo]"])
     np.testing.assert_allclose(m["humidity"], [0.4, 0.41])
     assert m.unit("humidity") == "1" and not {"p", "q", "note", "cell"} & set(m.columns)
@@ -82,7 +82,7 @@ def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
     for expected in (
         "'p [hPa]' ignored: row 3 reads '?'",
         "no unit: note, column 8, without a name",
-        "the name 'cell' is taken",
+        "the name 'cell' is reserved",
     ):
         assert expected in said
 
@@ -106,7 +106,7 @@ def test_an_optional_column_without_content_is_left_out(put):
         put("run,lab_temperature [degC],temperature [degC],output [V]\n,,20,1\n,,30,2\n"), GYRO
     )
     assert not m.has("run") and not m.has("lab_temperature")
-    assert sum("is empty and was left out" in flag for flag in m.flags) == 2
+    assert sum("is empty and ignored" in flag for flag in m.flags) == 2
 
 
 BARE = "time [s],temperature [degC],output [deg/s]\n0,{},1\n1,{},2\n"
@@ -126,7 +126,7 @@ def flags(**columns) -> str:
 
 def test_repeated_rows_are_dropped_where_the_time_tells_and_flagged(put):
     m, once = bc.read(put(GOOD + "b,0,30,1.8\n"), GYRO), bc.read(put(GOOD), GYRO)
-    told = "1 row(s) repeat an earlier one in every column, first at row 5 of 't.csv'"
+    told = "1 row(s) repeat an earlier row in every column, first at row 5 of 't.csv'"
     assert f"{told}: dropped" in m.flags
     assert len(m) == len(once)
     no_time = bc.Measurements.from_arrays(
@@ -140,7 +140,7 @@ def test_a_saturated_output_is_flagged_and_a_rounded_one_is_not():
     rng = np.random.default_rng(1)
     x, t = rng.normal(size=500), np.linspace(20, 40, 500)
     said = flags(temperature=t, output=np.clip(x, None, 1.0))
-    assert "'output' may be saturated" in said and "exactly at its maximum 1" in said
+    assert "'output' may be saturated" in said and "equal its maximum 1" in said
     assert "minimum -1" in flags(temperature=t, output=np.clip(x, -1.0, None))
     for rounded in (np.round(x, 1), np.round(x), np.sin(np.arange(500) * np.pi / 2), x):
         assert "saturated" not in flags(temperature=t, output=rounded)

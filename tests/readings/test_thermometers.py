@@ -28,7 +28,7 @@ def ramps() -> Columns:
 def oddities(columns: Columns) -> tuple[Any, ...]:
     warm = {n: "degC" for n in columns if n == "case" or n.endswith(TEMPERATURE)}
     labels = {n: None for n, values in columns.items() if values.dtype.kind in "OU"}
-    return bc.Measurements(columns, dict.fromkeys(columns, "1") | warm | labels).oddities
+    return bc.Measurements(columns, dict.fromkeys(columns, "1") | warm | labels).anomalies
 
 
 def said_of(columns: Columns, **changed: np.ndarray) -> list[str]:
@@ -73,7 +73,7 @@ def test_a_fault_of_a_thermometer_is_named(ramps: Columns, fault: str) -> None:
 def test_simulated_thermometers_and_displays_of_few_digits_have_nothing_odd(name: str) -> None:
     for seed in (11, 12, 13):
         readings = instrument_named(name).simulate({}, seed=seed)
-        assert readings.oddities == ()
+        assert readings.anomalies == ()
     warm = [n for n in readings.columns if readings.unit(n) == "degC"]
     for step in (0.01, 0.1, 0.5, 1.0):
         rounded = {n: step * np.rint(readings[n] / step) for n in warm}

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal.workshop import base_unit, convert, parse, same_dimension
-from tests.support.inside import coefficient_factor, pretty
+from tests.support.inside import coefficient_factor, format_unit
 
 ARCSEC = math.pi / 648000
 
@@ -92,7 +92,7 @@ ug/Hz^0.5 µg/√Hz; mV*s^-1 mV·s⁻¹; dps °/s; delta_degC °C; % %; 1 1
 
 @pytest.mark.parametrize(("unit", "shown"), entries(SHOWN))
 def test_units_are_shown_as_people_write_them(unit, shown):
-    assert pretty(unit) == shown
+    assert format_unit(unit) == shown
     assert same_dimension(shown, unit)
 
 

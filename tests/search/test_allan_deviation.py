@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from tests.support.inside import EvenRuns, degrees_of_freedom, overlapping
+from tests.support.inside import EvenRuns, allan_variances, degrees_of_freedom
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
 # deviations at one and two readings, and at 1, 10 and 100.
@@ -43,10 +43,10 @@ class Factors(EvenRuns):
 def test_the_estimator_gives_the_published_deviations(data, published) -> None:
     runs = Factors((np.arange(len(data)),), 1.0)
     runs.chosen = np.array([*published], float)
-    variance, count = overlapping(data, runs)
+    variance, count = allan_variances(data, runs)
     assert np.sqrt(variance) == pytest.approx([*published.values()], rel=1e-6)
     assert list(count) == [len(data) + 1 - 2 * m for m in published]
-    both, _ = overlapping(np.column_stack([data, 2 * data]), runs)
+    both, _ = allan_variances(np.column_stack([data, 2 * data]), runs)
     assert both == pytest.approx(5 * variance, rel=1e-9)
 
 
@@ -100,7 +100,7 @@ def test_the_laws_curve_is_that_of_simulated_readings(time: float) -> None:
     rng, count = np.random.default_rng(8), 600
     runs = EvenRuns((np.arange(count),), 1.0)
     seen = [
-        overlapping(
+        allan_variances(
             ornstein_uhlenbeck(rng, count, time, 0.1) + 0.2 * rng.standard_normal(count), runs
         )[0]
         for _ in range(100)

@@ -32,12 +32,12 @@ from bayescal._core.importance_weights import smoothed as smoothed
 from bayescal._core.json_shape import as_type as as_type
 from bayescal._core.quoting import identifier as identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
+from bayescal._data.allan_deviation import allan_variances as allan_variances
 from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
-from bayescal._data.allan_deviation import overlapping as overlapping
 from bayescal._data.column import find_overloads
-from bayescal._data.set_aside import said_of
+from bayescal._data.set_aside import flag_fitted_holdout
 from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
-from bayescal._data.unit_conversion import pretty as pretty
+from bayescal._data.unit_conversion import format_unit as format_unit
 from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record
 from bayescal._model import forward as forward
@@ -55,7 +55,7 @@ from bayescal._search.next_experiment import divergence as divergence
 from bayescal._search.noise_laws import fit_to_residuals as fit_to_residuals
 from bayescal._search.replaced_terms import find_replaced_terms as find_replaced_terms
 from bayescal._tables.mapping_file import load_mapping, save_mapping
-from bayescal._tables.raw_table import in_one_line
+from bayescal._tables.raw_table import to_one_line
 from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal._use.compensation_program import CompensationProgram as CompensationProgram
 from bayescal.workshop import MANIFEST as MANIFEST
@@ -105,7 +105,7 @@ def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | Non
 
 def said_of_holdout(readings: bc.Measurements, holdout: bc.Measurements) -> str:
     """What a search says of hold-out data that are not new; empty of new ones."""
-    return said_of(readings, holdout)
+    return flag_fitted_holdout(readings, holdout)
 
 
 def is_overload(value: float) -> bool:
@@ -115,7 +115,7 @@ def is_overload(value: float) -> bool:
 
 def name_in_files(name: str) -> str:
     """What a file's reader makes of the name of a column."""
-    return in_one_line(name)
+    return to_one_line(name)
 
 
 def mapping_of(path: Path) -> dict[str, Any]:

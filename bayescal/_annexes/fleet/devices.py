@@ -18,7 +18,7 @@ import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal.workshop import Place, Source, backward_time, same_temperature
+from bayescal.workshop import Place, Source, find_single_temperature, find_time_reversals
 
 DEVICE = "device"
 
@@ -263,6 +263,6 @@ def _convert_usable(
 def _useless(columns: dict[str, np.ndarray], name: str, warm: bool) -> str:
     """Return that a device has one temperature only, where it needs more, or time running backwards; "" otherwise."""
     file = f"device {name}"
-    problems = [*same_temperature(columns, file)] if warm else []
-    problems += backward_time(columns, lambda row: Place(f"reading {row + 1}", file))
+    problems = [*find_single_temperature(columns, file)] if warm else []
+    problems += find_time_reversals(columns, lambda row: Place(f"reading {row + 1}", file))
     return str(problems[0]) if problems else ""

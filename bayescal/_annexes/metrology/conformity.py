@@ -130,7 +130,7 @@ def _unit(written: str, text: str) -> str:
         ws.parse(unit)
     except bc.InputError as error:
         raise bc.InputError(f"limit {text!r}: {error}") from None
-    return ws.normalised(unit)
+    return ws.normalise_unit(unit)
 
 
 @dataclass(frozen=True)
