@@ -262,6 +262,7 @@ class StepwiseSearch:
             self.steps = [self.fit_structure(goal, None, is_last=True)]
         pairs = zip(self.steps, discoveries, strict=True)
         path = self.average_path([replace(s, discovery=d) for s, d in pairs], goal, search)
+        self.library.cached_columns.clear()
         self.structures.clear_cache()
         return path
 

@@ -76,7 +76,7 @@ class Library:
     # candidates that vary within means, scored by all readings
     unaveraged: frozenset[str] = frozenset()
     _means: Means | None = None
-    _columns: dict[str, dict[bool, tuple[Any, ...]]] = field(default_factory=dict)
+    cached_columns: dict[str, dict[bool, tuple[Any, ...]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = dict(self.structures.layout.counts)
@@ -147,8 +147,8 @@ class Library:
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
         # Chain rule: derivative of the output with respect to the slot, times ∂slot/∂coefficient.
         by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
-        needed, entries = self._relevant_corrections(name, corrections), self._columns.get(name, {})
-        if entry := entries.get(bool(needed)):
+        needed = self._relevant_corrections(name, corrections)
+        if entry := self.cached_columns.get(name, {}).get(bool(needed)):
             is_same = entry[0] is record and entry[1] == needed
             if is_same and np.array_equal(entry[2], by_slot):
                 return entry[3][[p.index for p in points]]
@@ -168,7 +168,7 @@ class Library:
             columns[:, members] = np.moveaxis(per_member, -1, 1)
         if not is_small:
             return columns
-        self._columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
+        self.cached_columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
         return columns[[p.index for p in points]]
 
     def _relevant_corrections(self, name: str, corrections: Corrections) -> Corrections:

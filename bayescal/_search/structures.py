@@ -178,11 +178,6 @@ class Structures:
         """Return the names under which effects are reported."""
         return frozenset(map(self.family, names))
 
-    def have_same_families(self, first: Structure, second: Structure) -> bool:
-        """Return whether two structures have the same families of effects and noise law."""
-        same = self.families(first.effects) == self.families(second.effects)
-        return same and first.noise == second.noise
-
     def corrects_column(self, name: str) -> bool:
         """Return whether a candidate corrects a column that effects depend on (a body's temperature): without score."""
         return self.candidates[name].slot not in self.record.slots

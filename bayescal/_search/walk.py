@@ -67,6 +67,7 @@ def explore(
         if limit.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
+    library.cached_columns.clear()
     structures.clear_cache()
     return reason
 
@@ -102,7 +103,9 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
                 structure = current.structure
                 previous = [*expanded[scope]] if structures.near_best_only else []
                 expanded[scope].add(structure)
-                if similar := [s for s in previous if structures.have_same_families(s, structure)]:
+                families, noise = structures.families(structure.effects), structure.noise
+                of_law = (s for s in previous if s.noise == noise)
+                if similar := [s for s in of_law if structures.families(s.effects) == families]:
                     yield from _repeat_move(structures, current, similar[0])
                 else:
                     yield from _evaluate_neighbours(library, current, scope, make_scorer)
