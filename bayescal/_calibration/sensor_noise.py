@@ -45,7 +45,7 @@ from bayescal._inference.newton import NOWHERE, GaussianFit, NumericDensity, fit
 from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import draw_by_importance
 from bayescal._model.noise_law import WHITE
-from bayescal._model.noise_spectrum import eigenvalues
+from bayescal._model.noise_spectrum import compute_eigenvalues
 from bayescal._model.noise_terms import FLICKER_FLOOR, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.summed_noise import SummedNoise
@@ -625,7 +625,7 @@ def _impute_run(
     design = np.column_stack([np.ones(n), *curve])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
     arrays = {name: np.array([[value]]) for name, value in values.items()}
-    terms = model.spectrum(arrays, step, eigenvalues(n, np.arange(n)))
+    terms = model.spectrum(arrays, step, compute_eigenvalues(n, np.arange(n)))
     density = arrays[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
     weight = np.append(0.0, 1 / density[0, 1:])
 

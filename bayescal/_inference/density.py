@@ -1,6 +1,6 @@
 """Marginal log density of the hyper-parameters φ: coefficients x integrated out of a linearised model.
 
-Computed from cached inner products if possible (`Tabulated`), otherwise from the readings at each φ.
+Computed from cached inner products if possible (`TabulatedDensity`), otherwise from the readings at each φ.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bayescal._inference.noise_on_record import (
     whitening,
 )
 from bayescal._inference.problem import Problem, Values
-from bayescal._inference.tabulated import Evaluation, Tabulated
+from bayescal._inference.tabulated import Evaluation, TabulatedDensity
 from bayescal._model.composition import Linearisation
 
 MAX_NEWTON_STEPS = 50  # towards the conditional mode of x
@@ -58,14 +58,14 @@ class Density(NumericDensity):
         self._reset(self.guess)
 
     @cached_property
-    def tabulated(self) -> Tabulated | None:
+    def tabulated(self) -> TabulatedDensity | None:
         """Return the density from cached inner products; None if readings must be processed at each φ."""
         problem = self.problem
         nodes = None
         if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
             nodes = problem.record.nodes(problem.noise)
         v = np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
-        return None if nodes is None else Tabulated(problem, nodes, self.x, v)
+        return None if nodes is None else TabulatedDensity(problem, nodes, self.x, v)
 
     @property
     def origin(self) -> Float[np.ndarray, "p"]:

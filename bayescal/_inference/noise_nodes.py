@@ -31,7 +31,7 @@ from scipy.linalg import block_diag
 from bayescal._data.records import EVEN_STEPS
 from bayescal._inference.chebyshev import lagrange_at_nodes
 from bayescal._model.noise_law import WHITE, Noise
-from bayescal._model.noise_spectrum import eigenvalues, end_transform
+from bayescal._model.noise_spectrum import compute_eigenvalues, transform_end
 
 WRITTEN_STEPS = 0.5  # tolerated rounding of times with an even clock, in steps
 SINGLE_FREQUENCIES = 16  # lowest frequencies of a run, each a node
@@ -136,7 +136,7 @@ class DCTNodes(OneNode):
         for n in self.run_counts:
             first = sum(map(len, lam))
             self.segments[n] = [*(segments or _segments)(n)]
-            lam += [eigenvalues(n, s.places) for s in self.segments[n]]
+            lam += [compute_eigenvalues(n, s.places) for s in self.segments[n]]
             self.node_slices[n] = slice(first, sum(map(len, lam)))
         self.lam = np.concatenate(lam)
         self.count = len(self.lam)
@@ -145,7 +145,7 @@ class DCTNodes(OneNode):
         for n, times in self.run_counts.items():
             self.rows[self.node_slices[n]] = times * self._onto_nodes(n, np.ones((n, 1)))[:, 0]
             for sign in SIGNS:
-                squares = end_transform(n, sign)[:, None] ** 2
+                squares = transform_end(n, sign)[:, None] ** 2
                 self.end_squares[n, sign] = self._onto_nodes(n, squares)[:, 0]
 
     def _onto_nodes(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
@@ -175,7 +175,7 @@ class DCTNodes(OneNode):
     def end_products(self, a):
         products = {}
         for n, sign in self.end_squares:
-            end = end_transform(n, sign)[:, None]
+            end = transform_end(n, sign)[:, None]
             columns = [t for run, t in zip(self.runs, a, strict=True) if len(run) == n]
             products[n, sign] = np.array([self._onto_nodes(n, end * t) for t in columns])
         return products
@@ -214,10 +214,10 @@ class DCTNodes(OneNode):
         for run in self.runs:
             n = len(run)
             if n not in roots:
-                terms = law.spectrum(settings, self.step, eigenvalues(n, np.arange(n)))
+                terms = law.spectrum(settings, self.step, compute_eigenvalues(n, np.arange(n)))
                 scale = 1 / np.sqrt(settings[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
-                ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
+                ends = np.concatenate([scale * u * transform_end(n, sign) for sign in SIGNS])
                 base, r = np.linalg.qr(ends.T)
                 core = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
                 size, vectors = np.linalg.eigh(r @ core @ r.T)
@@ -300,7 +300,7 @@ class Products:
 
 def _segments(n: int) -> Iterator[Segment]:
     """Yield segments of a run's frequencies: the lowest as single nodes, then a factor of 30 in λ each."""
-    symbol, start = eigenvalues(n, np.arange(n)), 0
+    symbol, start = compute_eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
             stop = min(SINGLE_FREQUENCIES, n)

@@ -1,7 +1,7 @@
 """Marginal log density of φ from cached inner products of basis columns: value, gradient and exact Hessian.
 
-Columns of all effects form one table Φ, φ-dependent ones as sums of terms (`Expansion`), so that [J·sd | r] = Φ·D(φ)
-with D a matrix with one non-zero element dᵢ(φ) in each row, in the column of the row's owner. With
+Columns of all effects form one table Φ, φ-dependent ones as sums of terms (`Expansion`), so that [J·sd | r] = Φ·D(φ),
+D with one non-zero element dᵢ(φ) per row, in the column of the coefficient ("owner") to which row i contributes. With
 G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`noise_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
 
     log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),
@@ -13,7 +13,7 @@ C = A⁻¹, t = C·p, P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (indexed by owners
     ∂ₖ = −aₖᵀQd,   −∂ₖₗ = bₖₗᵀQd + aₖᵀQaₗ − ½·tr(C·Mₖ·C·Mₗ) − qₖᵀCqₗ,   a = ∂d,  b = ∂²d,  qₖ = mₖ − Mₖt,
 
 Mₖ, mₖ the derivatives of M and m: the Hessian costs a few matrix products. Derivatives of G are central differences
-over settings of the noise. Source: derived here; the gradient is Fisher's identity.
+with respect to the noise parameters. Source: derived here; the gradient is Fisher's identity.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import expand_members
 from bayescal._model.terms import Term
 
-DIFFERENCE = 1e-3  # difference step of a coordinate, for priors, weights of processes, and noise
-FAR_SD = 1e3  # prior deviations beyond which a least-squares coefficient is not used as origin
-CLOSE_NATS = 0.02  # tolerated error of the log density by polynomial columns
-NUMBERS_AT_ONCE = 2_000_000  # array elements per batch, which bounds memory
-MAX_PAIRS_PER_READING = 40  # pairs of table columns, above which direct evaluation is cheaper
-CACHED_TABLES = 3  # latest row tables of a structure
+DIFF_STEP = 1e-3  # central-difference step of a coordinate of φ
+MAX_ORIGIN_SD = 1e3  # distance of the origin of x from the prior mean, prior standard deviations
+MAX_ERROR_NATS = 0.02  # of the log density by polynomial columns
+MAX_BATCH_ELEMENTS = 2_000_000  # array elements per batch, to bound memory
+MAX_PAIRS_PER_READING = 40  # pairs of table columns above which direct evaluation is cheaper
+MAX_CACHED_TABLES = 3  # row tables of a structure
 
 
 class Evaluation(NamedTuple):
-    """Marginal log density at one φ, conditional posterior of x; optionally gradient and negative Hessian."""
+    """Marginal log density at one φ and conditional posterior of x; optionally gradient and negative Hessian."""
 
     log_density: float
     conditional: Conditional
@@ -58,24 +58,23 @@ class Evaluation(NamedTuple):
 
 
 class TabulatedEffect(NamedTuple):
-    """One effect of a structure, with all its coefficients in one block of the table."""
+    """One effect of a structure; its basis columns are one block of the table."""
 
-    key: int  # number of its columns in the table, common to equal effects
+    key: int  # identifier of its columns in the table, common to equal effects
     expansions: Expansions  # of its columns
     terms: tuple[Term, ...]  # its coefficients
-    free: list[int]  # indices in φ that its columns depend on
-    owners: Int[
-        np.ndarray, "m"
-    ]  # index in x of each coefficient and member; p (the residual) if fixed
+    shapes: list[int]  # indices in φ of the shapes of its columns
+    # Index in x of each coefficient and group member; p (the residual) if it has a fixed value.
+    owners: Int[np.ndarray, "m"]
     multipliers: Float[np.ndarray, "m"]  # 1, or minus the value of a fixed coefficient
 
     def expansion_at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
-        """Return the expansion of the columns at φ."""
-        return self.expansions.get(v[self.free], with_grad)
+        """Return the expansion of the effect's columns that is valid at φ."""
+        return self.expansions.get(v[self.shapes], with_grad)
 
 
-class Tabulated:
-    """Marginal density of a structure by cached products; a nonlinear output is linearised at x, `expansion_point`."""
+class TabulatedDensity:
+    """Marginal density of a structure by cached products; a nonlinear output is linearised at x and φ given."""
 
     def __init__(
         self,
@@ -85,19 +84,19 @@ class Tabulated:
         expansion_point: Float[np.ndarray, "d"],
     ) -> None:
         self.problem, self.nodes = problem, nodes
-        self.places = {h.name: i for i, h in enumerate(problem.hypers)}
+        self.phi_index = {h.name: i for i, h in enumerate(problem.hypers)}
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
         self._tables: dict[Any, _StructureRows] = {}
         self.slopes = problem.slopes(x, problem.hyper(expansion_point))
         if problem.affine:
             self.table: ColumnTable = problem.record.table
-            self.parts = self._parts(self.table)
+            self.parts = self._list_parts(self.table)
             self.table.remove_fit([*self._static_parts])
         else:
             self.table = self._linearise_table(x, expansion_point)
         self.origin = self._choose_origin()
 
-    def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
+    def _list_parts(self, table: ColumnTable) -> list[TabulatedEffect]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.effect), []).append(t)
@@ -118,59 +117,61 @@ class Tabulated:
                     table.number((terms[0].columns.key, fixed_shapes, *config)),
                     problem.record.expansions(terms[0].columns, fixed_shapes),
                     tuple(terms),
-                    [self.places[n] for n in names if n not in fixed],
+                    [self.phi_index[n] for n in names if n not in fixed],
                     np.concatenate(owners),
                     np.concatenate(multipliers),
                 )
             )
         return parts
 
-    def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
-        """Return the table's block number of a part's columns, `rank` columns per coefficient and member."""
+    def _get_block(self, part: TabulatedEffect, expansion: Expansion) -> int:
+        """Return the table's block number of an effect's columns, `rank` columns per coefficient and group member."""
         return self.table.block(
-            (part.key, expansion.number), lambda: self._columns(part, expansion)
+            (part.key, expansion.number), lambda: self._list_columns(part, expansion)
         )
 
-    def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
+    def _list_columns(
+        self, part: TabulatedEffect, expansion: Expansion
+    ) -> Float[np.ndarray, "n w"]:
         columns = []
         for t in part.terms:
             column = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
             codes = None if t.per is None else self.problem.record.codes[t.per]
-            spread = expand_members(column.T, codes, t.size)  # (r, n, members)
-            columns.append(spread.transpose(1, 2, 0).reshape(len(column), -1))
+            member_columns = expand_members(column.T, codes, t.size)  # (r, n, members)
+            columns.append(member_columns.transpose(1, 2, 0).reshape(len(column), -1))
         return np.concatenate(columns, axis=1)
 
     @cached_property
     def _static_parts(self) -> dict[int, TabulatedEffect]:
-        """Return the φ-independent parts by block number, without Gaussian processes (nearly collinear)."""
-        middle = np.zeros(len(self.problem.hypers))
+        """Return the φ-independent effects by block number, without Gaussian processes (nearly collinear)."""
+        medians = np.zeros(len(self.problem.hypers))
         return {
-            self._block(part, part.expansion_at(middle, False)): part
+            self._get_block(part, part.expansion_at(medians, False)): part
             for part in self.parts
-            if not part.free and part.terms[0].effect.weights is None
+            if not part.shapes and part.terms[0].effect.weights is None
         }
 
     def _linearise_table(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]) -> ColumnTable:
-        """Build the table of a nonlinear output linearised at x, with x of static parts relative to that point."""
+        """Build the column table of a nonlinear output linearised at x and v; static coefficients are relative to x."""
         problem = self.problem
         residual = problem.record.y - problem.linearise(x, problem.hyper(v)).mean
         self.table = ColumnTable(residual)
-        self.parts = self._parts(self.table)
-        explained = dict.fromkeys(self._static_parts)
+        self.parts = self._list_parts(self.table)
+        subtracted = dict.fromkeys(self._static_parts)
         for part in self.parts:
             expansion = part.expansion_at(v, False)
-            inside = part.owners < problem.size
-            coefficients = np.where(inside, np.append(x, 0.0)[part.owners], -part.multipliers)
-            if (number := self._block(part, expansion)) in explained:
-                explained[number] = coefficients
+            is_in_x = part.owners < problem.size
+            coefficients = np.where(is_in_x, np.append(x, 0.0)[part.owners], -part.multipliers)
+            if (number := self._get_block(part, expansion)) in subtracted:
+                subtracted[number] = coefficients
             else:
-                share = expansion.factors(v[part.free]).value
-                residual += self._columns(part, expansion) @ np.kron(coefficients, share)
-        self.table.removed = explained
+                factors = expansion.factors(v[part.shapes]).value
+                residual += self._list_columns(part, expansion) @ np.kron(coefficients, factors)
+        self.table.removed = subtracted
         return self.table
 
     def _choose_origin(self) -> Float[np.ndarray, "p"]:
-        """Return the origin of x (p,): the least-squares coefficients that the table removed, or prior means."""
+        """Return the origin of x (p,): least-squares coefficients subtracted from the residual, or prior means."""
         problem = self.problem
         origin, weight = problem.mean_of_x.copy(), problem.weight_of_x
         sd = problem.sizes.fixed_sd.copy()
@@ -180,22 +181,22 @@ class Tabulated:
             sd[members > 0] = np.inf
         for key, part in self._static_parts.items():
             if (coefficients := self.table.removed.get(key)) is not None:
-                inside = part.owners < problem.size
-                places, coefficients = part.owners[inside], coefficients[inside]
-                near = np.abs(coefficients - origin[places]) < FAR_SD * sd[places]
-                origin[places] = np.where(near, coefficients, origin[places])
+                is_in_x = part.owners < problem.size
+                indices, coefficients = part.owners[is_in_x], coefficients[is_in_x]
+                is_near = np.abs(coefficients - origin[indices]) < MAX_ORIGIN_SD * sd[indices]
+                origin[indices] = np.where(is_near, coefficients, origin[indices])
         return origin
 
     def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
-        """Return the structure's rows for a combination of expansions, the latest cached."""
+        """Return the structure's rows of the table for a combination of expansions; the latest are cached."""
         if expansions not in self._tables:
-            while len(self._tables) >= CACHED_TABLES:
+            while len(self._tables) >= MAX_CACHED_TABLES:
                 del self._tables[next(iter(self._tables))]
             self._tables[expansions] = _StructureRows(self, expansions)
         return self._tables[expansions]
 
     def weights(self, coordinates: Float[np.ndarray, "s q"]) -> Weights:
-        """Return the noise law's node weights at several settings of its coordinates (s, q)."""
+        """Return the noise law's node weights at several values of its coordinates in φ (s, q)."""
         problem, values = self.problem, dict[str, Any]()
         for name in problem.noise.parameters():
             values[name] = np.full(len(coordinates), problem.fixed_values.get(name, 0.0))
@@ -207,7 +208,7 @@ class Tabulated:
     def evaluate(
         self, v: Float[np.ndarray, "d"], flat_scales: Float[np.ndarray, "p"], with_grad: bool = True
     ) -> Evaluation | None:
-        """Return the log density at a φ, with its gradient and Hessian if `with_grad`; None if undefined."""
+        """Return the log density at one φ, with gradient and negative Hessian if `with_grad`; None if undefined."""
         problem, p, q = self.problem, self.problem.size, len(self.noise)
         hyper = problem.hyper(v)
         prior = problem.prior(hyper, flat_scales)
@@ -217,16 +218,16 @@ class Tabulated:
         weights = self.weights(v[self.noise] + _stencil(q)[: None if with_grad else 1])
         if not np.isfinite(weights.log_det[0]):
             return None
-        shares, slopes = rows.factors(v, with_grad)
+        factors, derivatives = rows.factors(v, with_grad)
         grams = rows.products.gram(weights, slice(0, 1 + 2 * q if with_grad else 1))
         gram = rows.select(grams[0])
-        unit = shares[:, None] * rows.owned  # (R, p + 1): of J, output unit per reported unit
+        unit = factors[:, None] * rows.indicator  # D for unit prior deviations (R, p + 1)
         gram_unit = gram @ unit
         gram_x = Gram.split(unit.T @ gram_unit, weights.log_det[0])
         conditional = condition(gram_x, problem.record.size, prior, self.origin)
         if conditional is None:
             return None
-        log_prior, prior_slope, prior_bend = self._log_prior(v)
+        log_prior, prior_gradient, prior_curvature = self._log_prior(v)
         value = conditional.log_marginal + log_prior
         if not math.isfinite(value):
             return None
@@ -234,35 +235,34 @@ class Tabulated:
             return Evaluation(value, conditional)
         scale = np.append(prior.sd, 1.0)
         C, P = _posterior_moments(conditional, prior, self.origin)
-        d = scale[rows.owner] * shares
+        d = scale[rows.owner] * factors
         U = gram_unit * scale  # G·D
         P_rows = P[rows.owner[:, None], rows.owner]
         Q = gram * P_rows
-        first_logs, second_logs = self._log_deviations(v, hyper)
-        a = first_logs[:, rows.owner] * d
-        for at, ks, first, _ in slopes:
-            a[np.ix_(ks, at)] = scale[rows.owner[at]] * first
+        d_log_sd, d2_log_sd = self._differentiate_log_sd(v, hyper)
+        a = d_log_sd[:, rows.owner] * d
+        for index, ks, gradients, _ in derivatives:
+            a[np.ix_(ks, index)] = scale[rows.owner[index]] * gradients
         y = Q @ d
-        gradient = prior_slope - a @ y
-        dW = rows.owned.T @ (a[:, :, None] * U)  # (d, p + 1, p + 1)
+        gradient = prior_gradient - a @ y
+        dW = rows.indicator.T @ (a[:, :, None] * U)  # (d, p + 1, p + 1)
         dW = dW + dW.transpose(0, 2, 1)
         B = (a @ Q) @ a.T
         # Second derivatives of d times Q·d: with respect to prior deviations, to shapes, mixed.
-        copied = first_logs.copy()
         e = d * y
-        by_sd = copied[:, rows.owner]
+        by_sd = d_log_sd[:, rows.owner]
         B += (by_sd * e) @ by_sd.T
-        B.flat[:: len(v) + 1] += second_logs @ (rows.owned.T @ e)
-        for at, ks, first, second in slopes:
-            mixed = by_sd[:, at] @ (scale[rows.owner[at]] * first * y[at]).T
+        B.flat[:: len(v) + 1] += d2_log_sd @ (rows.indicator.T @ e)
+        for index, ks, gradients, hessians in derivatives:
+            mixed = by_sd[:, index] @ (scale[rows.owner[index]] * gradients * y[index]).T
             B[:, ks] += mixed
             B[ks, :] += mixed.T
-            B[np.ix_(ks, ks)] += second @ (scale[rows.owner[at]] * y[at])
+            B[np.ix_(ks, ks)] += hessians @ (scale[rows.owner[index]] * y[index])
         E = P_rows * np.outer(d, d)
-        D = d[:, None] * rows.owned
+        D = d[:, None] * rows.indicator
         for k, i in enumerate(self.noise):
-            dG = rows.select(grams[1 + k] - grams[1 + q + k]) / (2 * DIFFERENCE)
-            d_log_det = (weights.log_det[1 + k] - weights.log_det[1 + q + k]) / (2 * DIFFERENCE)
+            dG = rows.select(grams[1 + k] - grams[1 + q + k]) / (2 * DIFF_STEP)
+            d_log_det = (weights.log_det[1 + k] - weights.log_det[1 + q + k]) / (2 * DIFF_STEP)
             dW[i] = D.T @ dG @ D
             product = (P_rows * dG) @ d
             gradient[i] -= 0.5 * (float(d @ product) + d_log_det)
@@ -271,31 +271,31 @@ class Tabulated:
             traces = rows.products.traces(weights, rows.add_by_column(E)) + weights.log_det
             B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
         # The prior mean f = (mean − origin)/sd depends on sd, and with it w·f in p and w·f² in ρ.
-        t = _mean_from_point(conditional, prior, self.origin)
+        t = _standardise_mean(conditional, prior, self.origin)
         prior_offset = prior.weight * (t - conditional.z)
-        first_x, z = first_logs[:, :p], prior.weight * conditional.z
-        gradient -= first_x @ (z * prior_offset)
-        B += (first_x * (prior_offset**2 - z * prior_offset)) @ first_x.T
-        B.flat[:: len(v) + 1] += second_logs[:, :p] @ (z * prior_offset)
+        d_log_sd_x, z = d_log_sd[:, :p], prior.weight * conditional.z
+        gradient -= d_log_sd_x @ (z * prior_offset)
+        B += (d_log_sd_x * (prior_offset**2 - z * prior_offset)) @ d_log_sd_x.T
+        B.flat[:: len(v) + 1] += d2_log_sd[:, :p] @ (z * prior_offset)
         dM = dW[:, :p, :p]
-        pull = dW[:, :p, p] - dM @ t - first_x * prior_offset
+        q_vectors = dW[:, :p, p] - dM @ t - d_log_sd_x * prior_offset
         X = C @ dM
-        H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
-        H.flat[:: len(H) + 1] -= prior_bend
+        H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - q_vectors @ C @ q_vectors.T
+        H.flat[:: len(H) + 1] -= prior_curvature
         return Evaluation(value, conditional, gradient, 0.5 * (H + H.T))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
+        """Return the Gram matrices of [J r] at several φ, with residuals r at x = `origin`."""
         p = self.problem.size
         if self.is_direct:
             return self._grams_from_readings(vs)
-        covers = [part.expansions.cover(vs[:, part.free]) for part in self.parts]
+        covers = [part.expansions.cover(vs[:, part.shapes]) for part in self.parts]
         products, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
-        boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
+        boxes = np.array([indices for _, indices in covers]).reshape(len(covers), len(vs)).T
         for box in np.unique(boxes, axis=0):
             members = np.flatnonzero(np.all(boxes == box, axis=1))
             rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
-            products[members], log_det[members] = self.grams_of(rows, vs[members])
+            products[members], log_det[members] = self.compute_grams(rows, vs[members])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
                 self.table.discard((part.key, listed.number))
@@ -303,14 +303,14 @@ class Tabulated:
 
     @cached_property
     def is_direct(self) -> bool:
-        """Return whether evaluation from the readings can be cheaper: independent noise, effects of several shapes."""
-        moved = any(len(part.free) > 1 for part in self.parts)
-        return moved and self.problem.noise.independent and self.problem.affine
+        """Return whether evaluation from the readings can be cheaper: independent noise, several shapes per effect."""
+        has_many_shapes = any(len(part.shapes) > 1 for part in self.parts)
+        return has_many_shapes and self.problem.noise.independent and self.problem.affine
 
     def _grams_from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         problem, products = self.problem, []
         size = problem.record.size * (problem.size + 1)
-        for batch in np.array_split(vs, min(len(vs), -(-len(vs) * size // NUMBERS_AT_ONCE))):
+        for batch in np.array_split(vs, min(len(vs), -(-len(vs) * size // MAX_BATCH_ELEMENTS))):
             hyper = problem.hyper(batch.T)
             line = problem.linearise(np.tile(self.origin, (len(batch), 1)), hyper)
             residual = (problem.record.y - line.mean)[..., None]
@@ -320,19 +320,19 @@ class Tabulated:
             products.append((table.transpose(0, 2, 1) @ table, np.sum(np.log(variance), axis=1)))
         return Gram.split(*map(np.concatenate, zip(*products, strict=True)))
 
-    def grams_of(
+    def compute_grams(
         self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
     ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
-        """Return the Gram matrices of [J r] and log|Σ| at several φ inside the boxes of `rows`."""
+        """Return the Gram matrices of [J r] and log|Σ| at several φ inside the validity boxes of `rows`' expansions."""
         products = []
-        batch_count = min(len(vs), -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE))
+        batch_count = min(len(vs), -(-len(vs) * rows.width**2 // MAX_BATCH_ELEMENTS))
         for batch in np.array_split(vs, batch_count):
             weights = self.weights(batch[:, self.noise])
             gram = rows.products.gram(weights)
             if not rows.is_identity:
                 gram = gram[:, rows.column[:, None], rows.column]
-            unit = rows.values(batch)[:, :, None] * rows.owned
-            products.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
+            columns = rows.values(batch)[:, :, None] * rows.indicator
+            products.append((columns.transpose(0, 2, 1) @ (gram @ columns), weights.log_det))
         grams, log_det = zip(*products, strict=True)
         return np.concatenate(grams), np.concatenate(log_det)
 
@@ -342,57 +342,55 @@ class Tabulated:
         covariance: Float[np.ndarray, "d d"],
         flat_scales: Float[np.ndarray, "p"],
     ) -> PolynomialTable | None:
-        """Fit columns by polynomials around the Laplace approximation of φ; None if inaccurate or too expensive."""
+        """Approximate columns by polynomials in φ near its mode; return None if inaccurate or too expensive."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for part in self.parts:
-            expansion = part.expansions.fit_polynomials(draws[:, part.free]) if part.free else None
-            if part.free and expansion is None:
+            if not part.shapes:
+                expansions.append(part.expansion_at(v, False))
+            elif (expansion := part.expansions.fit_polynomials(draws[:, part.shapes])) is not None:
+                expansions.append(expansion)
+            else:
                 return None
-            expansions.append(expansion or part.expansion_at(v, False))
-        about = PolynomialTable(self, tuple(expansions))
-        if (
-            self.is_direct
-            and about.rows.width**2 > MAX_PAIRS_PER_READING * self.problem.record.size
-        ):
+        polynomial = PolynomialTable(self, tuple(expansions))
+        max_pairs = MAX_PAIRS_PER_READING * self.problem.record.size
+        if self.is_direct and polynomial.rows.width**2 > max_pairs:
             return None
-        if not any(part.free for part in self.parts):
-            return about
+        if not any(part.shapes for part in self.parts):
+            return polynomial
         test_v = draws[:TEST_DRAWS]
-        exact, fitted = (
+        exact, fitted_values = (
             self.problem.draw_x(table.grams(test_v), test_v, flat_scales, self.origin).log_marginal
-            for table in (self, about)
+            for table in (self, polynomial)
         )
-        error = fitted - exact
-        return (
-            about if np.max(np.abs(error[np.isfinite(exact)]), initial=0.0) < CLOSE_NATS else None
-        )
+        error = np.abs(fitted_values - exact)[np.isfinite(exact)]
+        return polynomial if np.max(error, initial=0.0) < MAX_ERROR_NATS else None
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, and its first and second derivatives with respect to each coordinate (d,)."""
-        h, log_priors = DIFFERENCE, np.empty((3, len(v)))
+        h, log_priors = DIFF_STEP, np.empty((3, len(v)))
         for i, hyper in enumerate(self.problem.hypers):
             log_priors[:, i] = hyper.prior.log_density(v[i] + np.array([-h, 0.0, h]))
         low, middle, high = log_priors
         return float(middle.sum()), (high - low) / (2 * h), (high - 2 * middle + low) / h**2
 
-    def _log_deviations(
+    def _differentiate_log_sd(
         self, v: Float[np.ndarray, "d"], hyper: Values
     ) -> tuple[Float[np.ndarray, "d p1"], Float[np.ndarray, "d p1"]]:
-        """Return first and second derivatives of the log prior deviations of x (d, p + 1), the last column zero.
+        """Return the first and second derivatives of log prior deviations of x (d, p + 1); the last column is zero.
 
-        A deviation that depends on several shapes is a product of functions of one shape each.
+        A standard deviation that depends on several shapes is a product of functions of one shape each.
         """
-        problem, h = self.problem, DIFFERENCE
+        problem, h = self.problem, DIFF_STEP
         first_derivatives, second_derivatives = np.zeros((2, len(v), problem.size + 1))
         for name, members in problem.sizes.learned_sd_masks.items():
-            if (i := self.places.get(name)) is not None:
-                at = v[i] + np.array([-h, 0, h])
-                low, middle, high = np.log(problem.hypers[i].prior.value(at))
+            if (i := self.phi_index.get(name)) is not None:
+                coordinates = v[i] + np.array([-h, 0, h])
+                low, middle, high = np.log(problem.hypers[i].prior.value(coordinates))
                 first_derivatives[i, :-1] += (high - low) / (2 * h) * members
                 second_derivatives[i, :-1] += (high - 2 * middle + low) / h**2 * members
         for name in problem.sizes.weights_by_shape:
-            if (i := self.places.get(name)) is not None:
+            if (i := self.phi_index.get(name)) is not None:
                 value = problem.hypers[i].prior.value
                 low, middle, high = (
                     problem.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
@@ -404,38 +402,38 @@ class Tabulated:
 
 
 class PolynomialTable:
-    """Table of a structure with polynomial columns, valid in the region of the Laplace approximation of φ."""
+    """Column table of a structure as polynomials in φ, valid in the region of the Laplace approximation."""
 
-    def __init__(self, tabulated: Tabulated, expansions: tuple[Expansion, ...]) -> None:
-        self.whole, self.origin = tabulated, tabulated.origin
+    def __init__(self, tabulated: TabulatedDensity, expansions: tuple[Expansion, ...]) -> None:
+        self.tabulated, self.origin = tabulated, tabulated.origin
         self.rows = _StructureRows(tabulated, expansions)
         for part, expansion in zip(tabulated.parts, expansions, strict=True):
-            if part.free:  # columns of this table alone
+            if part.shapes:  # columns of this table alone
                 tabulated.table.discard((part.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
-        """Return the Gram matrices of [J r] at several φ, r at x = `origin`."""
-        return Gram.split(*self.whole.grams_of(self.rows, vs))
+        """Return the Gram matrices of [J r] at several φ, with residuals r at x = `origin`."""
+        return Gram.split(*self.tabulated.compute_grams(self.rows, vs))
 
     def contains(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
         """Return whether each φ is inside the region of the polynomial fit (b,)."""
         inside = np.ones(len(vs), dtype=bool)
-        for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
+        for part, expansion in zip(self.tabulated.parts, self.rows.expansions, strict=True):
             if isinstance(expansion, PolynomialColumns):
-                inside &= expansion.contains(vs[:, part.free])
+                inside &= expansion.contains(vs[:, part.shapes])
         return inside
 
 
 class _StructureRows:
-    """Rows of Φ·D for a combination of expansions: table column, owner in x and constant factor of each row."""
+    """Rows of D for a combination of expansions: table column, index in x ("owner") and constant factor of each."""
 
-    def __init__(self, tabulated: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+    def __init__(self, tabulated: TabulatedDensity, expansions: tuple[Expansion, ...]) -> None:
         self.expansions, self.parts = expansions, tabulated.parts
         p, table, keys = tabulated.problem.size, tabulated.table, list[int]()
         column, owner, factors, self.slices = [], [], [], []
         start = 0
         for part, expansion in zip(tabulated.parts, expansions, strict=True):
-            key = tabulated._block(part, expansion)
+            key = tabulated._get_block(part, expansion)
             keys.append(key)
             r = expansion.rank
             columns = start + np.arange(len(part.owners) * r)
@@ -449,10 +447,10 @@ class _StructureRows:
             offset = np.where(is_in_x, -origin, 0.0)
             offset += table.removed.get(key, 0.0)
             offset = np.repeat(offset, r)
-            shifted = np.flatnonzero(offset)
-            column.append(columns[shifted])
-            owner.append(np.full(len(shifted), p))
-            factors.append(offset[shifted])
+            nonzero = np.flatnonzero(offset)
+            column.append(columns[nonzero])
+            owner.append(np.full(len(nonzero), p))
+            factors.append(offset[nonzero])
             start += len(columns)
         for key in table.removed.keys() - set(keys):
             width = table.removed[key].size
@@ -465,17 +463,17 @@ class _StructureRows:
         self.owner = np.concatenate([*owner, [p]]).astype(int)
         self.multipliers = np.concatenate([*factors, [1.0]])
         self.width = start + 1
-        self.owned = np.zeros((len(self.owner), p + 1))
-        self.owned[np.arange(len(self.owner)), self.owner] = 1.0
+        self.indicator = np.zeros((len(self.owner), p + 1))
+        self.indicator[np.arange(len(self.owner)), self.owner] = 1.0
         self.is_identity = np.array_equal(self.column, np.arange(self.width))
         self.products: Products = table.products(tabulated.nodes, [*keys, RESIDUAL])
 
     def select(self, gram: Float[np.ndarray, "w w"]) -> Float[np.ndarray, "R R"]:
-        """Select the products of rows (R, R) from those of table columns (w, w)."""
+        """Return the inner products of rows (R, R), selected from those of table columns (w, w)."""
         return gram if self.is_identity else gram[self.column[:, None], self.column]
 
     def add_by_column(self, e: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "w w"]:
-        """Sum numbers of pairs of rows (R, R) over rows of equal table column (w, w); adjoint of `select`."""
+        """Sum a matrix over rows (R, R) into one over table columns (w, w); adjoint of `select`."""
         if self.is_identity:
             return e
         sums = np.zeros((self.width, self.width))
@@ -484,47 +482,49 @@ class _StructureRows:
 
     @cached_property
     def _dynamic_rows(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Return each φ-dependent part's index, its rows, and each row's term in the expansion."""
-        moving = []
+        """Return each φ-dependent effect's index, its rows, and the expansion term of each row."""
+        entries = []
         for i, (part, columns) in enumerate(zip(self.parts, self.slices, strict=True)):
-            if part.free:
-                at = np.flatnonzero((self.column >= columns.start) & (self.column < columns.stop))
-                moving.append((i, at, (self.column[at] - columns.start) % self.expansions[i].rank))
-        return moving
+            if part.shapes:
+                rows = np.flatnonzero((self.column >= columns.start) & (self.column < columns.stop))
+                terms = (self.column[rows] - columns.start) % self.expansions[i].rank
+                entries.append((i, rows, terms))
+        return entries
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
-        """Return the factor d of each row at several φ (b, R), without prior deviations."""
+        """Return the element of D in each row at several φ (b, R), for unit prior deviations."""
         factors = np.tile(self.multipliers, (len(vs), 1))
-        for i, at, which in self._dynamic_rows:
-            factors[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
+        for i, rows, terms in self._dynamic_rows:
+            factors[:, rows] *= self.expansions[i].values(vs[:, self.parts[i].shapes])[:, terms]
         return factors
 
     def factors(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
-        """Return each row's scale factor; per φ-dependent part: rows, indices in φ, derivatives of the factor."""
+        """Return the element of D in each row; per φ-dependent effect: rows, indices in φ, gradients, Hessians."""
         factors, slopes = self.multipliers.copy(), []
-        for i, at, which in self._dynamic_rows:
-            free = self.parts[i].free
-            shares = self.expansions[i].factors(v[free])
-            factors[at] *= shares.value[which]
+        for i, rows, terms in self._dynamic_rows:
+            shapes = self.parts[i].shapes
+            part_factors = self.expansions[i].factors(v[shapes])
+            factors[rows] *= part_factors.value[terms]
             if with_grad:
-                first, second = shares.first[:, which], shares.second[:, :, which]
-                slopes.append((at, free, *(d * self.multipliers[at] for d in (first, second))))
+                gradients, hessians = part_factors.first[:, terms], part_factors.second[:, :, terms]
+                multipliers = self.multipliers[rows]
+                slopes.append((rows, shapes, gradients * multipliers, hessians * multipliers))
         return factors, slopes
 
 
-def _mean_from_point(
-    conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+def _standardise_mean(
+    conditional: Conditional, prior: Prior, point: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "p"]:
-    """Return t: the conditional mean of x minus a point, in prior standard deviations (p,)."""
-    gap = prior.weight * (prior.mean - at)
-    return conditional.z + np.where(gap == 0, 0.0, gap / np.where(prior.sd > 0, prior.sd, 1.0))
+    """Return the conditional mean of x minus a point, in prior standard deviations (p,): t in the module's formulas."""
+    shift = prior.weight * (prior.mean - point)
+    return conditional.z + np.where(shift == 0, 0.0, shift / np.where(prior.sd > 0, prior.sd, 1.0))
 
 
 def _posterior_moments(
-    conditional: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+    conditional: Conditional, prior: Prior, point: Float[np.ndarray, "p"]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p1 p1"]]:
-    """Return C = A⁻¹ and the matrix P of the module's formulas."""
-    root, t, p = conditional.root_of_z, _mean_from_point(conditional, prior, at), len(at)
+    """Return C = A⁻¹ and P = [[C + t·tᵀ, −t], [−tᵀ, 1]], as in the module's formulas."""
+    root, t, p = conditional.root_of_z, _standardise_mean(conditional, prior, point), len(point)
     C, P = root @ root.T, np.empty((p + 1, p + 1))
     P[:p, :p], P[:p, p], P[p, :p], P[p, p] = C + np.outer(t, t), -t, -t, 1.0
     return C, P
@@ -532,19 +532,19 @@ def _posterior_moments(
 
 @cache
 def _stencil(q: int) -> Float[np.ndarray, "s q"]:
-    """Return the shifts of q coordinates for central first and second differences (1 + 2q + q(q − 1), q)."""
+    """Return the stencil of first and second central differences in q coordinates (1 + 2q + q(q − 1), q)."""
     unit = np.eye(q)
     pairs = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
         q * (q - 1) // 2, q
     )
-    return DIFFERENCE * np.concatenate([np.zeros((1, q)), unit, -unit, pairs, -pairs])
+    return DIFF_STEP * np.concatenate([np.zeros((1, q)), unit, -unit, pairs, -pairs])
 
 
 def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
-    """Return the Hessian (q, q) by central differences of values on the stencil."""
+    """Return the Hessian (q, q) of a function by central differences of its values on the stencil."""
     middle, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
-    mixed = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
-    second, pairs = np.diag(up - 2 * middle + down), [(i, j) for i in range(q) for j in range(i)]
-    for (i, j), pair in zip(pairs, mixed, strict=True):
-        second[i, j] = second[j, i] = 0.5 * (pair - up[i] - down[i] - up[j] - down[j] + 2 * middle)
-    return second / DIFFERENCE**2
+    mixed_sums = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
+    hessian, pairs = np.diag(up - 2 * middle + down), [(i, j) for i in range(q) for j in range(i)]
+    for (i, j), pair in zip(pairs, mixed_sums, strict=True):
+        hessian[i, j] = hessian[j, i] = 0.5 * (pair - up[i] - down[i] - up[j] - down[j] + 2 * f[0])
+    return hessian / DIFF_STEP**2

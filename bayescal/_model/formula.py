@@ -1,4 +1,4 @@
-"""Parser of an effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
+"""Parse an effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
 The line is parsed by Python's `ast`; only names, numbers and the functions in `_FUNCTIONS` are accepted. One recursive
 pass converts each subexpression to a linear form Σ coefficient × factor with units; nonlinear unknowns are shapes.
@@ -29,9 +29,9 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Known, Normal
 
-MAX_LENGTH = 500  # characters: no line nests deeper than Python recurses
-TINY = float(np.finfo(float).tiny)  # smallest normal number
-RANGE_FACTOR = 10.0  # a shape given by one value has the plausible range value/10 to 10·value
+MAX_CHARACTERS = 500  # of a formula: it cannot nest deeper than Python's recursion limit
+MIN_NORMAL = float(np.finfo(float).tiny)  # smallest normal number
+RANGE_FACTOR = 10.0  # plausible range of a shape given by one value: value/10 to 10·value
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # units without readings
 _TOKEN = re.compile(
@@ -65,30 +65,30 @@ _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _HISTORY = {"rate": 1, "body": 2, "lag_difference": 2}
 _BINARY = ("min", "max")
 _ARGUMENT_COUNTS = {**dict.fromkeys(_FUNCTIONS, 1), **dict.fromkeys(_BINARY, 2), **_HISTORY}
-_VALUES = ast.Name | ast.Constant | ast.BinOp | ast.UnaryOp | ast.Call
-_ALLOWED_NODES = _VALUES | ast.operator | ast.unaryop | ast.Load
+_VALUE_NODES = ast.Name | ast.Constant | ast.BinOp | ast.UnaryOp | ast.Call
+_ALLOWED_NODES = _VALUE_NODES | ast.operator | ast.unaryop | ast.Load
 
 
 class FormulaPart(NamedTuple):
-    """A subexpression of a formula, its numbers in base units."""
+    """A subexpression of a formula, with its unit and position; numbers are in base units."""
 
     tree: Any  # a number, a name, or a tuple (function or operator sign, *arguments)
     unit: ParsedUnit | None  # None for a literal, which takes the unit of the other operand
-    at: int  # index of its first character in the line
+    start: int  # index of its first character in the line
 
     def match_unit(self, other: FormulaPart) -> FormulaPart:
-        """Convert a literal to the unit of another operand; return any other part unchanged."""
+        """Return a literal converted to the unit of another operand; any other subexpression unchanged."""
         if self.unit is not None or other.unit is None or other.unit.factor == 1.0:
             return self
         return self._replace(tree=("*", self.tree, other.unit.factor))
 
 
-Linear = dict[str, FormulaPart]  # linear form: coefficient → factor; "" → constant part
+Linear = dict[str, FormulaPart]  # linear form: coefficient → factor; "" → term without coefficient
 
 
 @dataclass(frozen=True)
 class Formula:
-    """The basis function of a typed effect, in base units: called with a frame of readings and the shapes."""
+    """Basis function of a typed effect, in base units; its arguments are a frame of readings and the shapes."""
 
     text: str  # the canonical line, with sizes and units
     parts: tuple[Any, ...]  # the factor of each coefficient, as `FormulaPart.tree`
@@ -131,7 +131,7 @@ def effect(
     readings: Measurements | None = None,
     instrument: Instrument | None = None,
     source: str = "the user's own",
-    **stated: str,
+    **definitions: str,
 ) -> Effect:
     """Make an effect from a typed formula.
 
@@ -153,159 +153,159 @@ def effect(
             are checked when a model is fitted; they may be stated: V="supply_voltage [V]".
         instrument: instrument to whose slots the effect may add.
         source: source of the formula.
-        stated: definitions of names: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" with a nonzero mean);
-            range of each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
+        definitions: of names: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" with a nonzero mean); range of
+            each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
 
     Raises:
-        InputError: the formula cannot be parsed, its units disagree, or a size is missing; says where.
+        InputError: the formula cannot be parsed, its units disagree, or a size is missing; with the position.
     """
-    return _TypedLine(name, formula, stated, readings, instrument).effect(source)
+    return _TypedLine(name, formula, definitions, readings, instrument).build(source)
 
 
-def _split(name: str, formula: str, stated: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Split a line into name, formula and definitions of names; raise InputError if it has another form."""
-    stated = {n: str(v).strip() for n, v in stated.items()}
+def _split(name: str, formula: str, values: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
+    """Split a typed line into name, formula and definitions of names; raise InputError if it has another form."""
+    values = {n: str(v).strip() for n, v in values.items()}
     if not formula:
         name, colon, tail = name.partition(":")
         formula, *assignments = tail.split(";") if colon else ("",)
         for assignment in filter(str.strip, assignments):
             if not (match := _ASSIGNMENT.fullmatch(assignment)):
-                why = f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
-                raise InputError(why)
-            stated[match[1].strip("`")] = match[2]
+                reason = f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
+                raise InputError(reason)
+            values[match[1].strip("`")] = match[2]
     name, formula = name.strip(), formula.strip()
     if not formula or not re.fullmatch(r"[^\W\d]\w*(?:\.\w+)?", name):
         raise InputError(
             f"effect {name[:60]!r} has no name and formula: write it as 'supply: s * (supply_voltage - 5); s = 1 mV/V'"
         )
-    return name, formula, stated
+    return name, formula, values
 
 
 class _TypedLine:
-    """Parser of one line: a formula with definitions of its names, and the readings or instrument it refers to."""
+    """Parser of one typed line: a formula and definitions of its names, with readings or instrument for units."""
 
     def __init__(
         self,
         name: str,
         formula: str,
-        stated: Mapping[str, str],
+        definitions: Mapping[str, str],
         readings: Measurements | None,
         instrument: Instrument | None,
     ) -> None:
-        self.name, self.text, self.stated = _split(name, formula, stated)
+        self.name, self.text, self.definitions = _split(name, formula, definitions)
         self.readings, self.instrument = readings, instrument
         tree = self.parse_tree()
-        self.first_index = dict[str, int]()  # name → index of its first occurrence
-        for at, word in sorted(self.find_names(tree)):
-            self.first_index.setdefault(word, at)
+        self.first_positions = dict[str, int]()  # name → index of its first occurrence
+        for start, word in sorted(self.find_names(tree)):
+            self.first_positions.setdefault(word, start)
         # Name in the formula → column and its fixed unit; the unit is empty if not known without readings.
         self.columns = self._match_columns()
-        if unused_names := sorted(set(self.stated) - set(self.first_index)):
+        if unused_names := sorted(set(self.definitions) - set(self.first_positions)):
             raise InputError(
                 f"effect {self.name!r}: {', '.join(unused_names)} is defined but not used in {self.text!r}"
             )
-        unknowns = set(self.first_index) - set(self.columns)
-        nonlinear_names = {name for _, name in self.find_names(*_nonlinear_nodes(tree))} & unknowns
+        unknowns = set(self.first_positions) - set(self.columns)
+        nonlinear_names = {name for _, name in self.find_names(*_find_nonlinear(tree))} & unknowns
         self.shapes = {n: self._parse_shape(n, tree) for n in sorted(nonlinear_names)}
         self.units = {n: parse(u) if u else None for n, (_, u) in self.columns.items()}
         self.units |= {n: parse(s.unit) for n, s in self.shapes.items()}
         self.coefficients = self.to_linear(tree)
         if "" in self.coefficients:
             advice = "" if unknowns else ": write one in front, as s * (…)"
-            why = f"this term has no coefficient to be estimated{advice}"
-            raise self.error_at(self.coefficients[""].at, why)
+            reason = f"this term has no coefficient to be estimated{advice}"
+            raise self.make_error(self.coefficients[""].start, reason)
 
-    def error_at(self, at: int, why: str) -> InputError:
-        place = f", at {self.text[at:]!r}" * (0 < at < len(self.text))
-        return InputError(f"effect {self.text!r}{place}: {why}")
+    def make_error(self, start: int, reason: str) -> InputError:
+        place = f", at {self.text[start:]!r}" * (0 < start < len(self.text))
+        return InputError(f"effect {self.text!r}{place}: {reason}")
 
     def parse_tree(self) -> ast.expr:
-        """Parse the formula to an AST whose names are keys of `names`; raise InputError, the place marked."""
-        if len(self.text) > MAX_LENGTH:
-            raise InputError(f"formula of {len(self.text)} characters: the limit is {MAX_LENGTH}")
+        """Parse the formula to an AST whose names are keys of `names`; raise InputError at the position of a fault."""
+        if len(self.text) > MAX_CHARACTERS:
+            raise InputError(f"formula of {len(self.text)} characters; limit: {MAX_CHARACTERS}")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
         self.names, self.positions, source = dict[str, str](), list[int](), ""
         for token in _TOKEN.finditer(self.text):
             kind = str(token.lastgroup)
-            word, at = token[kind], token.start(kind)
+            word, start = token[kind], token.start(kind)
             if kind == "other":
-                raise self.error_at(at, f"{word!r} is not allowed in a formula")
+                raise self.make_error(start, f"{word!r} is not allowed in a formula")
             if kind == "function" and word not in _ARGUMENT_COUNTS:
-                message = f"{word!r} is no function; there are {', '.join(_ARGUMENT_COUNTS)}"
-                raise self.error_at(at, message)
+                message = f"{word!r} is not a function (available: {', '.join(_ARGUMENT_COUNTS)})"
+                raise self.make_error(start, message)
             if kind == "number":
-                word = repr(_to_float(word, partial(self.error_at, at)))
+                word = repr(_to_float(word, partial(self.make_error, start)))
             elif kind in ("name", "quoted"):
                 key = f"n{len(self.names)}"
                 self.names[key], word = word, key
             source += word.replace("^", "**") + " "
-            self.positions += [at] * (len(source) - len(self.positions))
+            self.positions += [start] * (len(source) - len(self.positions))
         try:
             tree = ast.parse(source, mode="eval").body
         except (SyntaxError, MemoryError, RecursionError) as error:
             column = (getattr(error, "offset", None) or 1) - 1
-            at = self.positions[column] if column < len(self.positions) else len(self.text)
-            why = "the formula cannot be parsed here: is an operator, number, name or bracket missing?"
-            raise self.error_at(at, why) from None
+            start = self.positions[column] if column < len(self.positions) else len(self.text)
+            reason = "the formula cannot be parsed here: is an operator, number, name or bracket missing?"
+            raise self.make_error(start, reason) from None
         for node in ast.walk(tree):
             if not isinstance(node, _ALLOWED_NODES):
-                raise self.error_at(self.at(node), "this is not allowed in a formula")
+                raise self.make_error(self.locate(node), "this is not allowed in a formula")
             if isinstance(node, ast.Call) and len(node.args) != (
-                count := _ARGUMENT_COUNTS.get(_called_name(node), 0)
+                count := _ARGUMENT_COUNTS.get(_function_name(node), 0)
             ):
-                why = f"{_called_name(node)} takes {count} argument{'s' * (count > 1)}"
-                raise self.error_at(self.at(node), why)
+                reason = f"{_function_name(node)} takes {count} argument{'s' * (count > 1)}"
+                raise self.make_error(self.locate(node), reason)
         self.has_history = any(isinstance(n, ast.Name) and n.id in _HISTORY for n in ast.walk(tree))
         return tree
 
-    def at(self, node: Any) -> int:
-        """Return the index of a node's first character in the line, without enclosing brackets."""
+    def locate(self, node: Any) -> int:
+        """Return the index of a node's first character in the formula, without enclosing brackets."""
         while isinstance(node, ast.BinOp):
             node = node.left
         return self.positions[node.col_offset]
 
     def find_names(self, *parts: ast.expr) -> list[tuple[int, str]]:
-        """Return (position, name) of each name in parts of the formula, except names of functions."""
+        """Return (position, name) of each name in subexpressions, except names of functions."""
         nodes = [n for part in parts for n in ast.walk(part) if isinstance(n, ast.Name)]
-        return [(self.at(n), self.names[n.id]) for n in nodes if n.id in self.names]
+        return [(self.locate(n), self.names[n.id]) for n in nodes if n.id in self.names]
 
     def apply(self, function: str, unit: ParsedUnit | None, *parts: FormulaPart) -> FormulaPart:
-        """Apply a function to parts; evaluate it if all are literals; raise InputError if it is undefined."""
-        at, trees = parts[0].at, [part.tree for part in parts]
+        """Apply a function to subexpressions; evaluate it if all are literals; raise InputError if it is undefined."""
+        start, trees = parts[0].start, [part.tree for part in parts]
         if not all(isinstance(tree, float) for tree in trees):
-            return FormulaPart((function, *trees), unit, at)
+            return FormulaPart((function, *trees), unit, start)
         try:
             with np.errstate(all="raise"):
                 value = float(_IMPLEMENTATIONS[function](*map(np.float64, trees)))
         except FloatingPointError as error:
-            why = str(error).partition(" encountered")[0].replace("divide", "division")
-            raise self.error_at(at, f"undefined: {why}") from None
-        return FormulaPart(value, None, at)
+            reason = str(error).partition(" encountered")[0].replace("divide", "division")
+            raise self.make_error(start, f"undefined: {reason}") from None
+        return FormulaPart(value, None, start)
 
     def to_linear(self, node: ast.expr) -> Linear:
         """Convert an AST node to a linear form of the coefficients."""
-        at = self.at(node)
+        start = self.locate(node)
         match node:
             case ast.Constant():
-                return {"": FormulaPart(float(node.value), None, at)}
+                return {"": FormulaPart(float(node.value), None, start)}
             case ast.Name():
                 name = self.names[node.id]
                 if name in self.units:
-                    return {"": FormulaPart(name, self.units[name], at)}
-                return {name: FormulaPart(1.0, None, at)}
+                    return {"": FormulaPart(name, self.units[name], start)}
+                return {name: FormulaPart(1.0, None, start)}
             case ast.UnaryOp():
-                negative = False
+                is_negative = False
                 while isinstance(node, ast.UnaryOp):
-                    negative, node = negative ^ isinstance(node.op, ast.USub), node.operand
+                    is_negative, node = is_negative ^ isinstance(node.op, ast.USub), node.operand
                 parts = self.to_linear(node)
-                if negative:
+                if is_negative:
                     parts = {n: self._negate(part) for n, part in parts.items()}
-                return {n: part._replace(at=at) for n, part in parts.items()}
+                return {n: part._replace(start=start) for n, part in parts.items()}
             case ast.BinOp():
-                sides = self.to_linear(node.left), self.to_linear(node.right)
-                return self._combine(_SIGNS[type(node.op)], *sides)
+                operands = self.to_linear(node.left), self.to_linear(node.right)
+                return self._combine(_SIGNS[type(node.op)], *operands)
         assert isinstance(node, ast.Call)
-        return {"": self._parse_call(_called_name(node), node.args)._replace(at=at)}
+        return {"": self._parse_call(_function_name(node), node.args)._replace(start=start)}
 
     def _negate(self, part: FormulaPart) -> FormulaPart:
         return self.apply("neg", part.unit, part)
@@ -315,7 +315,7 @@ class _TypedLine:
         if sign in "+-":
             for name, part in b.items():
                 if name in a:
-                    a[name] = self._compare(sign, a[name], part)
+                    a[name] = self._add_or_compare(sign, a[name], part)
                 else:
                     a[name] = part if sign == "+" else self._negate(part)
             return a
@@ -324,20 +324,20 @@ class _TypedLine:
         if set(a) == {""}:
             return {n: self._multiply(sign, a[""], part) for n, part in b.items()}
         coefficients = sorted({*a, *b} - {""})
-        undefined_names = [n for n in coefficients if n not in self.stated]
-        at = next(iter(a.values())).at
+        undefined_names = [n for n in coefficients if n not in self.definitions]
+        start = next(iter(a.values())).start
         if self.readings is not None and len(undefined_names) == 1 < len(coefficients):
-            raise self.error_at(at, self._missing_text(undefined_names[0]))
-        why = f"{' and '.join(coefficients)} multiply each other: only their product is identified"
+            raise self.make_error(start, self._missing_text(undefined_names[0]))
+        reason = f"{' and '.join(coefficients)} are multiplied: only their product is identified"
         if self.readings is not None and undefined_names:
-            why += f". {' and '.join(map(self._missing_text, undefined_names))}"
-        raise self.error_at(at, why)
+            reason += f". {' and '.join(map(self._missing_text, undefined_names))}"
+        raise self.make_error(start, reason)
 
-    def _compare(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
-        """Apply a sum or comparison to two parts, which must have the same dimension."""
+    def _add_or_compare(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
+        """Apply a sum or comparison to two subexpressions, which must have the same dimension."""
         if a.unit is not None and b.unit is not None and a.unit.powers != b.unit.powers:
-            why = f"this is {b.unit}, but is added to or compared with {a.unit}"
-            raise self.error_at(b.at, why)
+            reason = f"this is {b.unit}, but is added to or compared with {a.unit}"
+            raise self.make_error(b.start, reason)
         return self.apply(function, a.unit or b.unit, a.match_unit(b), b.match_unit(a))
 
     def _multiply(self, sign: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
@@ -346,11 +346,11 @@ class _TypedLine:
             product_unit = (a.unit or UNITY).times(b.unit or UNITY, 1.0 if sign == "*" else -1.0)
             return self.apply(sign, None if is_unitless else product_unit, a, b)
         if b.unit is not None and b.unit.powers:
-            raise self.error_at(b.at, f"an exponent must be a plain number; this is {b.unit}")
+            raise self.make_error(b.start, f"an exponent must be dimensionless; this is {b.unit}")
         unit = a.unit
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
-                raise self.error_at(b.at, f"the power of {unit} must be a constant, 10 at most")
+                raise self.make_error(b.start, f"the power of {unit} must be a constant up to 10")
             unit = UNITY.times(unit, b.tree)
         elif b.unit is not None:
             unit = UNITY
@@ -361,13 +361,13 @@ class _TypedLine:
             return self._parse_history(name, *arguments)
         a, *others = (self.to_linear(argument)[""] for argument in arguments)
         if others:
-            return self._compare(name, a, *others)
+            return self._add_or_compare(name, a, *others)
         unit = a.unit
         if name not in ("abs", "sqrt"):
             powers = {} if unit is None or name in ("step", "sign") else unit.powers
             if powers and not (name in ("sin", "cos", "tan") and powers == {"rad": 1.0}):
-                why = f"{name} takes a plain number; this is {unit}: divide it by {unit}"
-                raise self.error_at(a.at, why)
+                reason = f"{name} takes a dimensionless number; this is {unit}: divide it by {unit}"
+                raise self.make_error(a.start, reason)
             unit = UNITY
         elif name == "sqrt":
             unit = unit and UNITY.times(unit, 0.5)
@@ -376,67 +376,67 @@ class _TypedLine:
     def _parse_history(self, function: str, column_node: ast.expr, *tau: ast.expr) -> FormulaPart:
         column, *times = (self.names.get(getattr(n, "id", "")) for n in (column_node, *tau))
         if column not in self.columns:
-            raise self.error_at(self.at(column_node), f"{function} takes the name of a column")
+            raise self.make_error(self.locate(column_node), f"{function} takes a column name")
         unit = self.units[column] or parse("degC")
         if function == "rate":
             if unit.powers != {"K": 1.0}:
-                raise self.error_at(self.at(column_node), "rate takes a temperature column")
+                raise self.make_error(self.locate(column_node), "rate takes a temperature column")
             unit = unit.times(parse("s"), -1.0)
         elif times[0] not in self.shapes or self.units[times[0]].powers != {"s": 1.0}:
-            why = f"the second argument of {function} is a time constant, such as tau"
-            raise self.error_at(self.at(tau[0]), why)
-        return FormulaPart((function, column, *times), unit, self.at(column_node))
+            reason = f"the second argument of {function} is a time constant, such as tau"
+            raise self.make_error(self.locate(tau[0]), reason)
+        return FormulaPart((function, column, *times), unit, self.locate(column_node))
 
-    # definitions of its names -----------------------------------------------------------------------------------
+    # definitions of names ---------------------------------------------------------------------------------------
 
     def _missing_text(self, name: str) -> str:
-        """Format the message that the readings have no numeric column of a name."""
+        """Format the message that the readings have no numeric column of this name."""
         assert self.readings is not None
         available = ", ".join(self.available)
         return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {available})"
 
     def _match_columns(self) -> dict[str, tuple[str, str]]:
-        """Match names to columns: name → (column, unit); raise InputError for an absent column or another unit."""
-        readings, texts = self.readings, self.stated
+        """Return name → (column, unit) of the names that are columns; raise InputError if absent or in another unit."""
+        readings, texts = self.readings, self.definitions
         columns = self.instrument.columns if self.instrument else ()
-        declared = {c.name: c.unit for c in columns if c.name != "output"}
-        table = {**_UNITS, **{n: u for n, u in declared.items() if u not in (None, uc.ANY)}}
+        defaults = {c.name: c.unit for c in columns if c.name != "output"}
+        units = {**_UNITS, **{n: u for n, u in defaults.items() if u not in (None, uc.ANY)}}
         if readings is not None:
-            units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
-            table = {n: unit for n, unit in units.items() if unit}
-            table |= {"elapsed": "s"} if "time" in table else {}
-        self.available = table
+            column_units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
+            units = {n: unit for n, unit in column_units.items() if unit}
+            units |= {"elapsed": "s"} if "time" in units else {}
+        self.available = units
         aliases = {n: v for n, v in texts.items() if not re.match(r"[-+.\d]", v)}
         pairs: dict[str, tuple[str, str]] = {}
-        for name, at in self.first_index.items():
+        for name, start in self.first_positions.items():
             column, bracket, unit = aliases.get(name, name).partition("[")
             column = column.strip()
-            column = column if column in table or name in aliases else _ALIASES.get(column, column)
-            stated, is_new = base_unit(unit.rstrip("] ")) if bracket else "", name not in texts
-            if column in table:
-                if stated and parse(stated).powers != parse(table[column]).powers:
-                    raise self.error_at(
-                        at, f"{column} is in [{table[column]}], and not in [{stated}]"
+            column = column if column in units or name in aliases else _ALIASES.get(column, column)
+            own_unit, undefined = base_unit(unit.rstrip("] ")) if bracket else "", name not in texts
+            if column in units:
+                if own_unit and parse(own_unit).powers != parse(units[column]).powers:
+                    raise self.make_error(
+                        start, f"{column} is in [{units[column]}], and not in [{own_unit}]"
                     )
-                pairs[name] = column, table[column]
-            elif readings is None and (name in aliases or (texts and is_new)):
-                pairs[name] = column if name in aliases else name, stated  # checked with readings
-            elif readings is not None and (name in aliases or (is_new and column in declared)):
-                raise self.error_at(at, self._missing_text(column))
+                pairs[name] = column, units[column]
+            elif readings is None and (name in aliases or (texts and undefined)):
+                pairs[name] = column if name in aliases else name, own_unit  # checked with readings
+            elif readings is not None and (name in aliases or (undefined and column in defaults)):
+                raise self.make_error(start, self._missing_text(column))
             elif (
-                is_new
+                undefined
                 and len(name) > 3
-                and (similar := difflib.get_close_matches(name, table, 1, 0.8))
+                and (matches := difflib.get_close_matches(name, units, 1, 0.8))
             ):
-                raise self.error_at(at, f"there is no column {name!r}: is {similar[0]!r} meant?")
+                raise self.make_error(start, f"{name!r} is not a column: is {matches[0]!r} meant?")
         return pairs
 
     def _parse_shape(self, name: str, tree: ast.expr) -> Shape:
-        text = self.stated.get(name)
+        text = self.definitions.get(name)
         if text is None:
-            why = f"{name!r} has no plausible range: give one, as {name} = 100 to 2000 s"
-            why = why if self.readings is None else f"{self._missing_text(name)}, and {why}"
-            raise self.error_at(self.first_index[name], why)
+            reason = f"{name!r} has no plausible range: give one, as {name} = 100 to 2000 s"
+            prefix = "" if self.readings is None else f"{self._missing_text(name)}, and "
+            raise self.make_error(self.first_positions[name], prefix + reason)
         if match := _RANGE.fullmatch(text):
             low, high, unit = _to_float(match[1]), _to_float(match[2]), match[3]
         elif (match := _SIZE.fullmatch(text)) and match[2] is None and float(match[1]) > 0:
@@ -446,11 +446,11 @@ class _TypedLine:
             raise InputError(f"{name} = {text!r} is not a range: write it as 100 to 2000 s")
         unit = (unit or "1").strip()
         # A shape added to or compared with a column is a location on its scale: 50 degF is 10 °C, negative is allowed.
-        operands = (getattr(p, "id", "") for node in ast.walk(tree) for p in _operands(node))
+        operands = (getattr(p, "id", "") for node in ast.walk(tree) for p in _list_operands(node))
         is_location = any(self.names.get(key) == name for key in operands)
         if not (low < high and (low > 0 or is_location)):
-            why = f"{name} = {text!r}: a range needs positive, increasing limits"
-            raise InputError(why)
+            reason = f"{name} = {text!r}: a range needs positive, increasing limits"
+            raise InputError(reason)
         base = "1"
         if unit != "1":
             fixed = base_unit(unit)
@@ -459,15 +459,15 @@ class _TypedLine:
             base = re.sub(r"(?<!delta_)degC", "delta_degC", fixed)
         return Shape(name, base, low, high, "log" if low > 0 else "linear")
 
-    def effect(self, source: str) -> Effect:
-        """Build the effect, with prior standard deviations as stated, or else estimated from the readings."""
+    def build(self, source: str) -> Effect:
+        """Build the effect; prior standard deviations that are not given are estimated from the readings."""
         slot, slot_unit, cause = self._resolve_slot()
         name, basis = f"{slot}.{cause}", self._build_formula("")
         sizes = [None] * len(basis.parts)
         if self.readings is not None:
-            sizes = _sizes(basis, self.readings, self.shapes)
+            sizes = _find_sizes(basis, self.readings, self.shapes)
         pairs = zip(self.coefficients.items(), sizes, strict=True)
-        coefficients = tuple(self._coefficient(n, p.unit, slot_unit, s) for (n, p), s in pairs)
+        coefficients = tuple(self._make_coefficient(n, p.unit, slot_unit, s) for (n, p), s in pairs)
         column_names = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
         return Effect(
             name,
@@ -486,7 +486,7 @@ class _TypedLine:
         return Formula(text, parts, columns, tuple(self.shapes))
 
     def _resolve_slot(self) -> tuple[str, str | None, str]:
-        """Return the slot, its unit (None if unknown), and the cause."""
+        """Return the slot's name, its unit (None if unknown), and the cause, as parts of the effect's name."""
         slot, _, cause = self.name.rpartition(".")
         if self.instrument is None:
             return slot or "bias", None, cause
@@ -494,7 +494,7 @@ class _TypedLine:
             return slot, self.instrument.slot(slot).unit, cause
         chosen_slot = self.instrument.slots[0]
         for name, part in self.coefficients.items():
-            size = _SIZE.fullmatch(self.stated.get(name, ""))
+            size = _SIZE.fullmatch(self.definitions.get(name, ""))
             if size and size[3]:
                 product = parse(size[3].strip()).times(part.unit or UNITY).powers
                 candidates = (s for s in self.instrument.slots if parse(s.unit).powers == product)
@@ -503,13 +503,13 @@ class _TypedLine:
                     break
         return chosen_slot.name, chosen_slot.unit, cause
 
-    def _coefficient(
+    def _make_coefficient(
         self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
-        """Build a coefficient with its prior; coefficient × basis is in the slot's unit."""
-        basis_unit, stated = unit or UNITY, self.stated.get(name)
-        part = name if len(self.coefficients) > 1 else ""
-        if stated is None:
+        """Build a coefficient with its prior, in the slot's unit divided by the basis function's."""
+        basis_unit, definition = unit or UNITY, self.definitions.get(name)
+        suffix = name if len(self.coefficients) > 1 else ""
+        if definition is None:
             if size is None or slot_unit is None:
                 raise InputError(
                     f"effect {self.text!r}: {name!r} has no plausible size: give one, as {name} = 0.1 mV/V"
@@ -519,53 +519,53 @@ class _TypedLine:
             divisors = (n if p == 1 else f"({n}^{p:g})" for n, p in divisors)
             text = "/".join([slot_unit, *divisors])
             rounded = _to_float(f"{size / uc.coefficient_factor(text, slot_unit):.2g}")
-            return Coefficient(text, Normal(0.0, rounded), part)
-        if not (match := _SIZE.fullmatch(stated)):
+            return Coefficient(text, Normal(0.0, rounded), suffix)
+        if not (match := _SIZE.fullmatch(definition)):
             raise InputError(
-                f"{name} = {stated!r} is not a size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
+                f"{name} = {definition!r} is not a size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (match[3] or "1").strip()
         sd, mean = abs(_to_float(match[2] or match[1])), _to_float(match[1]) if match[2] else 0.0
         prior = Normal(mean, sd) if sd > 0 else Known(mean)  # 1 ± 0: a constant
         if not (sd > 0 or mean):
-            raise InputError(f"{name} = {stated!r}: a size must not be zero")
+            raise InputError(f"{name} = {definition!r}: a size must not be zero")
         product = parse(text).times(basis_unit)
         if slot_unit is not None and product.powers != (target := parse(slot_unit)).powers:
             raise InputError(
-                f"effect {self.text!r}: with {name} in {text} it is {product}, but its slot is {target}: correct "
-                f"the unit of {name}"
+                f"effect {self.text!r}: with {name} in {text} the effect is in {product}, but its slot is in {target}: "
+                f"correct the unit of {name}"
             )
-        return Coefficient(text, prior, part)
+        return Coefficient(text, prior, suffix)
 
     def _format_canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
-        """Format the effect as one line that can be parsed without readings."""
-        pieces = [f"{name}: {self.text}"]
+        """Format the effect as one line with all sizes and units, which can be parsed without readings."""
+        fields = [f"{name}: {self.text}"]
         for n, c in zip(self.coefficients, coefficients, strict=True):
-            pieces.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
-        pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
+            fields.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
+        fields += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
         for n, (c, u) in self.columns.items():
             if n != c or n not in _UNITS:
                 quoted_name = n if n.isidentifier() else f"`{n}`"
-                pieces.append(f"{quoted_name} = {c}" + (f" [{u}]" if u else ""))
-        return "; ".join(pieces)
+                fields.append(f"{quoted_name} = {c}" + (f" [{u}]" if u else ""))
+        return "; ".join(fields)
 
 
-def _called_name(node: ast.Call) -> str:
+def _function_name(node: ast.Call) -> str:
     return getattr(node.func, "id", "")
 
 
-def _operands(node: ast.AST) -> list[ast.expr]:
+def _list_operands(node: ast.AST) -> list[ast.expr]:
     """Return the operands of a sum or a comparison; [] for any other node."""
     match node:
         case ast.BinOp(op=ast.Add() | ast.Sub()):
             return [node.left, node.right]
-        case ast.Call() if _called_name(node) in _BINARY:
+        case ast.Call() if _function_name(node) in _BINARY:
             return node.args
     return []
 
 
-def _nonlinear_nodes(tree: ast.expr) -> Iterator[ast.expr]:
-    """Yield the nodes in which a formula is nonlinear: arguments of functions, divisors, powers."""
+def _find_nonlinear(tree: ast.expr) -> Iterator[ast.expr]:
+    """Yield the subexpressions in which a formula is nonlinear: function arguments, divisors, powers."""
     for node in ast.walk(tree):
         match node:
             case ast.Call():
@@ -579,26 +579,26 @@ def _nonlinear_nodes(tree: ast.expr) -> Iterator[ast.expr]:
 def _to_float(text: str, make_error: Callable[[str], InputError] = InputError) -> float:
     """Parse a number; raise the error made by `make_error` if it overflows or underflows."""
     value, is_zero = float(text), not re.search("[1-9]", text.lower().split("e")[0])
-    if math.isfinite(value) and (abs(value) >= TINY or is_zero):
+    if math.isfinite(value) and (abs(value) >= MIN_NORMAL or is_zero):
         return value
     raise make_error(f"the number {text} is too {'large' if abs(value) > 1 else 'small'}")
 
 
-def _sizes(formula: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
-    """Return the coefficient at which each term's standard deviation equals the output's, output base units."""
+def _find_sizes(basis: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
+    """Return the coefficients at which each term's standard deviation equals the output's, output base units."""
     frame = build_frame(readings, reference_of(readings))
     midpoints = {n: float(s.prior.value(np.float64(0.0))) for n, s in shapes.items()}
     with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
-        columns = np.asarray(formula(frame, **midpoints))
+        columns = np.asarray(basis(frame, **midpoints))
         sizes = np.std(columns, axis=0)
     output_sd = float(np.std(readings[readings.output]))
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
     return [output_sd / s if s > 0 and math.isfinite(s) else output_sd for s in sizes.tolist()]
 
 
-def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Raise ModelError if readings or slot have other units than those for which a typed effect was parsed."""
-    basis = effect_.basis
+def require_units(typed_effect: Effect, readings: Measurements, instrument: Instrument) -> None:
+    """Raise ModelError if a typed effect was parsed for other units than those of the readings or the slot."""
+    basis = typed_effect.basis
     if not isinstance(basis, Formula):
         return
     try:
@@ -608,6 +608,6 @@ def require_units(effect_: Effect, readings: Measurements, instrument: Instrumen
     assert isinstance(reparsed.basis, Formula)
     if (reparsed.basis.parts, reparsed.basis.columns) != (basis.parts, basis.columns):
         raise ModelError(
-            f"Effect {effect_.name!r} was defined for columns in other units than these readings have: define it "
+            f"Effect {typed_effect.name!r} was defined for columns in other units than these readings have: define it "
             f"with readings=, or state the units ({basis.text})"
         )

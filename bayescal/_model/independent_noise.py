@@ -19,9 +19,9 @@ SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 PROPORTIONAL = "noise.proportional"
 # Least ratio of max |x| to min |x| of a column: below it, noise in proportion to |x| resembles an exponential law.
 MIN_SIZE_RATIO = 3.0
-FREEDOM = "noise.freedom"
+DOF = "noise.freedom"
 MIN_PROBABILITY = 1e-300  # lower bound, so that its logarithm is finite
-MIN_FREEDOM = 2.1  # below 2 the variance does not exist
+MIN_DOF = 2.1  # below 2 the variance does not exist
 
 
 class White(Noise):
@@ -201,39 +201,39 @@ class StudentT(Noise):
         return (WHITE,)
 
     def parameters(self) -> dict[str, Positive]:
-        return {WHITE: self.scale, FREEDOM: self.freedom}
+        return {WHITE: self.scale, DOF: self.freedom}
 
     def unit(self, name: str, output: str) -> str:
-        return "1" if name == FREEDOM else output
+        return "1" if name == DOF else output
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
-        freedom = xp.maximum(parameters[FREEDOM], MIN_FREEDOM)
-        return white_variance(parameters, frame) * freedom / (freedom - 2)
+        dof = xp.maximum(parameters[DOF], MIN_DOF)
+        return white_variance(parameters, frame) * dof / (dof - 2)
 
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        freedom, variance = parameters[FREEDOM], white_variance(parameters, frame)
-        half, gammaln = 0.5 * (freedom + 1), special_functions((freedom, mean)).gammaln
-        log_norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * xp.log(xp.pi * freedom * variance)
-        return log_norm - half * xp.log1p((y - mean) ** 2 / (freedom * variance))
+        dof, variance = parameters[DOF], white_variance(parameters, frame)
+        half, gammaln = 0.5 * (dof + 1), special_functions((dof, mean)).gammaln
+        log_norm = gammaln(half) - gammaln(0.5 * dof) - 0.5 * xp.log(xp.pi * dof * variance)
+        return log_norm - half * xp.log1p((y - mean) ** 2 / (dof * variance))
 
     def by_residual(self, residuals: Any, parameters: Parameters, frame: Frame) -> tuple[Any, Any]:
-        freedom = parameters[FREEDOM]
-        scale, squares = freedom * white_variance(parameters, frame), residuals**2
+        dof = parameters[DOF]
+        scale, squares = dof * white_variance(parameters, frame), residuals**2
         total = scale + squares
-        return (freedom + 1) * residuals / total, (freedom + 1) * (scale - squares) / total**2
+        return (dof + 1) * residuals / total, (dof + 1) * (scale - squares) / total**2
 
     def normal_scores(self, residuals: Array, parameters: Parameters, frame: Frame) -> Array:
         # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
-        freedom = parameters[FREEDOM]
+        dof = parameters[DOF]
         squares = residuals**2 / white_variance(parameters, frame)
-        special = special_functions((freedom, squares))
-        tail = 0.5 * special.betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
+        special = special_functions((dof, squares))
+        tail = 0.5 * special.betainc(0.5 * dof, 0.5, dof / (dof + squares))
         # Φ⁻¹ of the smaller tail probability avoids the cancellation of 1 − p far in the tail.
         return -xp.sign(residuals) * special.ndtri(xp.maximum(tail, MIN_PROBABILITY))
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
-        draws = jax.random.t(key, parameters[FREEDOM], mean.shape)
+        draws = jax.random.t(key, parameters[DOF], mean.shape)
         return mean + jnp.sqrt(white_variance(parameters, frame)) * draws
 
 
@@ -279,9 +279,9 @@ class Quantised(Noise):
     def log_density(self, y: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         sd = xp.sqrt(white_variance(parameters, frame))
         # Reflected to the lower tail, where the difference of two small probabilities does not cancel.
-        centre, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
-        tail = special_functions((centre, half)).log_ndtr
-        upper, lower = tail(centre + half), tail(centre - half)
+        standardised, half = -xp.abs(y - mean) / sd, 0.5 * self.step / sd
+        log_tail = special_functions((standardised, half)).log_ndtr
+        upper, lower = log_tail(standardised + half), log_tail(standardised - half)
         # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))); divided by the step it is a density.
         log_probability = xp.log(-xp.expm1(xp.minimum(lower - upper, -1e-300)))
         return upper + log_probability - math.log(self.step)

@@ -2,11 +2,11 @@
 
 A noise law defines its parameters with priors and units and, in JAX, differentiable by all parameters: the variance of
 each reading, its log density, draws of readings and, if Gaussian given its parameters, the whitening L⁻¹ of residuals
-to independent unit variance (`whiten`). Other code uses this interface alone, so that a user's own law works in
+to independent unit variance (`whiten`). Other code uses this interface only, so that a user-defined law works in
 fits, searches, files and batches.
 
-A law that is not Gaussian (Student-t, rounding) defines its density alone; its first and second derivatives by the
-expected output come from automatic differentiation, for a Laplace approximation about the mode of the coefficients.
+A law that is not Gaussian (Student-t, rounding) defines its density only; derivatives with respect to the expected
+output, for the Laplace approximation about the conditional mode of the coefficients, are computed numerically.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Noise(abc.ABC):
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Return parameter name → prior."""
+        """Return the prior of each parameter, by name."""
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
@@ -172,7 +172,7 @@ class Noise(abc.ABC):
         raise NotImplementedError(f"{self.name} noise has no common variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
-        """Return the coordinate of each reading of which its variance is a smooth function, `variance_along`; or None.
+        """Return a coordinate of each reading in which its variance is smooth (`variance_along`); None: there is none.
 
         For independent Gaussian noise only.
         """
@@ -189,7 +189,7 @@ class Noise(abc.ABC):
         parameters: Parameters,
         frame: Frame,
     ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-        """Return L⁻¹·columns and log Lᵢᵢ, with the Cholesky factor L·Lᵀ = Σ + diag(extra); row i is reading i."""
+        """Return L⁻¹·columns (n, m) and log Lᵢᵢ (n,), L the lower Cholesky factor of noise covariance + diag(extra)."""
         variance = self.variance(parameters, frame) + extra
         sd = jnp.sqrt(jnp.broadcast_to(variance, (frame.size,)))
         return columns / sd[:, None], jnp.log(sd)
@@ -205,7 +205,7 @@ class Noise(abc.ABC):
         return None
 
     def starts(self, frame: Frame, residuals: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
-        """Return starting points of an optimisation of the parameters; the optimiser chooses that of an absent one.
+        """Return starting points of an optimisation of the parameters, each by name; a point may omit parameters.
 
         Readings and residuals (output unit) are sorted by time if the law is correlated.
         """
@@ -218,7 +218,7 @@ class Noise(abc.ABC):
     ) -> Float[np.ndarray, "... k"]:
         """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
 
-        `variance`: of a reading about the expected output; `factors`: averaging factors m; `step`: s between readings.
+        variance: of a reading about the expected output. factors: averaging factors m. step: time between readings, s.
         """
         return np.asarray(variance)[..., None] / factors
 
@@ -239,10 +239,10 @@ class Noise(abc.ABC):
         at: Float[np.ndarray, "m"],
         along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m"]]:
-        """Return the smoothed mean and variance of the correlated noise at times of a run, given its residuals.
+        """Return the smoothed mean and variance of the correlated noise at times `at` of a run, given its residuals.
 
-        The mean is linear in residuals, output unit, one column per set of coefficients. `white` is the variance of
-        each reading's white noise; `along`: covariate of the correlated part, at the readings and at times `at`.
+        The mean is linear in residuals, output unit, one column per set of coefficients. white: white-noise variance of
+        each reading. along: covariate of the correlated part, at the readings and at times `at`.
         """
         return np.zeros((len(at), residuals.shape[1])), np.zeros(len(at))
 
@@ -255,7 +255,7 @@ def log_density_with_extra(
     parameters: Parameters,
     frame: Frame,
 ) -> Float[Array, "n"]:
-    """Return the log density of each reading with additional Gaussian variance `extra`; None: without.
+    """Return the log density of each reading, with `extra` as additional variance of each (None: zero).
 
     If the law is not Gaussian, `extra` is added to each reading's known variance.
     """
@@ -274,7 +274,7 @@ def _log_density_by_whitening(
 
 
 def add_variance(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
-    """Add a variance to each reading's known uncertainty in a frame; None: return it unchanged."""
+    """Return a frame with a variance added to each reading's known uncertainty; unchanged if `extra` is None."""
     if extra is None:
         return frame
     variance = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
@@ -304,13 +304,13 @@ def _check_noise_class(kind: type[Noise]) -> None:
         if "law" in vars(base):
             raise TypeError(f"{name}: derive a noise law from Noise, not from {base.__name__}")
     attributes = vars(kind)
-    if missing := [n for n in ("law", "gaussian") if n not in attributes]:
-        raise TypeError(f'{name}: a noise law needs {" and ".join(missing)}, as in law = "my_law"')
-    required = [] if attributes["gaussian"] else ["log_density", "sample"]
-    required += [] if attributes.get("independent", True) else ["whiten", "sample"]
-    if missing := [n for n in dict.fromkeys(required) if getattr(kind, n) is getattr(Noise, n)]:
-        why = "has correlated readings" if attributes["gaussian"] else "is not Gaussian"
-        raise TypeError(f"{name} {why}: it must define the method {' and '.join(missing)}")
+    if names := [n for n in ("law", "gaussian") if n not in attributes]:
+        raise TypeError(f'{name}: a noise law needs {" and ".join(names)}, as in law = "my_law"')
+    methods = [] if attributes["gaussian"] else ["log_density", "sample"]
+    methods += [] if attributes.get("independent", True) else ["whiten", "sample"]
+    if names := [n for n in dict.fromkeys(methods) if getattr(kind, n) is getattr(Noise, n)]:
+        reason = "has correlated readings" if attributes["gaussian"] else "is not Gaussian"
+        raise TypeError(f"{name} {reason}: it must define the method {' and '.join(names)}")
     for other in Noise.registry.values():
         built_in = other.__module__.startswith("bayescal.") and other.__module__ != kind.__module__
         if built_in and (other.__name__ == name or other.law == kind.law):

@@ -1,18 +1,18 @@
-"""Stationary noise on evenly spaced readings, diagonal in frequency but for the two ends of a run.
+"""Covariance of stationary noise on evenly spaced readings: diagonal in frequency, except for end corrections.
 
-A run has n readings, a step h apart. The orthonormal cosine transform (DCT-II) makes the path's Laplacian L diagonal,
-λ = 2 − 2·cos(πk/n), k = 0 … n − 1. Let e₊ and e₋ be (e₁ ± eₙ)/√2, the ends of the run. An Ornstein–Uhlenbeck process of
-variance v, with a = exp(−h/τ), has the tridiagonal precision
+A run has n readings, a step h apart. The orthonormal cosine transform (DCT-II) diagonalises the path graph's Laplacian
+L, with eigenvalues λ = 2 − 2·cos(πk/n), k = 0 … n − 1. Let e₊ and e₋ be (e₁ ± eₙ)/√2, the ends of the run. An
+Ornstein–Uhlenbeck process of variance v and correlation time τ, with a = exp(−h/τ), has the tridiagonal precision
 
     K⁻¹ = c·[(1 − a)²·I + a·L] + c·a·(1 − a)·(e₊e₊ᵀ + e₋e₋ᵀ),   c = 1/(v·(1 − a²)),
 
 so that, by Woodbury, K = N − Σ± m±·(N e±)(N e±)ᵀ with N = ν(L), ν(λ) = v·(1 − a²)/((1 − a)² + a·λ) and
-1/m± = 1/(c·a·(1 − a)) + e±ᵀN e±. Every other term has this form too. A sum is Σ = D − U·M·Uᵀ with D diagonal in
-frequency and a few columns U, one for each end function and sign, and
+1/m± = 1/(c·a·(1 − a)) + e±ᵀN e±. Every other term has this form too. A sum of terms has the covariance
+Σ = D − U·M·Uᵀ with D diagonal in frequency and a few columns U, one for each end function and sign, and
 
     Σ⁻¹ = D⁻¹ + D⁻¹U·(I − M·Z)⁻¹·M·UᵀD⁻¹,   Z = UᵀD⁻¹U,   |Σ| = |D|·|I − M·Z|.
 
-All functions of λ are smooth in log λ. Parameters are arrays (s, 1): s settings at once.
+All functions of λ are smooth in log λ. Parameters are arrays (s, 1), for s sets of parameters.
 
 Source: derived here; the precision of an autoregression of first order is in M. Kac, W. Murdock and G. Szegő, J.
 Rational Mech. Anal. 2 (1953) 767.
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,20 +32,20 @@ Lambda = Float[np.ndarray, "j"]
 
 
 class SpectralTerm(NamedTuple):
-    """Discrete transform of one term of a covariance: diag(symbol) − Σ± U·M±·Uᵀ."""
+    """Cosine transform of a noise term's covariance on a run: diag(symbol) − Σ± U·M±·Uᵀ, symbols as in the module."""
 
-    symbol: Any  # diagonal of the covariance in frequency (s, j), output unit squared
+    symbol: Any  # Toeplitz symbol, the diagonal in frequency (s, j), output unit squared
     # q functions of λ (s, j): multiplied by the transform of e± they are the columns of U
     ends: tuple[Any, ...]
     correction: Callable[[int, int], Any]  # (run length, sign ±1) → M± (q, q, s)
 
 
-def eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
-    """Return the eigenvalues λ = 2 − 2·cos(πk/n) of a path of n readings at (real) frequency indices k."""
+def compute_eigenvalues(n: int, k: Float[np.ndarray, "j"]) -> Lambda:
+    """Return the Laplacian's eigenvalues λ = 2 − 2·cos(πk/n) of a run of n readings, for real frequency indices k."""
     return 4 * np.sin(0.5 * np.pi * k / n) ** 2
 
 
-def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:
+def transform_end(n: int, sign: int) -> Float[np.ndarray, "n"]:
     """Return the cosine transform of e₊ (sign 1) or e₋ (sign −1) of a run of n readings."""
     k = np.arange(n)
     first = np.sqrt(2 / n) * np.cos(0.5 * np.pi * k / n)  # transform of e₁; eₙ: times (−1)ᵏ
@@ -53,62 +54,63 @@ def end_transform(n: int, sign: int) -> Float[np.ndarray, "n"]:
 
 
 def exponential(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the term of an Ornstein–Uhlenbeck process, of correlation exp(−Δt/time)."""
+    """Return the transformed covariance of an Ornstein–Uhlenbeck process of correlation exp(−Δt/time)."""
     x = -step / np.asarray(time)
-    symbol = variance * _symbol(x, lam)
-    return SpectralTerm(symbol, (symbol,), lambda n, sign: _end_m(variance, x, n, sign)[None, None])
+    symbol = variance * _compute_symbol(x, lam)
+    m = partial(_end_coefficient, variance, x)
+    return SpectralTerm(symbol, (symbol,), lambda n, sign: m(n, sign)[None, None])
 
 
 def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the term of a narrow line, of correlation exp(−Δt/time)·cos(2πf·Δt), by a complex exponential."""
+    """Return the transformed covariance of a narrow spectral line, of correlation exp(−Δt/time)·cos(2πf·Δt)."""
     x = -step / np.asarray(time) + 2j * math.pi * np.asarray(frequency) * step
-    symbol = variance * _symbol(x, lam)
+    symbol = variance * _compute_symbol(x, lam)
 
     def correction(n: int, sign: int) -> Any:
-        m = _end_m(variance, x, n, sign)
+        m = _end_coefficient(variance, x, n, sign)
         return np.array([[m.real, -m.imag], [-m.imag, -m.real]])
 
     return SpectralTerm(symbol.real, (symbol.real, symbol.imag), correction)
 
 
-def _symbol(x: Any, lam: Lambda) -> Any:
+def _compute_symbol(x: Any, lam: Lambda) -> Any:
     """Return the Toeplitz symbol ν(λ), λ = 2 − 2·cos ω, of the unit-variance correlation aᵏ at lag k, a = exp(x)."""
     one_minus_a = -np.expm1(x)
     return one_minus_a * (2 - one_minus_a) / (one_minus_a**2 + (1 - one_minus_a) * lam)
 
 
-def _end_m(variance: Any, x: Any, n: int, sign: int) -> Any:
-    """Return m± of an exponential correlation with a = exp(x), (s,)."""
+def _end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
+    """Return the end coefficient m± (s,), as in the module's formulas, of the correlation aᵏ at lag k, a = exp(x)."""
     a = np.exp(x)
-    return np.reshape(1 / (variance * ((1 + a) / a + _end_variance(x, n, sign)[0])), -1)
+    return np.reshape(1 / (variance * ((1 + a) / a + _compute_end_variance(x, n, sign)[0])), -1)
 
 
 def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the term of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
+    """Return the transformed covariance of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
 
-    (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r with x = r·Δt: the exponential's formulas minus their derivatives by log r.
+    With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their derivatives with respect to log r.
     """
     x = -math.sqrt(3) * step / time
     a, one_minus_a = np.exp(x), -np.expm1(x)
-    da = x * a  # ∂a/∂log r, and of 1 − a with the other sign
+    da = x * a  # ∂a/∂log r = −∂(1 − a)/∂log r
     numer, d_numer = one_minus_a * (2 - one_minus_a), -2 * a * da
     denom, d_denom = one_minus_a**2 + a * lam, (lam - 2 * one_minus_a) * da
     symbol = variance * numer / denom
     derivative = variance * (d_numer / denom - numer * d_denom / denom**2)
 
     def correction(n: int, sign: int) -> Any:
-        end, dend = _end_variance(x, n, sign)
+        end, d_end = _compute_end_variance(x, n, sign)
         inverse = (1 + a) / a + end
         m = 1 / (variance * inverse)
-        dm = m * (da / a**2 - dend) / inverse
+        dm = m * (da / a**2 - d_end) / inverse
         entries = [np.reshape(entry, -1) for entry in (m - dm, -m)]
         return np.array([[entries[0], entries[1]], [entries[1], np.zeros_like(entries[1])]])
 
     return SpectralTerm(symbol - derivative, (symbol, derivative), correction)
 
 
-def _end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
-    """Return e±ᵀN e± for unit variance and a = exp(x), by the method of images, and its derivative by log(−x)."""
+def _compute_end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
+    """Return e±ᵀN e± for unit variance and a = exp(x), and its derivative with respect to log(−x); method of images."""
     a, end_correlation = np.exp(x), np.exp((n - 1) * x)
     mirror_term, denom = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
     numer = (1 + a) * (1 + mirror_term) + sign * end_correlation * (1 + a) ** 2
@@ -121,8 +123,8 @@ def _end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
     return numer / denom, (d_numer - numer * d_denom / denom) / denom
 
 
-def shared_errors(sd: Any, theta: float, lam: Lambda) -> SpectralTerm:
-    """Return the term of a moving average eₜ + θ·eₜ₋₁ of independent errors of standard deviation sd, θ = −1 or 1.
+def moving_average(sd: Any, theta: float, lam: Lambda) -> SpectralTerm:
+    """Return the transformed covariance of a moving average eₜ + θ·eₜ₋₁, θ = ±1, of errors e of standard deviation sd.
 
     The covariance of differences is sd²·(L + e₊e₊ᵀ + e₋e₋ᵀ), of sums sd²·(4·I − L − e₊e₊ᵀ − e₋e₋ᵀ).
     """

@@ -1,7 +1,7 @@
-"""Terms of correlated noise: each a small stationary state-space model, with its spectrum and Allan variance.
+"""Terms of correlated noise: stationary state-space models with spectrum and Allan variance.
 
-A term defines the transition matrix over a step, the process-noise covariance and the observed states; each run starts
-in the stationary distribution. IEEE Std 952-1997, Annex C, defines the coefficients.
+A term defines the transition matrix over a time step, the process-noise covariance and the observed states; each run
+starts in the stationary distribution. IEEE Std 952-1997, Annex C, defines the noise coefficients.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ Values = Mapping[str, Any]
 # Parameters of a single Ornstein–Uhlenbeck term: random-walk coefficient q, correlation time, standard deviation.
 DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
 CORRELATED = "noise.correlated"
-WALK_TIME = 30.0  # correlation time that stands for a random walk, in record lengths: within 2 % of the walk's variance
-TIME_RATIO = 8.0  # ratio of successive correlation times of flicker noise: within 3.5 % of 1/f
-SHORTEST_TIME = 0.25  # correlation time of flicker noise, in steps: below Nyquist period/2π
-ALLAN_SERIES_LIMIT = 1e-3  # λ·τ, below which the Matérn Allan variance is summed as a series
-SERIES_LIMIT = 0.1  # λ·h, below which a cancelling difference of exponentials is summed as a series
+WALK_TIME_SPANS = 30.0  # correlation time of a "random walk", record lengths: variance within 2 %
+FLICKER_TIME_RATIO = 8.0  # ratio of successive correlation times: spectrum within 3.5 % of 1/f
+SHORTEST_TIME_STEPS = 0.25  # correlation time of flicker noise, in steps: below Nyquist period/2π
+ALLAN_SERIES_LIMIT = 1e-3  # λ·τ below which the Matérn Allan variance is computed by a series
+SERIES_LIMIT = 0.1  # 2·λ·Δt below which the Matérn process noise is computed by a series
 SLOPE_NAMES = ("noise.tone.slope", "noise.tone.bend")  # a and b of a tone's f + a·z + b·z²
-WINDOW = 32  # readings per spectrum, so short that a drifting line stays in its frequency bin
+WINDOW_SIZE = 32  # readings per spectrum; a drifting line stays in its frequency bin
 ZERO_PADDING = 2  # frequency bins per independent bin of a spectrum
 MIN_WINDOWS = 8  # fewest spectra whose mean shows a line
 SLOPE_COUNT = 16  # trial slopes of the line frequency, up to twice the Nyquist frequency over half the column's range
-MAX_RELATIVE_POWER = 20.0  # bound on a window's relative power: a spike is no line
-# m·a = averaging time over correlation time, below which the Allan variance is that of a random walk to 5 digits.
+MAX_RELATIVE_POWER = 20.0  # bound on a window's relative power, against spikes
+# Averaging time over correlation time below which the Allan variance is that of a random walk to 5 digits.
 WALK_LIMIT = 1e-5
 FLICKER_FLOOR = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
@@ -51,7 +51,7 @@ class Bounds(NamedTuple):
     shortest: float  # correlation time, s: the median step
     longest: float  # correlation time, s: the longest run
     correlated: Positive  # prior of a correlated term's standard deviation, output unit
-    column: str = ""  # covariate of the frequency of a tone; none if empty
+    column: str = ""  # covariate of a tone's frequency; empty: constant frequency
 
     @property
     def geometric_mean(self) -> float:
@@ -59,28 +59,28 @@ class Bounds(NamedTuple):
 
     @property
     def diffusion(self) -> Positive:
-        """Return the prior of q that implies `correlated` for q·√(τ/2) at the geometric mean τ of the times."""
+        """Return the prior of the coefficient q for which q·√(τ/2) has the prior `correlated`, τ the geometric mean."""
         return scale_prior(self.correlated, math.sqrt(2 / self.geometric_mean))
 
 
 @static
 class NoiseTerm(abc.ABC):
-    """One term of a noise sum; `units` gives parameter units in terms of the output unit, "{}"."""
+    """One term of a noise sum; in `units`, parameter name → unit, "{}" stands for the output unit."""
 
-    words: ClassVar[str]  # name in printed text
+    label: ClassVar[str]  # name in printed text
     units: ClassVar[Mapping[str, str]] = {}
-    bounded: ClassVar[bool] = False  # whether its states depend on the bounds of the record
+    needs_bounds: ClassVar[bool] = False  # whether its states depend on the bounds of the record
 
     @abc.abstractmethod
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        """Return parameter name → prior; the first is the amplitude."""
+        """Return the prior of each parameter, by name; the first parameter is the amplitude."""
 
     def unit(self, name: str, output: str) -> str:
         return self.units.get(name, "{}").format(output)
 
     @abc.abstractmethod
     def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
-        """Return the state-space block over steps h, s; `values` includes the covariate, scaled to −1 … 1 (n,)."""
+        """Return the state-space form over time steps h, s; `values` includes the covariate scaled to −1 … 1 (n,)."""
 
     @abc.abstractmethod
     def variance(self, values: Values, bounds: Bounds) -> Any:
@@ -89,12 +89,12 @@ class NoiseTerm(abc.ABC):
     def spectrum(
         self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return the covariance in frequency on evenly spaced readings, `step` in s; values (s, 1)."""
-        raise NotImplementedError(f"{self.words} noise has no spectrum here")
+        """Return the cosine transform of the covariance of readings `step` seconds apart, at eigenvalues `lam`."""
+        raise NotImplementedError(f"{self.label} noise has no spectrum here")
 
     @abc.abstractmethod
     def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
-        """Return the Allan variance at averaging factors m, `step` in s; values have a last axis of one."""
+        """Return the Allan variance at averaging factors m of readings `step` seconds apart; values (…, 1)."""
 
     def starts(
         self,
@@ -102,11 +102,11 @@ class NoiseTerm(abc.ABC):
         residuals: Float[np.ndarray, "n"],
         z: Float[np.ndarray, "n"] | None,
     ) -> list[dict[str, float]]:
-        """Return starting points for the optimiser, which chooses the start of a parameter that a point omits."""
+        """Return starting points of the optimisation, estimated from residuals; z: covariate scaled to −1 … 1."""
         return [{}]
 
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
-        """Return quantities derived from the parameters, by name."""
+        """Return quantities computed from the parameters, such as a standard deviation, by name."""
         return {}
 
 
@@ -115,7 +115,7 @@ class ExponentialTerm(NoiseTerm):
 
     @abc.abstractmethod
     def processes(self, values: Values, bounds: Bounds) -> list[tuple[Any, Any]]:
-        """Return the variance, output unit squared, and the correlation time, s, of each."""
+        """Return the variance, output unit squared, and the correlation time, s, of each process."""
 
     def variance(self, values, bounds):
         return sum(variance for variance, _ in self.processes(values, bounds))
@@ -135,22 +135,22 @@ class ExponentialTerm(NoiseTerm):
 
 @static
 class CorrelatedTerm(ExponentialTerm):
-    """Ornstein–Uhlenbeck noise; several terms are ordered by correlation time, so that they are identified.
+    """Ornstein–Uhlenbeck noise; several terms are ordered by correlation time, to be identifiable.
 
     After a term of correlation time τ' the next has τ = τ'·(longest/τ')^u, u uniform from 0 to 1.
     """
 
-    place: int  # 1, 2, … in order of correlation time; 0 for a single term, whose parameter names have no number
-    words: ClassVar[str] = "Ornstein–Uhlenbeck"
+    rank: int  # 1, 2, … in order of correlation time; 0: single term, unnumbered in parameter names
+    label: ClassVar[str] = "Ornstein–Uhlenbeck"
 
-    def _name(self, quantity: str, place: int | None = None) -> str:
-        if not self.place:
+    def _name(self, quantity: str, rank: int | None = None) -> str:
+        if not self.rank:
             return {"diffusion": DIFFUSION, "time": CORRELATION_TIME, "size": CORRELATED}[quantity]
-        return f"noise.correlated{place or self.place}.{quantity}"
+        return f"noise.correlated{rank or self.rank}.{quantity}"
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         priors: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
-        if self.place < 2:
+        if self.rank < 2:
             return {**priors, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
         return {**priors, self._name("place"): Normal(0.0, 1.0)}
 
@@ -161,8 +161,8 @@ class CorrelatedTerm(ExponentialTerm):
     def time(self, values: Values, bounds: Bounds) -> Any:
         """Return the correlation time, s."""
         time = values[self._name("time", 1)]
-        for place in range(2, self.place + 1):
-            v = values[self._name("place", place)]
+        for rank in range(2, self.rank + 1):
+            v = values[self._name("place", rank)]
             # log τ = (1 − u)·log τ' + u·log longest, with u = Φ(v) uniform for standard normal v.
             fraction = special_functions(v).ndtr(v)
             time = time ** (1 - fraction) * bounds.longest**fraction
@@ -173,20 +173,20 @@ class CorrelatedTerm(ExponentialTerm):
         return [(0.5 * values[self._name("diffusion")] ** 2 * time, time)]
 
     @property
-    def bounded(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.place > 1
+    def needs_bounds(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.rank > 1
 
     def derived(self, values, bounds):
         size = {self._name("size"): np.sqrt(self.variance(values, bounds))}
-        return size if self.place < 2 else {**size, self._name("time"): self.time(values, bounds)}
+        return size if self.rank < 2 else {**size, self._name("time"): self.time(values, bounds)}
 
 
-class WalkTerm(ExponentialTerm):
-    """A random walk (IEEE 952: rate random walk, K) that began long before the record."""
+class RandomWalkTerm(ExponentialTerm):
+    """A random walk (IEEE 952: rate random walk, K), approximated by a stationary process of long correlation time."""
 
-    words: ClassVar[str] = "random walk"
+    label: ClassVar[str] = "random walk"
     units: ClassVar[Mapping[str, str]] = {"noise.walk": "{}/s^0.5"}
-    bounded: ClassVar[bool] = True
+    needs_bounds: ClassVar[bool] = True
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.walk": bounds.diffusion}
@@ -194,7 +194,7 @@ class WalkTerm(ExponentialTerm):
     # An Ornstein–Uhlenbeck process of correlation time 30 record lengths: stationary, and within the record a random
     # walk of coefficient K, since K² = 2·σ²/τ.
     def processes(self, values, bounds):
-        time = WALK_TIME * bounds.longest
+        time = WALK_TIME_SPANS * bounds.longest
         return [(0.5 * values["noise.walk"] ** 2 * time, time)]
 
 
@@ -206,22 +206,22 @@ class FlickerTerm(ExponentialTerm):
     Source: F. Hooge and P. Bobbert, Physica B 239 (1997) 223 (1/f as a sum of Lorentzian spectra).
     """
 
-    words: ClassVar[str] = "flicker"
-    bounded: ClassVar[bool] = True
+    label: ClassVar[str] = "flicker"
+    needs_bounds: ClassVar[bool] = True
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         return {"noise.flicker": bounds.correlated}
 
     def times(self, bounds: Bounds) -> Float[np.ndarray, "k"]:
         """Return the correlation times, s: from a quarter of a step to beyond the longest run."""
-        shortest = SHORTEST_TIME * bounds.shortest
-        count = math.ceil(math.log(bounds.longest / shortest, TIME_RATIO)) + 1
-        return shortest * TIME_RATIO ** np.arange(count)
+        shortest = SHORTEST_TIME_STEPS * bounds.shortest
+        count = math.ceil(math.log(bounds.longest / shortest, FLICKER_TIME_RATIO)) + 1
+        return shortest * FLICKER_TIME_RATIO ** np.arange(count)
 
     # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
     # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.
     def processes(self, values, bounds):
-        variance = values["noise.flicker"] ** 2 * math.log(TIME_RATIO) / math.pi
+        variance = values["noise.flicker"] ** 2 * math.log(FLICKER_TIME_RATIO) / math.pi
         return [(variance, time) for time in self.times(bounds)]
 
 
@@ -233,7 +233,7 @@ class SmoothTerm(NoiseTerm):
     regression models (MLSP 2010).
     """
 
-    words: ClassVar[str] = "Matérn-3/2"
+    label: ClassVar[str] = "Matérn-3/2"
     units: ClassVar[Mapping[str, str]] = {"noise.smooth.time": "s"}
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -250,24 +250,23 @@ class SmoothTerm(NoiseTerm):
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
         # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
         decay, z = jnp.exp(-x), 2 * x
-        carry = decay[:, None, None] * matrix_2x2(1 + x, x, -x, 1 - x)
-        # The process noise is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x,
-        # which is e⁻ᶻ·(z³/6 + z⁴/24 + …) where z is small;
+        transition = decay[:, None, None] * matrix_2x2(1 + x, x, -x, 1 - x)
+        # For states of variance one the process noise is 1 − A·Aᵀ; its element ff is 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x,
+        # or for small z e⁻ᶻ·(z³/6 + z⁴/24 + …); fg = 2x²·e⁻²ˣ; gg = 1 − e⁻²ˣ·(x² + (1 − x)²).
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
         closed_form = -jnp.expm1(-z) - decay**2 * (z + z**2 / 2)
-        fresh = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
-        # off the diagonal 2x²·e⁻²ˣ,
+        noise = jnp.where(z < SERIES_LIMIT, decay**2 * series, closed_form)
         cross = decay**2 * z**2 / 2
-        # and of g 1 − e⁻²ˣ·(x² + (1 − x)²).
         slope = -jnp.expm1(-z) + decay**2 * (z - z**2 / 2)
-        return Block(carry, size**2 * matrix_2x2(fresh, cross, cross, slope), size**2 * jnp.eye(2))
+        covariance = size**2 * matrix_2x2(noise, cross, cross, slope)
+        return Block(transition, covariance, size**2 * jnp.eye(2))
 
     def spectrum(self, values, bounds, step, lam):
         arguments = self.variance(values, bounds), values["noise.smooth.time"]
         return [noise_spectrum.matern(*arguments, step, lam)]
 
     def allan(self, values, bounds, m, step):
-        """Return c − a·∂c/∂a by a complex step, c(a) the Allan variance of exp(−a·k); a series for small λ·τ."""
+        """Return the Allan variance c − a·∂c/∂a, c(a) that of the correlation exp(−a·k); by complex step or series."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
         # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
         # that a difference of two c would lose.
@@ -279,13 +278,13 @@ class SmoothTerm(NoiseTerm):
 
 
 class ToneTerm(NoiseTerm):
-    """A narrow line: a damped oscillator, two states that rotate at a frequency and decohere within a correlation time.
+    """A narrow spectral line: a damped stochastic oscillator, whose two states are its quadratures.
 
     With a covariate z, scaled to −1 … 1 over the readings of the fit, the frequency is f + a·z + b·z². A frequency
     above the Nyquist frequency is aliased, in the model as in the readings.
     """
 
-    words: ClassVar[str] = "tone"
+    label: ClassVar[str] = "tone"
     units: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("noise.tone.frequency", *SLOPE_NAMES), "Hz"),
         "noise.tone.time": "s",
@@ -313,16 +312,16 @@ class ToneTerm(NoiseTerm):
         # Two quadratures rotated by 2πf·Δt and damped as an Ornstein–Uhlenbeck process: half width 1/(2π·time).
         phase = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(phase), jnp.sin(phase)
-        decay = exponential_block(values["noise.tone.time"], values["noise.tone"] ** 2, h)
+        ou = exponential_block(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         eye = jnp.eye(2)
-        return Block(decay.carry * matrix_2x2(c, s, -s, c), decay.fresh * eye, decay.start * eye)
+        return Block(ou.transition * matrix_2x2(c, s, -s, c), ou.noise * eye, ou.start * eye)
 
     def spectrum(self, values, bounds, step, lam):
         arguments = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
         return [noise_spectrum.tone(self.variance(values, bounds), *arguments, step, lam)]
 
     def allan(self, values, bounds, m, step):
-        """Return the Allan variance; with a covariate, the mean over its range."""
+        """Return the Allan variance of a tone, averaged over the covariate's range if its frequency has a covariate."""
         positions = np.linspace(-1, 1, 33) if bounds.column else [0.0]
         decay, curves = step / values["noise.tone.time"], []
         for z in positions:
@@ -331,21 +330,21 @@ class ToneTerm(NoiseTerm):
         return values["noise.tone"] ** 2 * np.mean(curves, axis=0)
 
     def starts(self, step, residuals, z):
-        """Return the strongest line of a spectrogram, its frequency quadratic in the covariate z; [] if too short."""
-        usual = float(np.median(step[step > 0]))
-        is_even = np.abs(step / usual - 1) < EVEN_STEPS
-        is_whole = np.convolve(is_even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
-        starts = np.arange(0, len(residuals) - WINDOW + 1, WINDOW // 2)
-        rows = starts[is_whole[starts]][:, None] + np.arange(WINDOW)
+        """Return the strongest spectrogram line as a starting point, its frequency quadratic in z; [] if too short."""
+        period = float(np.median(step[step > 0]))
+        is_even = np.abs(step / period - 1) < EVEN_STEPS
+        is_complete = np.convolve(is_even, np.ones(WINDOW_SIZE - 1), "valid")[1:] == WINDOW_SIZE - 1
+        starts = np.arange(0, len(residuals) - WINDOW_SIZE + 1, WINDOW_SIZE // 2)
+        rows = starts[is_complete[starts]][:, None] + np.arange(WINDOW_SIZE)
         if len(rows) < MIN_WINDOWS:
             return []
-        window = np.hanning(WINDOW + 2)[1:-1]
-        power = _relative_power(residuals[rows], window, is_moving=z is not None)
+        window = np.hanning(WINDOW_SIZE + 2)[1:-1]
+        power = _relative_power(residuals[rows], window, is_varying=z is not None)
         positions = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * SLOPE_COUNT + 1) if z is not None else np.zeros(1)
-        bin_count, best = ZERO_PADDING * WINDOW, (-math.inf, 0.0, 0.0, 0.0)
+        bin_count, best = ZERO_PADDING * WINDOW_SIZE, (-math.inf, 0.0, 0.0, 0.0)
         bins = np.arange(1, bin_count // 2)
-        # Two periods of the discrete spectrum, whose upper half mirrors the lower, so that aliased shifts stay inside.
+        # Two periods of the discrete spectrum, whose upper half mirrors the lower, so that shifted indices stay valid.
         spectra = np.minimum(np.hstack([power, power[:, -2:0:-1]] * 2), MAX_RELATIVE_POWER)
         offsets = bins[:, None] + spectra.shape[1] * np.arange(len(rows))
         # The frequency is nearly constant within a window: its bin is that at the window's mean z.
@@ -362,35 +361,35 @@ class ToneTerm(NoiseTerm):
         start = {
             WHITE: sd * math.sqrt(1 - line_fraction),
             "noise.tone": sd * math.sqrt(line_fraction),
-            "noise.tone.frequency": frequency / usual,
-            "noise.tone.time": WINDOW * usual,
+            "noise.tone.frequency": frequency / period,
+            "noise.tone.time": WINDOW_SIZE * period,
         }
         if z is not None:
-            start |= dict(zip(SLOPE_NAMES, (float(a) / usual, float(b) / usual), strict=True))
+            start |= dict(zip(SLOPE_NAMES, (float(a) / period, float(b) / period), strict=True))
         return [start]
 
 
 def _relative_power(
-    residuals: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], is_moving: bool
+    residuals: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], is_varying: bool
 ) -> Float[np.ndarray, "w f"]:
-    """Return the power of detrended windows at each frequency, relative to the typical power there.
+    """Return the power of detrended windows (w, f) relative to the background power at each frequency.
 
-    The typical power is the median over windows if a line's frequency varies, otherwise over adjacent frequencies.
+    The background is the median over windows if a line's frequency varies, otherwise over adjacent frequencies.
     """
     ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
     detrended = residuals - residuals @ ramp @ np.linalg.pinv(ramp)
     power = np.abs(np.fft.rfft(detrended * window, ZERO_PADDING * len(window), axis=1)) ** 2
-    median_power = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
-    if not is_moving:
-        neighbours = [slice(max(0, k - WINDOW), k + WINDOW) for k in range(median_power.size)]
-        median_power = np.array([np.median(median_power[part]) for part in neighbours])
-    return power / median_power
+    background = np.median(power, axis=0) / math.log(2)  # the mean of an exponential distribution
+    if not is_varying:
+        ranges = [slice(max(0, k - WINDOW_SIZE), k + WINDOW_SIZE) for k in range(background.size)]
+        background = np.array([np.median(background[part]) for part in ranges])
+    return power / background
 
 
-class ErrorsTerm(NoiseTerm):
-    """First-order moving average: a reading is eₜ + θ·eₜ₋₁, e independent errors of one standard deviation.
+class MovingAverageTerm(NoiseTerm):
+    """First-order moving average eₜ + θ·eₜ₋₁ of independent, homoscedastic errors e; states: eₜ and θ·eₜ₋₁.
 
-    States: eₜ, and θ·eₜ₋₁. Readings are taken as evenly spaced.
+    Readings are assumed evenly spaced.
     """
 
     theta: ClassVar[float]
@@ -404,20 +403,20 @@ class ErrorsTerm(NoiseTerm):
 
     def block(self, values, bounds, h):
         square, zero = self.size(values, bounds) ** 2, 0.0 * h
-        carry = matrix_2x2(zero, zero, self.theta + zero, zero)
-        fresh = matrix_2x2(square + zero, zero, zero, zero)
-        return Block(carry, fresh, square * jnp.eye(2), observed=True)
+        transition = matrix_2x2(zero, zero, self.theta + zero, zero)
+        noise = matrix_2x2(square + zero, zero, zero, zero)
+        return Block(transition, noise, square * jnp.eye(2), observes_all=True)
 
     def spectrum(self, values, bounds, step, lam):
-        return [noise_spectrum.shared_errors(self.size(values, bounds), self.theta, lam)]
+        return [noise_spectrum.moving_average(self.size(values, bounds), self.theta, lam)]
 
 
-class RoundedAngleTerm(ErrorsTerm):
-    """Quantisation noise of IEEE 952, Q: readings are differences of angles with independent errors."""
+class QuantisationTerm(MovingAverageTerm):
+    """Quantisation noise (IEEE 952, Q): readings are differences of angles with independent errors."""
 
-    words: ClassVar[str] = "quantisation"
+    label: ClassVar[str] = "quantisation"
     units: ClassVar[Mapping[str, str]] = {"noise.quantisation": "{}*s"}
-    bounded: ClassVar[bool] = True
+    needs_bounds: ClassVar[bool] = True
     theta: ClassVar[float] = -1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -431,16 +430,15 @@ class RoundedAngleTerm(ErrorsTerm):
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
 
 
-class AveragingTerm(ErrorsTerm):
-    """White noise after the sensor's low-pass filter, as means of two successive independent errors.
+class AveragingTerm(MovingAverageTerm):
+    """White noise after a sensor's low-pass filter: means of two successive independent errors.
 
-    Only adjacent readings are correlated. Added to white noise this is a moving average of any length up to two steps,
-    with adjacent correlations from 0 to ½. The amplitude is the standard deviation before averaging: the spectral
-    density at low frequencies is the same.
+    Only adjacent readings are correlated; together with white noise, by 0 to ½. The amplitude is the standard deviation
+    before averaging, which leaves the spectral density at low frequencies unchanged.
     Source: G. Box and G. Jenkins, Time Series Analysis (1976), §3.3 (moving averages of first order).
     """
 
-    words: ClassVar[str] = "averaging"
+    label: ClassVar[str] = "averaging"
     theta: ClassVar[float] = 1.0
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
@@ -455,11 +453,11 @@ class AveragingTerm(ErrorsTerm):
 
 
 def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
-    """Return the Allan variance of evenly spaced readings of unit variance and correlation exp(−a·k), k readings apart.
+    """Return the Allan variance at averaging factors m of readings of unit variance and correlation exp(−a·k) at lag k.
 
-    With ρ = exp(−a) and E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m, that is 2·V(m) − 2·V(2m), V
-    the variance of a mean of m readings. For averaging times far below the correlation time it is a random walk's,
-    a·(2m² + 1)/(3m). IEEE 952 has the limits of continuous averages. For an oscillating correlation a is complex, and
+    With ρ = exp(−a) and E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m = 2·V(m) − 2·V(2m), V the
+    variance of a mean of m readings. For averaging times far below the correlation time it is that of a random walk,
+    a·(2m² + 1)/(3m). IEEE 952 gives the limits of continuous averages. For an oscillating correlation a is complex, and
     the real part of the result is the variance.
     """
     rho, decay, one_minus_rho = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
@@ -470,9 +468,9 @@ def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
 TERMS: dict[str, type[NoiseTerm]] = {
     "correlated": CorrelatedTerm,
     "smooth": SmoothTerm,
-    "walk": WalkTerm,
+    "walk": RandomWalkTerm,
     "flicker": FlickerTerm,
     "tone": ToneTerm,
-    "quantisation": RoundedAngleTerm,
+    "quantisation": QuantisationTerm,
     "averaging": AveragingTerm,
 }

@@ -1,4 +1,4 @@
-"""State-space form of correlated noise, and the Kalman filter that whitens by it."""
+"""State-space form of correlated noise, and its Kalman filter, which whitens residuals, and smoother."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 
 
 class Block(NamedTuple):
-    """State-space form of one noise term with k states, over the steps before n readings."""
+    """State-space form of one noise term with k states, over the time steps before each of n readings."""
 
-    carry: Float[Array, "n k k"]  # transition matrices A
-    fresh: Float[Array, "n k k"]  # covariance Q of the process noise
+    transition: Float[Array, "n k k"]  # transition matrices A
+    noise: Float[Array, "n k k"]  # covariance Q of the process noise
     start: Float[Array, "k k"]  # stationary covariance
-    observed: bool = False  # whether a reading observes the sum of all states, or the first alone
+    observes_all: bool = False  # whether a reading observes the sum of all states, or the first
 
 
 def exponential_block(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     """Return the block of independent Ornstein–Uhlenbeck processes with correlation times (k,) and variances (k,)."""
     time, variance = jnp.atleast_1d(time), jnp.atleast_1d(variance)
     steps, eye = h[:, None] / time, jnp.eye(len(time))
-    decay, fresh = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
-    return Block(decay[..., None] * eye, fresh[..., None] * eye, variance * eye, observed=True)
+    decay, noise = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
+    return Block(decay[..., None] * eye, noise[..., None] * eye, variance * eye, observes_all=True)
 
 
 def matrix_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
@@ -36,39 +36,39 @@ def matrix_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
 class States(NamedTuple):
     """State-space form of a sum of terms with p states; each run starts in the stationary distribution."""
 
-    carry: Float[Array, "n p p"]  # transition matrices A over the step before each reading
-    fresh: Float[Array, "n p p"]  # covariance Q of the process noise
+    transition: Float[Array, "n p p"]  # transition matrices A over the step before each reading
+    noise: Float[Array, "n p p"]  # covariance Q of the process noise
     observation: Float[np.ndarray, "p"]  # observation vector h: a reading is hᵀ·state + white noise
 
 
 def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
-    """Assemble blocks into one state space over steps, s; a step of −1 begins a run.
+    """Assemble blocks into one state space over time steps, s; a step of −1 begins a run.
 
-    There A = 0 and Q is the stationary covariance: runs are independent.
+    At the first reading of a run A = 0 and Q is the stationary covariance: runs are independent.
     """
     is_first, offset, size = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
-    carry = fresh = jnp.zeros((step.shape[0], size, size))
+    transition = noise = jnp.zeros((step.shape[0], size, size))
     observation = np.zeros(size)
     for block in blocks:
         rows = slice(offset, offset + len(block.start))
-        carry = carry.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.carry))
-        fresh = fresh.at[:, rows, rows].set(jnp.where(is_first, block.start, block.fresh))
-        observation[rows if block.observed else offset] = 1.0
+        transition = transition.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.transition))
+        noise = noise.at[:, rows, rows].set(jnp.where(is_first, block.start, block.noise))
+        observation[rows if block.observes_all else offset] = 1.0
         offset = rows.stop
-    return States(carry, fresh, observation)
+    return States(transition, noise, observation)
 
 
 def draw_states(key: Array, states: States) -> Float[Array, "n"]:
     """Draw a path of the states and return the observed sum hᵀ·state (n,)."""
-    eigenvalues, eigenvectors = jnp.linalg.eigh(states.fresh)  # some eigenvalues may be zero
+    eigenvalues, eigenvectors = jnp.linalg.eigh(states.noise)  # some eigenvalues may be zero
     normal = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
 
     def advance(state, row):
-        carry, noise = row
-        next_state = carry @ state + noise
+        transition, noise = row
+        next_state = transition @ state + noise
         return next_state, next_state @ jnp.asarray(states.observation)
 
-    rows = states.carry, jnp.einsum("nij,nj->ni", eigenvectors, normal)
+    rows = states.transition, jnp.einsum("nij,nj->ni", eigenvectors, normal)
     return jax.lax.scan(advance, jnp.zeros(len(states.observation)), rows)[1]
 
 
@@ -77,15 +77,15 @@ def kalman_whiten(
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation (n,).
 
-    With P the covariance of the states given earlier readings and w the white variance of a reading: g = P·h,
-    innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
+    With P the covariance of the states given earlier readings, h the observation vector and w the white variance of a
+    reading (`white`): g = P·h, innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
     result = _filter(states, white, columns)
     return result.innovation / jnp.sqrt(result.variance)[:, None], 0.5 * jnp.log(result.variance)
 
 
 class _FilterPass(NamedTuple):
-    """Results of the forward pass of the Kalman filter, for each reading."""
+    """Results of the Kalman filter for each reading: innovations, gains, and predicted states."""
 
     innovation: Float[Array, "n m"]  # innovations of each column
     variance: Float[Array, "n"]  # variance of the innovation
@@ -99,22 +99,22 @@ def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
     def advance_covariance(previous, reading):
-        carry, fresh, white_variance = reading
-        predicted = _matmul(carry, _matmul(carry, previous).T) + fresh
-        column = jnp.sum(predicted * h, axis=1)
-        variance = jnp.sum(column * h) + white_variance
-        gain = column / variance
-        return predicted - gain[:, None] * column, (variance, gain, predicted)
+        transition, noise, white_variance = reading
+        predicted = _matmul(transition, _matmul(transition, previous).T) + noise
+        state_covariance = jnp.sum(predicted * h, axis=1)
+        variance = jnp.sum(state_covariance * h) + white_variance
+        gain = state_covariance / variance
+        return predicted - gain[:, None] * state_covariance, (variance, gain, predicted)
 
     def advance_mean(previous, reading):
-        carry, gain, row = reading
-        predicted = _matmul(carry, previous)
+        transition, gain, row = reading
+        predicted = _matmul(transition, previous)
         innovation = row - jnp.sum(predicted * h[:, None], axis=0)
         return predicted + gain[:, None] * innovation, (innovation, predicted)
 
-    initial, rows = jnp.zeros((count, count)), (states.carry, states.fresh, white)
+    initial, rows = jnp.zeros((count, count)), (states.transition, states.noise, white)
     variance, gain, covariance = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
-    initial, rows = jnp.zeros((count, columns.shape[1])), (states.carry, gain, columns)
+    initial, rows = jnp.zeros((count, columns.shape[1])), (states.transition, gain, columns)
     innovation, mean = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
     return _FilterPass(innovation, variance, gain, covariance, mean)
 
@@ -122,28 +122,28 @@ def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m
 def smooth(
     states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Return the smoothed mean (n, m) and variance (n,) of the observed sum, given all readings of the run.
+    """Return the smoothed mean (n, m) and variance (n,) of the correlated noise, given all readings of the run.
 
-    A row without a reading has infinite white variance.
+    white: white-noise variance of each row; infinite in a row without a reading. columns: residuals.
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
     h = jnp.asarray(states.observation)
 
-    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) accumulate this and all later
-    # readings (v innovation, F its variance, k gain, P predicted covariance): the smoothed mean is the predicted mean
-    # plus P·r, the smoothed covariance P − P·N·P.
-    def step_backward(accumulated, reading):
-        (r, info), (carry, filtered) = accumulated, reading
-        column, update = filtered.covariance @ h, jnp.eye(len(h)) - filtered.gain[:, None] * h
-        r = h[:, None] * (filtered.innovation / filtered.variance) + _matmul(update.T, r)
-        info = h[:, None] * h / filtered.variance + _matmul(_matmul(update.T, info), update)
-        mean = h @ filtered.mean + column @ r
+    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) sum over this and all later readings
+    # (v innovation, F its variance, k gain, P predicted covariance): the smoothed mean is the predicted mean plus P·r,
+    # the smoothed covariance P − P·N·P.
+    def step_backward(sums, reading):
+        (r, info), (a, filter_pass) = sums, reading
+        column, update = filter_pass.covariance @ h, jnp.eye(len(h)) - filter_pass.gain[:, None] * h
+        r = h[:, None] * (filter_pass.innovation / filter_pass.variance) + _matmul(update.T, r)
+        info = h[:, None] * h / filter_pass.variance + _matmul(_matmul(update.T, info), update)
+        mean = h @ filter_pass.mean + column @ r
         variance = column @ h - column @ _matmul(info, column[:, None])[:, 0]
-        return (_matmul(carry.T, r), _matmul(carry.T, _matmul(info, carry))), (mean, variance)
+        return (_matmul(a.T, r), _matmul(a.T, _matmul(info, a))), (mean, variance)
 
     size = len(h)
     initial = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    rows = states.carry, _filter(states, white, columns)
+    rows = states.transition, _filter(states, white, columns)
     _, (mean, variance) = jax.lax.scan(step_backward, initial, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
 

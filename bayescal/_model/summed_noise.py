@@ -39,7 +39,7 @@ MAX_CORRELATED_TERMS = 3  # Ornstein–Uhlenbeck: no record of a day distinguish
 
 
 class SumOfTerms(Noise, interface=True):
-    """Computations common to all sums of noise terms; see `SummedNoise`."""
+    """Base class of noise laws that are sums of terms; attributes as of `SummedNoise`."""
 
     shortest: ClassVar[float]
     longest: ClassVar[float]
@@ -52,8 +52,8 @@ class SumOfTerms(Noise, interface=True):
     def __post_init__(self) -> None:
         low, high = self.shortest, self.longest
         if not 0 < low < high:
-            why = f"correlation times must be positive and in order, not {low} and {high}"
-            raise ValueError(why)
+            message = f"correlation times must be positive and in order, not {low} and {high}"
+            raise ValueError(message)
 
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:
@@ -88,15 +88,15 @@ class SumOfTerms(Noise, interface=True):
     @property
     def plain(self) -> Noise:
         default_law = super().plain
-        if any(part.bounded for part in self.parts):
+        if any(part.needs_bounds for part in self.parts):
             return default_law
         return replace(default_law, shortest=1.0, longest=2.0)
 
     @property
     def in_words(self) -> str:
-        counts = Counter(p.words for p in self.parts)
+        label_counts = Counter(p.label for p in self.parts)
         white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
-        term_texts = (f"{c} {w}" if c > 1 else w for w, c in counts.items())
+        term_texts = (f"{c} {w}" if c > 1 else w for w, c in label_counts.items())
         return self.words or " + ".join((white, *term_texts))
 
     @property
@@ -106,7 +106,7 @@ class SumOfTerms(Noise, interface=True):
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return the terms' covariances in frequency on evenly spaced readings, if `stationary`; values (s, 1)."""
+        """Return the cosine transforms of the terms' covariances, for readings `step` seconds apart; values (s, 1)."""
         return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
 
     def parameters(self) -> dict[str, Any]:
@@ -153,7 +153,7 @@ class SumOfTerms(Noise, interface=True):
         return len(self.parts) > 1
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
-        """Return the state space over steps, s; a step of −1 begins a run. `z`: covariate scaled to −1 … 1 (n,)."""
+        """Return the state space over time steps, s (−1 begins a run); z: covariate scaled to −1 … 1 (n,)."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
@@ -165,9 +165,9 @@ class SumOfTerms(Noise, interface=True):
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         white_key, state_key = jax.random.split(key)
-        slow = draw_states(state_key, self.states(parameters, frame.step, self.followed(frame)))
+        path = draw_states(state_key, self.states(parameters, frame.step, self.followed(frame)))
         sd = jnp.sqrt(self._white_variance(parameters, frame))
-        return mean + sd * jax.random.normal(white_key, mean.shape) + slow
+        return mean + sd * jax.random.normal(white_key, mean.shape) + path
 
     def allan_variance(
         self, values: Parameters, variance: Any, factors: np.ndarray, step: float
@@ -181,14 +181,14 @@ class SumOfTerms(Noise, interface=True):
     def lasting_deviation(self, values: Parameters) -> float:
         factors = self.longest / self.shortest * AVERAGING_TIMES
         phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
-        slow = np.asarray(self.slow_variance(phi))
-        return float(np.sqrt(np.max(self.allan_variance(phi, slow, factors, self.shortest))))
+        variance = np.asarray(self.slow_variance(phi))
+        return float(np.sqrt(np.max(self.allan_variance(phi, variance, factors, self.shortest))))
 
     def slow_part(
         self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean and variance of the correlated part by a Kalman smoother."""
-        grid, first = np.unique(np.concatenate([time, at]), return_index=True)
+        """Return the smoothed mean and variance of the correlated noise at times `at`, by a Kalman smoother."""
+        grid, first_index = np.unique(np.concatenate([time, at]), return_index=True)
         index = np.searchsorted(grid, time)
         precision, mean_residual = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
         np.add.at(precision, index, 1 / white)
@@ -196,7 +196,7 @@ class SumOfTerms(Noise, interface=True):
         with np.errstate(divide="ignore"):
             variances = 1 / precision  # infinite where there is no reading
         mean_residual /= np.maximum(precision, np.finfo(float).tiny)[:, None]
-        z = None if along is None else np.concatenate(along)[first]
+        z = None if along is None else np.concatenate(along)[first_index]
         # Padded to powers of two, so that few programs are compiled: padding is runs of one step without a reading.
         pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
         step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
@@ -253,12 +253,12 @@ class SummedNoise(SumOfTerms):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if unknown := [t for t in self.terms if t not in TERMS]:
+        if unknown_terms := [t for t in self.terms if t not in TERMS]:
             raise ValueError(
-                f"{unknown[0]!r} is not a noise term; the terms are {', '.join(TERMS)}"
+                f"{unknown_terms[0]!r} is not a noise term; the terms are {', '.join(TERMS)}"
             )
         if self.column and "tone" not in self.terms:
-            raise ValueError(f"column {self.column!r} is for a tone, but the sum has no tone")
+            raise ValueError(f"column {self.column!r} is for a tone, but `terms` has no 'tone'")
         if {"quantisation", "averaging"} <= {*self.terms}:
             raise ValueError(
                 "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
@@ -270,9 +270,9 @@ class SummedNoise(SumOfTerms):
 
     @property
     def name(self) -> str:
-        along = f"; {self.column}" if self.column else ""
-        along += f"; scatter({self.scatter})" if self.scatter else ""
-        return f"{self.law}({', '.join(self.terms)}{along})"
+        covariates = f"; {self.column}" if self.column else ""
+        covariates += f"; scatter({self.scatter})" if self.scatter else ""
+        return f"{self.law}({', '.join(self.terms)}{covariates})"
 
 
 class OrnsteinUhlenbeck(SumOfTerms):
@@ -320,7 +320,7 @@ def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> d
 
 
 def build_ornstein_uhlenbeck(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
-    """Build Ornstein–Uhlenbeck noise with correlation times that a record resolves: `step` to `span`, s."""
+    """Build Ornstein–Uhlenbeck noise with correlation times that a record can resolve, from `step` to `span`, s."""
     # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
     return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
 
@@ -333,9 +333,9 @@ def build_sum(
     column: str = "",
     scatter: str = "",
 ) -> SummedNoise:
-    """Build a noise sum with correlation times that a record resolves, rounded to powers of two to share programs.
+    """Build a noise sum; correlation times from `step` to `span`, s, rounded to powers of two to share compilations.
 
-    `column` is the covariate of a tone's frequency, `scatter` that of the white noise's standard deviation.
+    column: covariate of a tone's frequency. scatter: covariate of the white noise's standard deviation.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
     return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)

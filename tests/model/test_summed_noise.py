@@ -14,7 +14,7 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal._inference.noise_nodes import EvenSpectrum
-from bayescal._model.noise_terms import SHORTEST_TIME, TIME_RATIO, WALK_TIME
+from bayescal._model.noise_terms import FLICKER_TIME_RATIO, SHORTEST_TIME_STEPS, WALK_TIME_SPANS
 from bayescal_models import still_sensor
 from tests.support.inside import frame_of
 from tests.support.tiers import slow_but
@@ -48,9 +48,9 @@ def exponential(variance: float, time: float) -> Callable[[Any], Any]:
 
 
 def ladder_times() -> list[float]:
-    times = [SHORTEST_TIME * STEP]
+    times = [SHORTEST_TIME_STEPS * STEP]
     while times[-1] < SPAN:
-        times.append(times[-1] * TIME_RATIO)
+        times.append(times[-1] * FLICKER_TIME_RATIO)
     return times
 
 
@@ -67,10 +67,10 @@ def covariance_of(term: str, place: int = 1) -> Callable[[Any], Any]:
             time = math.exp((1 - share) * math.log(time) + share * math.log(SPAN))
         return exponential(0.5 * at[f"noise.correlated{place}.diffusion"] ** 2 * time, time)
     if term == "walk":
-        time = WALK_TIME * SPAN
+        time = WALK_TIME_SPANS * SPAN
         return exponential(0.5 * at["noise.walk"] ** 2 * time, time)
     if term == "flicker":
-        each = at["noise.flicker"] ** 2 * math.log(TIME_RATIO) / math.pi
+        each = at["noise.flicker"] ** 2 * math.log(FLICKER_TIME_RATIO) / math.pi
         return lambda lag: sum(exponential(each, time)(lag) for time in ladder_times())
     if term == "smooth":
         rate = math.sqrt(3) / at["noise.smooth.time"]
