@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from bayescal._inference.chebyshev import chebpts, chebvander, values_to_coefficients
 
@@ -119,7 +118,8 @@ class Polynomials:
         # Twice as many points as terms, distributed as 1/√(1 − t²) by the cosine below: least squares is then stable.
         count = 2 * math.comb(self.dim + degree, self.dim) + 4
         # A Kronecker low-discrepancy sequence: multiples of irrational steps, modulo one.
-        ratio = brentq(lambda x: x ** (self.dim + 1) - x - 1, 1, 2, xtol=1e-15)
+        # Their base is the positive root of x^(dim + 1) = x + 1.
+        ratio = np.max(np.roots([1, *np.zeros(self.dim - 1), -1, -1]).real)
         steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
         self.points: np.ndarray = self.centre + np.cos(np.pi * steps) @ self.root.T
 

@@ -240,7 +240,7 @@ CEILINGS = {
     "bayescal/_report": 1_668,
     "bayescal/_cli": 1_676,
     "bayescal/_annexes/fleet": 1_697,
-    "bayescal/_annexes/imu": 2_717,
+    "bayescal/_annexes/imu": 2_713,
     "bayescal/_annexes/metrology": 1_578,
     "bayescal/_annexes/validation": 745,
     "bayescal/_annexes/workbench": 2_495,

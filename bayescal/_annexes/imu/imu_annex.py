@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -18,6 +18,7 @@ OUTPUTS = ("output_x", "output_y", "output_z")
 FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # of all triads of a unit
 REPORT = "report.html"
+CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
 
 
 class Triad(NamedTuple):
@@ -189,14 +190,39 @@ def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
     return all((ws.drawn(reports), *outcomes))
 
 
+def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
+    """Return the entry `vector` of result.json: terms with standard uncertainties; None for one output."""
+    if calibration.model.instrument.vector is None:
+        return {"vector": None}
+
+    def data_of(calibration: bc.Calibration) -> dict[str, Any]:
+        correction = bc.vector_correction(calibration)
+        data = {**correction.data(), "uncertainty": correction.uncertainty.tolist()}
+        return {name: value for name, value in data.items() if name != "made_by"}
+
+    averaged = None if average is None else {**data_of(average), "averaged": None}
+    return {"vector": {**data_of(calibration), "averaged": averaged}}
+
+
+def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
+    """Tabulate the terms of a correction of three axes, at T0 and by temperature, each ± u; none for one output."""
+    if not (last := data.get("vector")):
+        return []
+    from bayescal._annexes.imu.vector_correction import term_rows, terms_table
+
+    terms = last["averaged"] or last
+    rows = term_rows(terms["terms"], terms["uncertainty"], terms["unit"], terms["beside"])
+    return [(CAPTION, terms_table(rows))]
+
+
 ROOM = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
     "exports": f"{ROOM}.firmware_parameters:export_writers",
     "corrections": f"{ROOM}.vector_files:KINDS",
     "corrected": "bayescal:vector_correction",
-    "result": f"{ROOM}.vector_files:result_entries",
-    "coefficient_tables": f"{ROOM}.vector_files:coefficient_tables",
+    "result": result_entries,
+    "coefficient_tables": coefficient_tables,
     "log": f"{ROOM}.logs:open_log",
     "scalar_readings": f"{ROOM}.scalar_readings:scalar_readings",
 }

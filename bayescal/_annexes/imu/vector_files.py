@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
 from bayescal._annexes.imu.vector_correction import (
     NEWTON_STEPS,
     VectorCorrection,
-    term_rows,
-    terms_table,
 )
 from bayescal._annexes.imu.vector_parameters import left_out, parameter_file
 
@@ -56,32 +52,6 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
         uncertainty=uncertainty,
         newton=NEWTON_STEPS,
     )
-
-
-CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
-
-
-def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
-    """Return the entry `vector` of result.json: terms with standard uncertainties; None for one output."""
-    if calibration.model.instrument.vector is None:
-        return {"vector": None}
-
-    def data_of(calibration: bc.Calibration) -> dict[str, Any]:
-        correction = bc.vector_correction(calibration)
-        data = {**correction.data(), "uncertainty": correction.uncertainty.tolist()}
-        return {name: value for name, value in data.items() if name != "made_by"}
-
-    averaged = None if average is None else {**data_of(average), "averaged": None}
-    return {"vector": {**data_of(calibration), "averaged": averaged}}
-
-
-def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
-    """Tabulate the terms of a correction of three axes, at T0 and by temperature, each ± u; none for one output."""
-    if not (last := data.get("vector")):
-        return []
-    terms = last["averaged"] or last
-    rows = term_rows(terms["terms"], terms["uncertainty"], terms["unit"], terms["beside"])
-    return [(CAPTION, terms_table(rows))]
 
 
 KINDS = (
