@@ -265,8 +265,10 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
 
 def chapters_from(paths: list[Path], user: OwnParts) -> list[Chapter]:
     """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
-    from bayescal._report.result_json import chapters, of_folder
+    from bayescal._report.result_json import chapters, read_chapter
 
     parts = _user_parts(user)
-    loaded = (of_folder(p, **parts) if p.is_dir() else load_saved(p, user) for p in of_units(paths))
+    loaded = (
+        read_chapter(p, **parts) if p.is_dir() else load_saved(p, user) for p in of_units(paths)
+    )
     return chapters(loaded, parts["effects"])

@@ -84,10 +84,10 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-MAX_PANELS = 6  # of residuals
-MIN_IMAGE_READINGS = 3000  # from which the points of a vector graphic are rasterised
-MARKERS = "o^sDvx"  # of runs, to distinguish them in grey print
-UNIT_OF_COVARIATE = {"order": "row"}  # of covariates without a column
+MAX_PANELS = 6  # number of panels of residuals in a figure
+MIN_RASTER_READINGS = 3000  # number of readings from which points of an SVG are rasterised
+MARKERS = "o^sDvx"  # markers of the runs, distinct in grey print
+DERIVED_UNITS = {"order": "row"}  # units of covariates that are no columns
 
 
 def residuals(
@@ -133,13 +133,13 @@ def residual_panel(
             color=CYCLE[int(run) % len(CYCLE)],
             alpha=0.7,
             label=label,
-            rasterized=len(values) > MIN_IMAGE_READINGS,
+            rasterized=len(values) > MIN_RASTER_READINGS,
         )
     ax.axhspan(-check.noise, check.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
     if entry.log_bayes_factor > 0 and body is None:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
-    unit = entry.worst.covariate_unit or UNIT_OF_COVARIATE.get(entry.against, "")
+    unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.against, "")
     against = entry.against if body is None else f"lagged {entry.against}"
     name = f"{against} [{unit}]" if unit == "row" else axis_label(against, unit)
     ax.set_xlabel(name)
@@ -171,8 +171,7 @@ def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None
 
 MAX_CANDIDATES = 12  # bars of a plot, to be readable
 LEGEND_INCHES = 0.45  # from an axis to its legend, below tick labels and axis label
-# A white background, so that no line crosses the text.
-TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # hides lines behind text
 COLOURS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
@@ -229,11 +228,11 @@ def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
-    """Plot the log Bayes factor of each candidate for being missing.
+    """Plot the log Bayes factor of each candidate effect: the model with it against the model without it.
 
     Args:
         found: a discovery, or one entry of `missing` in result.json.
-        ax: where to draw; a figure of its own if not given.
+        ax: axes to draw in; a new figure if None.
     """
     is_discovery = isinstance(found, Discovery)
     candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
@@ -252,9 +251,9 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor (below 0: against it) [no unit]")
+    ax.set_xlabel("log Bayes factor, model with the effect against without it [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
-    otherwise = "not needed beside the findings" if "finding" in kinds else "no evidence"
+    otherwise = "not needed with the findings" if "finding" in kinds else "no evidence"
     names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or otherwise)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
@@ -272,12 +271,12 @@ def loop(found: SearchPath) -> Figure:
         title = "1  residuals of the first model"
         residual_panel(first_ax, first_step.calibration, first_step.check, first_entry, title)
         last_entry = next(e for e in last_step.check.entries if e.against == first_entry.against)
-        title = "3  the same, with what was found"
+        title = "3  residuals of the last model"
         residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
-        last_ax.set_ylabel(axis_label("residual, on a scale of its own", last_step.check.unit))
+        last_ax.set_ylabel(axis_label("residual (another scale)", last_step.check.unit))
     if first_step.discovery is not None:
         missing(first_step.discovery, bars)
-    bars.set_title("2  what is missing: one added to the first model", fontsize=10, loc="left")
+    bars.set_title("2  effects added singly to the first model", fontsize=10, loc="left")
     trail(found, error_ax)
     change = "falls" if last_step.rmse_fitted <= first_step.rmse_fitted else "rises"
     error_ax.set_title(f"4  the error {change}", fontsize=10, loc="left")

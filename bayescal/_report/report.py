@@ -60,7 +60,7 @@ class Pictures:
         try:
             with plots.own_style(**SVG):
                 return Picture(
-                    embed(render_svg(make()), f"f{self.count}-", caption + ELSEWHERE), caption
+                    embed(render_svg(make()), f"f{self.count}-", caption + ALT_SUFFIX), caption
                 )
         except InputError:
             raise
@@ -86,7 +86,7 @@ class Pictures:
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
 
-ELSEWHERE = ". The tables of this report hold the same."
+ALT_SUFFIX = ". The tables of this report contain the same data."
 
 
 def render_svg(figure: Figure) -> str:
@@ -120,10 +120,10 @@ def embed(svg: str, prefix: str, alt: str) -> Markup:
 
 
 NO_STIMULUS = (
-    "There is no budget: nothing is measured with this instrument in use, so that the uncertainties are those of its "
+    "There is no budget: this instrument measures no stimulus in use, so that the uncertainties are those of its "
     "coefficients."
 )
-MAX_ROWS = 60  # of a table of candidates or coefficients
+MAX_ROWS = 60  # number of rows of a table of candidates; of coefficients four times as many
 
 
 def report(
@@ -145,7 +145,7 @@ def report(
         effects: user-defined effects, additional candidates of the search for missing effects.
         certificate: TOML file of a certificate's statements: device, serial number, place, operator, ambient
             conditions, standards, dates.
-        decisions: decisions about limits, made by `bc.decide`, for the first section, with their rule.
+        decisions: conformity decisions and their rule, from `bc.decide`, for the first section.
 
     Returns:
         The path.
@@ -198,8 +198,8 @@ def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     """Collect the template's variables for one set of readings."""
     c, data = chapter.calibration, chapter.data
     rows = report_text.coefficients(chapter)
-    signed_rows = report_text.signed(rows, c.model)
-    total, no_budget = _budget(chapter)
+    signed_rows = report_text.tabulate_signed(rows, c.model)
+    total, no_budget = _compute_budget(chapter)
     shown_steps = sorted({0, len(data["steps"]) - 1})
     checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in shown_steps]
     names, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
@@ -225,11 +225,11 @@ def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
         "check": chapter.check,
         "checks": [*zip(shown_steps, checks, strict=True)],
-        "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
+        "discoveries": [_describe_missing(m, data, pictures) for m in data["missing"]],
         "budget": total,
         "budget_tables": total and [replace(t, rows=t.rows[:MAX_ROWS]) for t in total.tables()],
         "no_budget": no_budget,
-        "pictures": _chapter_pictures(chapter, pictures),
+        "pictures": _draw_chapter(chapter, pictures),
     }
 
 
@@ -239,7 +239,7 @@ def _format_groups(data: dict[str, Any]) -> str:
     return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
 
 
-def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:
+def _describe_missing(missing: dict[str, Any], data: Any, pictures: Pictures) -> dict[str, Any]:
     """Collect the template's variables for the effects missing from one step."""
     title = data["steps"][missing["step"]]["title"]
     tested = [c for c in missing["candidates"] if c["kind"] != "not testable"]
@@ -254,13 +254,13 @@ def _discovery(missing: dict[str, Any], data: dict[str, Any], pictures: Pictures
         "table": replace(table, rows=table.rows[:MAX_ROWS]),
         "alike": [", ".join(group) for group in group_confounded(missing["candidates"])],
         "not_testable": group_untested(missing["candidates"]),
-        "picture": pictures.draw(lambda: plots.missing(missing), f"What is missing from {title}")
+        "picture": pictures.draw(lambda: plots.missing(missing), f"Effects missing from {title}")
         if any(c["log_bayes_factor"] is not None for c in missing["candidates"])
         else None,
     }
 
 
-def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
+def _compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """Compute the uncertainty budget at mid-range of all inputs; or return the reason why there is none."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no budget of a result that is not reliable."
@@ -272,7 +272,7 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
         return None, f"There is no budget: {error}"
 
 
-def _chapter_pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
+def _draw_chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c = chapter.calibration
     residual_pictures = pictures.residuals(c, chapter.check)
     return {

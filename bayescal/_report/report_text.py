@@ -27,10 +27,10 @@ from bayescal._search.gate import WORSE
 from bayescal._search.search_path import format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
-SIGNED_ROWS = 14  # coefficients on the page that is signed
-UNUSED = "recorded; the model does not use it"
-OUTPUT_PART = "what was read"
-DERIVED_PART = "follows from the above"
+MAX_SIGNED_ROWS = 14  # number of coefficients on the page that is signed
+UNUSED_ROLE = "recorded; not used by the model"
+OUTPUT_ROLE = "the reading of the instrument"
+DERIVED_ROLE = "derived from the above"
 
 
 def with_unit(value: float, unit: str, digits: int = 4) -> str:
@@ -44,29 +44,29 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     used_columns |= find_response_columns(model.instrument, calibration.frame)
     meanings, rows = {c.name: c.meaning for c in model.instrument.columns}, []
 
-    def add(name: str, meaning: str, values: np.ndarray, unit: str, part: str) -> None:
+    def add_row(name: str, meaning: str, values: np.ndarray, unit: str, role: str) -> None:
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
         ends = {"low": number(low, 4).replace("-", "−"), "high": number(high, 4).replace("-", "−")}
-        role = {"unit": unit_label(unit), "part": part, "constant": low == high}
-        rows.append({"name": name, "meaning": meaning, **ends, **role})
+        details = {"unit": unit_label(unit), "role": role, "constant": low == high}
+        rows.append({"name": name, "meaning": meaning, **ends, **details})
 
-    roles = {"output": OUTPUT_PART}
+    roles = {"output": OUTPUT_ROLE}
     if model.instrument.use is not None:
-        stimulus_role = "the input, what the instrument is to measure"
+        stimulus_role = "the input, which the instrument measures"
         roles = {model.instrument.use.stimulus: stimulus_role} | roles
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is None or name in ("output_uncertainty", "temperature_point"):
             continue
-        part = roles.get(name) or ("the model depends on it" if name in used_columns else UNUSED)
-        add(name, meanings.get(name, ""), readings[name], unit, part)
+        role = "the model depends on it" if name in used_columns else UNUSED_ROLE
+        add_row(name, meanings.get(name, ""), readings[name], unit, roles.get(name, role))
     for name, values in calibration.frame.rates.items():
         rate = np.asarray(values) * 60
         if np.ptp(rate) > 0:
-            add(f"{name} rate", "speed of the change", rate, "degC/min", DERIVED_PART)
+            add_row(f"{name} rate", "rate of change", rate, "degC/min", DERIVED_ROLE)
     if readings.has("time"):
         elapsed = np.asarray(calibration.frame.columns["elapsed"])
-        add("elapsed", "time since the start of a run", elapsed, "s", DERIVED_PART)
+        add_row("elapsed", "time since the start of a run", elapsed, "s", DERIVED_ROLE)
     return rows
 
 
@@ -76,7 +76,7 @@ def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
         TableColumn("from", "low"),
         TableColumn("to", "high"),
         TableColumn("unit", "unit", left=True),
-        TableColumn("part", lambda r: r["part"] + " (not varied)" * r["constant"]),
+        TableColumn("role", lambda r: r["role"] + " (constant)" * r["constant"]),
     )
     return ResultTable(columns, rows, fold=1)
 
@@ -121,23 +121,23 @@ def coefficients(chapter: Chapter) -> ResultTable:
         TableColumn("standard uncertainty u", "u"),
         TableColumn(f"k = {K:g} interval", "k2"),
         TableColumn("95 % credible interval", "credible"),
-        TableColumn("contraction", "contraction", _percent),
+        TableColumn("contraction", "contraction", _format_percent),
     )
     return ResultTable(columns, rows)
 
 
-def signed(table: ResultTable, model: Model) -> ResultTable:
+def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
     """Tabulate the unknowns on the signed page, with nonlinear parameters (shapes) last, and fixed values."""
-    chosen = [r for r in table.rows if "(" not in r["name"]]
-    shapes = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
-    shaped = [r for r in chosen if r["name"] in shapes][:SIGNED_ROWS]
-    chosen = [r for r in chosen if r["name"] not in shapes][: SIGNED_ROWS - len(shaped)] + shaped
-    rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in chosen]
+    ungrouped = [r for r in table.rows if "(" not in r["name"]]
+    names = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
+    shapes = [r for r in ungrouped if r["name"] in names][:MAX_SIGNED_ROWS]
+    others = [r for r in ungrouped if r["name"] not in names][: MAX_SIGNED_ROWS - len(shapes)]
+    rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in others + shapes]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
     return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
 
 
-def _percent(share: float | None) -> str:
+def _format_percent(share: float | None) -> str:
     if share is None:
         return "–"
     return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %"
@@ -182,13 +182,13 @@ def effects(chapter: Chapter) -> ResultTable:
     added_at, model = dict[str, str](), chapter.used.model
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
-            added_at.setdefault(name, f"step {i}" if i else "the start")
+            added_at.setdefault(name, f"step {i}" if i else "first model")
     columns = (
         TableColumn("effect", lambda e: e.name + model.form_note(e.name)),
         TableColumn("slot", lambda e: e.slot, left=True),
         TableColumn("equation", lambda e: e.equation or "–", left=True),
         TableColumn("unknowns and their priors", lambda e: "\n".join(_prior_lines(e)), left=True),
-        TableColumn("since", lambda e: added_at.get(e.name, "averaged over"), left=True),
+        TableColumn("added in", lambda e: added_at.get(e.name, "model average"), left=True),
         TableColumn("source", lambda e: e.source, left=True),
     )
     return ResultTable(columns, chapter.used.model.effects)
@@ -203,7 +203,7 @@ def _prior_lines(effect: Effect) -> list[str]:
             prior = f"between-group standard deviation estimated, {prior}"
         if effect.weights is not None:
             sizes = [effect.measure] if effect.measure else effect.weight_shapes
-            prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
+            prior = f"prior 0 ± a share of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
         group = f", one for each {c.per}" if c.per else ""
         if effect.is_placeholder and len(effect.coefficients) > 1:
             lines.append(f"{len(effect.coefficients)} weights of a curve: {prior}{group}")
@@ -223,45 +223,46 @@ PRIORS: dict[type, Callable[[Any], str]] = {
     LogNormal: lambda p: f"log-normal prior about {number(p.median)}",
     LogUniform: lambda p: f"log-uniform prior from {number(p.low)} to {number(p.high)}",
     Flat: lambda p: "flat prior",
-    Known: lambda p: "1 in structures that have it, 0 in the others" if p.averaged else "1",
+    Known: lambda p: "1 in structures with the effect, 0 in others" if p.averaged else "1",
 }
 
 
-MAX_NAMED = 4  # named effects of the first model, and named unknowns of an added effect
+MAX_NAMED = 4  # number of effects of the first model, and of unknowns of an effect, listed by name
 
 
 def conclusion(chapter: Chapter) -> str:
     """Summarise the effects found, the error before and after, the residuals, and open questions, in one paragraph."""
-    parts = [*_failed_checks(chapter), _additions(chapter), _error(chapter), _residuals(chapter)]
-    return " ".join([*parts, *_not_looked_at(chapter), *_not_decided(chapter)])
+    texts = [f(chapter) for f in (_describe_additions, _format_errors, _describe_residuals)]
+    open_questions = [*_list_untested(chapter), *_list_undecided(chapter)]
+    return " ".join([*_list_failed_checks(chapter), *texts, *open_questions])
 
 
-def _failed_checks(chapter: Chapter) -> Iterator[str]:
+def _list_failed_checks(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
     claims = [claim["in_words"] for claim in gate.get("claims", ())]
     if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
-        yield f"Not to be used as it is: {reasons[0]}"  # the others stand in the verdict
+        yield f"Not fit for use: {reasons[0]}"  # the other reasons are in the verdict
 
 
-def _additions(chapter: Chapter) -> str:
+def _describe_additions(chapter: Chapter) -> str:
     """Describe the effects of the last model that the first lacks, with their coefficients."""
     c, data = chapter.calibration, chapter.data
     latent = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
     first = set(data["steps"][0]["effects"]) | latent[0] & latent[-1]
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
-        statement = "Nothing was found missing from"
+        statement = "No effect was found missing from"
         if (data["search"] or {}).get("stopped"):
-            statement = "When the search was ended, nothing had been found missing from"
+            statement = "When the search was ended, no effect had been found missing from"
         if not data["missing"]:
-            statement = "Nothing was looked for beside"
+            statement = "No effect was searched beyond"
         names = [n for n in c.model.names if n not in latent[-1]]
         is_long = len(names) > MAX_NAMED
         model = f"{len(names)} effects" if is_long else ", ".join(names) or "no effect"
         return f"{statement} the first model ({model})."
     texts = []
     for effect in added:
-        inclusion, qualifier = _probability(chapter, effect), ""
+        inclusion, qualifier = _first_probability(chapter, effect), ""
         if inclusion is not None and inclusion < settings().found_probability:
             qualifier = f"probably ({inclusion:.2f}) "
         averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
@@ -272,16 +273,16 @@ def _additions(chapter: Chapter) -> str:
 
 
 PHYSICS = {  # description of an effect by the form of its dependence
-    "linear": "a slope along",
-    "quadratic": "a bend along",
-    "cubic": "a cubic term along",
-    "quartic": "a quartic term along",
+    "linear": "a linear term in",
+    "quadratic": "a quadratic term in",
+    "cubic": "a cubic term in",
+    "quartic": "a quartic term in",
     "rate": "a dependence on the rate of",
     "lag": "a lag behind",
     "warm-up": "a warm-up over",
     "drift": "a drift over",
-    "curve": "an unknown curve along",
-    "line": "an unknown slope along",
+    "curve": "an unknown dependence on",
+    "line": "an unknown linear dependence on",
     "jump": "a step along",
     **{kind: f"a {kind} along" for kind in ("kink", "peak", "hysteresis")},
     "cycle": "a cycle over",
@@ -315,7 +316,7 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     return f"{effect_name} ({', '.join(texts)})" if texts else effect_name
 
 
-def _probability(chapter: Chapter, effect: Effect) -> float | None:
+def _first_probability(chapter: Chapter, effect: Effect) -> float | None:
     """Return the probability that an effect, alone or in a set, is missing from the first model; None if unknown."""
     if not chapter.data["missing"]:
         return None
@@ -326,14 +327,14 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
     return probabilities.get(effect.family)
 
 
-def _error(chapter: Chapter) -> str:
+def _format_errors(chapter: Chapter) -> str:
     """Format the errors of the first and the last model: on hold-out data, else left-out groups, else as fitted."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     first_step, last_step = steps[0], steps[-1]
     left_out_errors = [s["leave_one_group_out"] for s in (first_step, last_step)]
-    # A group may be predicted rose because it lacks its past, or where readings weigh little: no failure.
-    rose = all(left_out_errors) and left_out_errors[1]["rmse"] > left_out_errors[0]["rmse"]
-    comparable = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
+    # A group may be predicted worse because it lacks its past, or where readings have little weight: no failure.
+    rises = all(left_out_errors) and left_out_errors[1]["rmse"] > left_out_errors[0]["rmse"]
+    comparable = not rises or WORSE in [c["code"] for c in chapter.data["gate"].get("claims", ())]
 
     def select_error(step: dict[str, Any]) -> tuple[str, float | None]:
         left_out = step["leave_one_group_out"]
@@ -354,47 +355,47 @@ def _error(chapter: Chapter) -> str:
     return f"The rms error {where} {change} from {first_text} to {last_text} {unit}."
 
 
-def _residuals(chapter: Chapter) -> str:
+def _describe_residuals(chapter: Chapter) -> str:
     """Describe the residuals."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
     depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
     if depends:
-        return f"The residuals still depend on {listed(depends[:3])}."
+        return f"The residuals still depend on {join_words(depends[:3])}."
     noise_text = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first_code = next(iter(gate.get("claims", ())), {"code": ""})["code"]
     if first_code in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
-        return f"What is left, {noise} rms, is not the noise that the model takes it for."
+        return f"The residuals, {noise} rms, do not agree with the noise model."
     if not gate["ok"]:
-        return f"What is left is {noise} rms."
-    return f"What is left, {noise} rms, looks like {noise_text}."
+        return f"The residuals are {noise} rms."
+    return f"The residuals, {noise} rms, look like {noise_text}."
 
 
 def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
     return chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
 
 
-def _not_looked_at(chapter: Chapter) -> Iterator[str]:
+def _list_untested(chapter: Chapter) -> Iterator[str]:
     """Yield sentences on columns that were left out, and effects without a required column."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
-        yield f"Not looked at: {', '.join(names)}."
+        yield f"Columns not used: {', '.join(names)}."
     if by_reason := group_untested(_last_candidates(chapter)):
-        untested = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
+        untested = "; ".join(f"{join_words(names)} ({why})" for why, names in by_reason.items())
         yield f"Not tested: {untested}."
 
 
-def _not_decided(chapter: Chapter) -> Iterator[str]:
+def _list_undecided(chapter: Chapter) -> Iterator[str]:
     """Yield sentences on alternatives that these readings do not decide between."""
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
     leads = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
-    questions += [f"whether there is {name} as well" for name in leads if name not in in_model]
-    parts = [(c, listed(c.coefficients)) for c in confounders if not c.step]
-    questions += [f"how much of {names} is {c.column}'s" for c, names in parts]
-    questions += [f"whether {c.column} was rounded or cut off" for c in confounders if c.step]
+    questions += [f"whether {name} is missing, too" for name in leads if name not in in_model]
+    parts = [(c, join_words(c.coefficients)) for c in confounders if not c.step]
+    questions += [f"which part of {names} is due to {c.column}" for c, names in parts]
+    questions += [f"whether {c.column} was rounded or truncated" for c in confounders if c.step]
     if questions:
         yield f"Not decided: {'; '.join(dict.fromkeys(questions))}."
     if chapter.data["other_path"] is not None:
@@ -404,6 +405,6 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
         yield f"Undecided: {what}, is nearly as probable ({factor})."
 
 
-def listed(words: list[str]) -> str:
+def join_words(words: list[str]) -> str:
     """Join words for a sentence: "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,6 +1,6 @@
-"""Data of a trail, `result.json`, and chapters of a report: of trails in memory, or read back from a folder.
+"""Conversion of a search path to `result.json`, and chapters of a report from search paths or result folders.
 
-The schema is bayescal.result/2; numbers that are not finite become null. A chapter is of one
+The schema is bayescal.result/2; numbers that are not finite become null. A chapter has the results of one
 calibration, or of the search that led to it.
 """
 
@@ -43,7 +43,7 @@ from bayescal._search.search_path import SearchPath, Step
 
 RESULT = "result.json"
 SCHEMA = "bayescal.result/2"
-# A step's key of the noise → the unknown of a law, where it has it.
+# Key of a step's noise in result.json → parameter of the noise law.
 NOISE_KEYS = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
     **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature"},
@@ -57,7 +57,7 @@ PACKAGES = (
 
 
 def result(path: SearchPath) -> dict[str, Any]:
-    """Convert all results of a calibration to plain data."""
+    """Convert all results of a search path to plain data."""
     final = path.final.calibration
     absent = {*path.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
@@ -273,24 +273,24 @@ class Chapter:
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
     """Build report chapters from calibrations, search paths or chapters; raise InputError for others."""
-    user_effects, accepted, several = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
-    wrong_types = [type(g).__name__ for g in several if not isinstance(g, accepted)]
-    if wrong_types or not several:
+    user_effects, accepted, items = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
+    wrong_types = [type(g).__name__ for g in items if not isinstance(g, accepted)]
+    if wrong_types or not items:
         raise InputError(
-            f"a report is of calibrations or trails, not of {', '.join(wrong_types) or 'nothing'}: give what bc.fit, "
-            "bc.calibrate or bc.load returned"
+            f"a report needs calibrations or search paths, not {', '.join(wrong_types) or 'an empty list'}: give the "
+            "results of bc.fit, bc.calibrate or bc.load"
         )
-    search_paths = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in several)
-    return [t if isinstance(t, Chapter) else chapter_of(t) for t in search_paths]
+    search_paths = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in items)
+    return [t if isinstance(t, Chapter) else build_chapter(t) for t in search_paths]
 
 
-def chapter_of(trail: SearchPath) -> Chapter:
+def build_chapter(path: SearchPath) -> Chapter:
     """Build the chapter of a search path in memory."""
-    final = trail.final
-    return Chapter(final.calibration, final.check, result(trail), average=trail.average)
+    final = path.final
+    return Chapter(final.calibration, final.check, result(path), average=path.average)
 
 
-def of_folder(
+def read_chapter(
     folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
 ) -> Chapter:
     """Read a result folder's chapter; raise InputError if files are missing, unreadable or of two results."""

@@ -16,7 +16,7 @@ from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._report.report_text import conclusion
-from bayescal._report.result_json import PICTURE, RESULT, chapter_of, result
+from bayescal._report.result_json import PICTURE, RESULT, build_chapter, result
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
@@ -47,7 +47,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
         InputError: the folder does not exist, or cannot be written; its files are unchanged.
         NotDrawn: a figure could not be drawn; all other files are written.
     """
-    folder, searches = Path(folder), dict[str, SearchPath]()  # by their places in it
+    folder, searches = Path(folder), dict[str, SearchPath]()  # by subfolder
     if isinstance(self, Channels):
         paths = self.search_paths
         searches = {subfolder: paths[name] for name, subfolder in folders_of(paths).items()}
@@ -81,23 +81,23 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
                 save(loop(path), hidden / subfolder / PICTURE)
 
 
-def write_search(trail: SearchPath, folder: Path) -> None:
+def write_search(path: SearchPath, folder: Path) -> None:
     """Write the files of `SearchPath.save`, except the figure, to a hidden folder.
 
     Raises:
         OSError: a file cannot be written.
     """
-    calibration = trail.final.calibration
+    calibration = path.final.calibration
     folder.mkdir(exist_ok=True)
     calibration.save(folder / "calibration.nc")
-    if trail.average is not None:
-        trail.average.save(folder / AVERAGED)
-    write_json(result(trail), folder / RESULT)
+    if path.average is not None:
+        path.average.save(folder / AVERAGED)
+    write_json(result(path), folder / RESULT)
 
 
 SearchPath.save = Channels.save = save_search
 SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
-    lambda self: conclusion(chapter_of(self))
+    lambda self: conclusion(build_chapter(self))
 )
 
 

@@ -59,8 +59,8 @@ def is_inside(name: str) -> bool:
 def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
     """Yield a hidden folder to write to, whose files are moved to `folder` once all are written.
 
-    Unmodified results of an earlier run are removed from `folder`, other files kept. Subfolders of the hidden folder
-    are treated alike, each with its own manifest; an empty one is removed.
+    Unmodified results of an earlier run are removed from `folder`, other files kept. The same applies to subfolders,
+    each with its own manifest; an empty one is removed.
 
     Args:
         folder: an existing folder.
@@ -124,8 +124,8 @@ def refuse_mixed(folder: Path, *names: str) -> None:
     for name, digest in hashes.items():
         if (folder / name).is_file() and sha256_of(folder / name) != digest:
             raise InputError(
-                f"{folder / name} is not the file that {MANIFEST} beside it lists: it was changed, or comes "
-                f"from another run, and the files of {folder} do not belong together. {REPAIR_ADVICE}"
+                f"{folder / name} differs from its SHA-256 in {MANIFEST}: it was changed, or comes from "
+                f"another run, so that the files of {folder} do not belong together. {REPAIR_ADVICE}"
             )
 
 
@@ -147,7 +147,7 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
         if path.is_symlink() or path.is_file() if entry.is_dir() else path.is_dir():
             obstacle = "a file or a link" if entry.is_dir() else "a folder"
             raise InputError(
-                f"{path} cannot be written: {obstacle} stands in its place. Move it, or choose another --out"
+                f"{path} cannot be written: {obstacle} of that name exists. Move it, or choose another --out"
             )
     manifests = {p: _write_manifest(hidden / p, visible / p, keep_results) for p in subfolders}
     for subfolder, (new_names, obsolete) in manifests.items():
