@@ -267,8 +267,6 @@ def chapters_from(paths: list[Path], user: OwnParts) -> list[Chapter]:
     """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.result_json import chapters, read_chapter
 
-    parts = _user_parts(user)
-    loaded = (
-        read_chapter(p, **parts) if p.is_dir() else load_saved(p, user) for p in of_units(paths)
-    )
+    parts, files = _user_parts(user), of_units(paths)
+    loaded = (read_chapter(p, **parts) if p.is_dir() else load_saved(p, user) for p in files)
     return chapters(loaded, parts["effects"])

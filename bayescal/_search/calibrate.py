@@ -44,7 +44,7 @@ from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import explore, find_path
 
 QUICK = LeastSquares(draws=500)
-UNFINISHED = Gate(False, "The search is under way: this model is not its end.")
+UNFINISHED = Gate(False, "The search is not finished: this model is preliminary.")
 
 
 def calibrate(
@@ -72,33 +72,33 @@ def calibrate(
     from the given model to the last, each by the change with the highest evidence.
 
     Args:
-        model: the first model. Its effects beyond the instrument's baseline are evaluated anew with all candidates, and
-            the search starts there, too, so that every model along the path leads to one end. Kept are effects that are
-            no candidates of the instrument, that these readings cannot test, or that have a fixed unknown; all named
-            effects of a model that lacks a part of the baseline; and all effects where `max_effects` is 0.
+        model: the first model. Its effects beyond the instrument's baseline are evaluated anew, like all candidates, so
+            that the result does not depend on them. Always kept are effects that are no candidates of the instrument,
+            that these readings cannot test, or that have a fixed unknown; all named effects of a model that lacks a
+            part of the baseline; and all effects where `max_effects` is 0.
         readings: readings to fit.
         holdout: hold-out data, compared after the last step and never used to choose an effect.
-        effects: further candidates of the user's own.
-        method: of the last fit; `Marginal()` if not given. Earlier steps are fitted by least squares.
-        max_effects: most effects to add.
+        effects: user-defined effects, additional candidates.
+        method: inference method of the last fit; None: `Marginal()`. Earlier steps are fitted by least squares.
+        max_effects: largest number of effects to add.
         widen_noise: False leaves the noise law as given, whatever the residuals look like.
         keep_spikes: False sets aside, and flags, single readings far from both neighbours and readings with a wrong
             value of a thermometer that the model needs. Clipped readings are set aside in any case.
-        seed: of every random number.
-        reference: constants of the bases to use in place of the readings' own.
+        seed: seed of all random numbers.
+        reference: constants of the basis functions, instead of those computed from the readings.
         time_limit: seconds for everything; the search has two thirds of the time after the first fit, and the result
             names what was left out. The first model and the most probable evaluated structure are fitted in any case,
             which may take longer. Ctrl-C ends the search with the best so far; pressed again, without a result.
         accept_conflicts: coefficients or effects that may differ greatly from their priors; others prevent a search.
-        ignore: columns that are no causes.
-        covariates: columns unknown to the instrument that may be causes; None for all but other channels of the unit.
+        ignore: columns to exclude as causes.
+        covariates: columns that the instrument does not declare and that may be causes; None: all but other channels.
         follow: called with the search path so far: once a second during the search, at its end, and after each fit that
             follows.
 
     Raises:
         ModelError: the readings lack what the model needs.
-        InputError: a column to ignore or to allow does not exist; or readings have dates and hold-out data have none,
-            or the reverse.
+        InputError: a column of `ignore` or `covariates` does not exist; or only one of readings and hold-out data has
+            dates.
     """
     with deadline.until(time_limit):
         records = prepare_readings(model, readings, holdout, keep_spikes, ignore, covariates)
@@ -247,7 +247,7 @@ class StepwiseSearch:
     def fit_path(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
         """Fit the models on the path to the structure to use; only the best one if the search ended early."""
         if self.library is None:
-            reason = f"Nothing was looked for. {' '.join(map(str, self.steps[0].failures))}"
+            reason = f"No search was made. {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=reason)
             return SearchPath(*assess_steps(self.steps), self.holdout, None, search)
         # If the search ended early nothing more is evaluated: the best structure at its end is used.
@@ -278,7 +278,7 @@ class StepwiseSearch:
             names = {e.name: probabilities.get(e.name) for e in self.reconsidered}
             dropped = {n: p for n, p in names.items() if n not in last.calibration.model.names}
             listing = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
-            note = f"Reconsidered and left out of the given model: {listing}."
+            note = f"Effects of the given model that the search removed: {listing}."
             last = last.with_notes([note] * bool(listing))
         used, shares = last.calibration, ()
         if self.max_effects > 0 and used.verdict.ok:
@@ -353,10 +353,9 @@ class StepwiseSearch:
         tested = any(c.probability is not None for c in candidates)
         # At the bound on effects P(complete) would be high only because no further effect is allowed.
         if 0 < self.max_effects <= added and tested:
-            limit = f"the {added} effects that it may (--max-effects)"
-            return f"not stated, as the search added {limit}"
+            return f"not stated, as the search added its maximum of {added} effects (--max-effects)"
         if last.leave_one_group_out and find_better_left_out(last, steps[:-1]):
-            return f"not stated, as the {scheme(last.leave_one_group_out.group)} error has risen on the way"
+            return f"not stated, as the {scheme(last.leave_one_group_out.group)} error is above an earlier step's"
         return ""
 
     def fit_step(
@@ -415,7 +414,7 @@ def prepare_readings(
     if holdout is None:
         return used, None
     model.require(holdout)
-    purpose = "what may be found, such as a drift" * readings.has("time")
+    purpose = "effects that may be found, such as a drift" * readings.has("time")
     on_clock = holdout.align_clock(readings.since, lambda: purpose)
     heldout = set_aside(on_clock, keep_spikes, model.columns)
     flag = flag_fitted_holdout(used, heldout)

@@ -32,8 +32,8 @@ from bayescal._search.walk import BEAM_STRUCTURES
 
 MAX_ROUNDS = 3  # of message passing between the channels, at most
 Follow = Callable[[str, SearchPath], None]
-# Ratio of the error of a new run to the error as fitted from which both are printed.
-APART_RATIO = 1.1
+# Ratio of the error of a new run to the error as fitted, above which both are printed.
+NEW_RUN_RATIO = 1.1
 
 
 @renamed(trails="search_paths")
@@ -92,7 +92,7 @@ class Channels(Printed):
     def _rows(self) -> list[list[str]]:
         """Return the printed rows, with a column for each channel; the first row is the head."""
         paths, columns = self.search_paths.values(), self._columns()
-        new_run_differs = any(p.final.rmse > APART_RATIO * p.final.rmse_fitted for p in paths)
+        new_run_differs = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)
         has_holdout = any(p.holdout is not None for p in paths)
         names = ["as fitted, first model", "as fitted, last", *["new run, last"] * new_run_differs]
         names += [*["held out, first", "held out, last"] * has_holdout, "noise floor"]
@@ -153,11 +153,11 @@ def calibrate_channels(
     covariates: Collection[str] | None = None,
     follow: Follow = lambda _, __: None,
 ) -> Channels:
-    """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
+    """Calibrate the output channels of one device (unit) together, by one search for each.
 
-    Each channel has its own effects, coefficients and noise. A shape that an instrument declares shared (the time of
-    a body's lag, the moment of a step) is one for the unit: given the shape, channels are independent, and the evidence
-    of each is a prior of the others. The unit has such an effect or not; if it has, some of its channels show it.
+    Each channel has its own effects, coefficients and noise. A shape parameter that the instrument declares shared (the
+    time constant of a lag, the time of a step) is common to the unit: given it, channels are independent, and the
+    evidence of each is a prior of the others. If the unit has such an effect, a share of its channels shows it.
 
     Args:
         models: first model of each channel, by name.
@@ -294,7 +294,7 @@ class _Channel:
         return True
 
     def _set_priors(self, priors: Mapping[str, CavityPrior], shapes: Collection[str]) -> Structures:
-        """Return the channel's structures under new priors, none evaluated; only `changed` shapes have a new range."""
+        """Return the channel's structures under new priors, none evaluated; only `shapes` have a new range."""
         before = self.search.structures
         candidates = dict(before.candidates)
         for name in shapes:

@@ -24,7 +24,7 @@ from bayescal._search.structures import EvaluatedStructure, Structures
 LEAD_PROBABILITY = 0.2
 # Cosine of two fitted contributions above which readings cannot distinguish them: a tenth of the squares remains.
 PARALLEL_COSINE = 0.95
-# Minimum detectable size in plausible sizes (each known to an order of magnitude), beyond which no effect is tested.
+# Minimum detectable size, in plausible sizes, above which an effect counts as not visible.
 MAX_DETECTABLE_SIZES = 10.0
 
 SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # a group's sd over that of the best grid point
@@ -37,8 +37,8 @@ class Candidate:
     Attributes:
         effect: canonical name; for a family of forms, the family's name.
         form: the most probable form, where there are several.
-        probability: that the effect is missing from the model; None if it cannot be tested.
-        log_bayes_factor: of the model with the effect against the model without it, natural logarithm.
+        probability: probability that the effect is missing from the model; None if it cannot be tested.
+        log_bayes_factor: log Bayes factor of the model with the effect against the model without it, natural logarithm.
         source: "refit" where the model was fitted with the effect, else "score".
         z: size over its standard uncertainty (for a group, the z with the tail probability of its chi-square).
         size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect: of the
@@ -177,7 +177,7 @@ def _size_at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
 def _group_spread(
     information: np.ndarray, score: np.ndarray, scale: float, prior: float
 ) -> tuple[float, float]:
-    """Return posterior mean and variance of a group's spread under its half-normal prior."""
+    """Return posterior mean and variance of a between-member standard deviation under its half-normal prior."""
     values, vectors = np.linalg.eigh(information)
     values, squares = np.maximum(values, 0.0), (vectors.T @ score) ** 2
     variance, size = SPREAD_FACTORS[:, None] ** 2, SPREAD_FACTORS * scale
@@ -271,7 +271,7 @@ def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
 
 
 def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
-    """Return the candidate with its kind: a finding, a lead, not visible by the effect of its score, or none."""
+    """Return the candidate with its kind (see `Candidate`); `effect`: the scored effect, None without a score."""
     if is_found:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:

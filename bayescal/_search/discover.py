@@ -75,19 +75,19 @@ class Discovery(Printed):
     """Effects missing from a model, with their probabilities.
 
     Attributes:
-        nothing_missing: probability that the model is complete: no candidate that these readings can show is missing,
-            and no unnamed effect stands for a missing one; None where the search cannot state it.
+        nothing_missing: probability that the model is complete: that no testable candidate is missing and no unnamed
+            effect is substantial; None where the search cannot state it.
         findings: sets of effects of which at least one is missing, the most probable first.
         candidates: all candidates, the most probable first.
         best: effects to add, so that `model + discovery.best` is the model to use; empty for none.
-        noise: all noise laws with their probabilities, the most probable first; empty where the readings cannot tell.
+        noise: all noise laws with their probabilities, the most probable first; empty if only one was evaluated.
         stopped: why the search ended early; empty where it was completed.
         unstated: why `nothing_missing` is None, in words; empty where it is stated.
-        unnamed: unnamed effects in the model that are not negligible: an effect without a name here is missing.
+        unnamed: substantial unnamed effects in the model: they describe a missing effect that no candidate names.
         off_scale: candidates a million times smaller or larger than the noise at their plausible size.
         rivals: effects to tell apart by another experiment: the members of the first finding; with the leads if it has
             only one member; without a finding, the leads.
-        latent: effects of the model that these readings cannot tell from its others.
+        latent: effects that these readings cannot distinguish from other effects of the model, and so belong to it.
         equivalent: sets of effects that these readings cannot tell apart, those of the model first.
     """
 
@@ -195,7 +195,7 @@ def discover(
 
     Args:
         calibration: a converged fit.
-        effects: further candidates of the user's own, in addition to the instrument's.
+        effects: user-defined effects, additional candidates.
         max_effects: largest number of missing effects.
         widen_noise: whether other noise laws than the model's are evaluated.
         time_limit: limit on the whole call, s; the search then ends with the best so far, as it does at Ctrl-C.
@@ -304,7 +304,7 @@ def restrict_causes(
 ) -> Measurements:
     """Exclude the columns to ignore as causes; if covariates are given, all other undeclared columns, too."""
     if common := sorted({*ignore}.intersection(covariates or ())):
-        raise InputError(f"{', '.join(common)}: both ignored and a covariate: give one of the two")
+        raise InputError(f"{', '.join(common)}: in both ignore and covariates: remove it from one")
     if covariates is not None:
         for name in covariates:
             readings[name]
@@ -403,8 +403,8 @@ def _describe_findings(discovery: Discovery) -> list[str]:
     lines = [f"probability that the model is complete: {discovery.complete_in_words}"]
     if discovery.unnamed:
         lines.append(
-            f"something is missing that has no name here: {' and '.join(discovery.unnamed)} "
-            f"{'stands' if len(discovery.unnamed) == 1 else 'stand'} for it"
+            "an effect is missing that no candidate names; described by "
+            f"{' and '.join(discovery.unnamed)}"
         )
     for s in discovery.findings:
         names = " or ".join(s.effects)

@@ -1,4 +1,4 @@
-"""Equivalent effects, which the readings cannot tell apart: found by linear algebra before anything is fitted.
+"""Equivalent effects, which the readings cannot distinguish: found by linear algebra before any fit.
 
 Columns at the prior means are whitened by the noise floor and scaled by plausible sizes. Deviations of groups count as
 noise; all other columns of the model are projected out. An effect with hardly any remainder cannot be decided by
@@ -40,7 +40,7 @@ Array = Float[np.ndarray, "n k"]
 class Equivalent(NamedTuple):
     """Effects of which readings determine only a combination: the first is in the span of the others and the model.
 
-    A single effect is in the span of these coefficients of the model.
+    A single effect is in the span of the model's `coefficients`.
     """
 
     effects: tuple[str, ...]
@@ -82,15 +82,15 @@ def _residual_sd(structures: Structures) -> float:
     return float(np.sqrt(residual @ residual / dof)) if dof > 0 else math.inf
 
 
-class _Columns(NamedTuple):
-    """Whitened columns of an effect per plausible size: of all readings; of some, less groups, less all effects."""
+class _CandidateColumns(NamedTuple):
+    """Whitened columns of an effect at its plausible size, on all readings and, projected, on a subset."""
 
     white: Array
     without_groups: Array  # group deviations counted as noise
     without_model: Array  # candidate columns with all columns of the model projected out
 
 
-def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
+def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _CandidateColumns]]:
     """Return the base linearised at its priors' means, and the candidates' whitened columns."""
     layout = replace(structures.layout, model=structures.base)
     linear = linearise_at_priors(Problem(layout, structures.record), structures.noise_floor)
@@ -104,7 +104,7 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
     whitened = whitened * np.where(linear.weight == 0, flat_scale, 1.0)
     whiten_groups = _group_whitener(whitened[:, is_random])
     whiten_model = _group_whitener(whiten_groups(whitened[:, ~is_random]))
-    library, by_name = Library(structures), dict[str, _Columns]()
+    library, by_name = Library(structures), dict[str, _CandidateColumns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
         per_member = any(c.group_sd for c in effect.coefficients)
@@ -112,12 +112,13 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
             columns = library.columns(linear, [point], {}) * library.prior_scales[name][0].sd
             whitened_columns = linear.whiten(columns)
             without_groups = whiten_groups(math.sqrt(stride) * whitened_columns[::stride])
-            by_name[name] = _Columns(whitened_columns, without_groups, whiten_model(without_groups))
+            parts = whitened_columns, without_groups, whiten_model(without_groups)
+            by_name[name] = _CandidateColumns(*parts)
     return linear, by_name
 
 
 def _group_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
-    """Return the whitening by noise of covariance 1 + C·Cᵀ, C columns of standard normal coefficients."""
+    """Return the whitening function for noise of covariance I + C·Cᵀ, with C the columns of group deviations."""
     # Along the left singular vectors of C, singular values s, whitened columns are multiplied by 1/√(1 + s²).
     axes, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
     removed = axes * (1 - 1 / np.sqrt(1 + singular_values**2))

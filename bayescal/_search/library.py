@@ -31,7 +31,7 @@ RAGGED_POINTS = 128  # grid points where the evidence has many maxima over a sha
 MAX_CACHED_NUMBERS = 2**23
 MAX_BLOCK_NUMBERS = 2**20  # numbers in the columns whitened at a time
 CORRECTION_STEP_SD = 0.05  # to which a correction's shapes are rounded, prior standard deviations
-SPREAD_LEVELS = 4  # grid points of a learned spread or an amplitude
+SPREAD_LEVELS = 4  # grid points of a between-member standard deviation or an amplitude
 MEANS_COUNT = 8192  # means of readings by which candidates are scored on longer records
 MAX_VARIANCE_SHARE = 0.01  # largest share of a column's variance within the means
 CACHED_EFFECTS = 1024  # effects with cached grids and scales: devices of a fleet share them
@@ -45,7 +45,7 @@ class PriorScale(NamedTuple):
     """One scale of an effect's prior, with its log prior probability."""
 
     sd: Float[np.ndarray, "k"]  # prior standard deviations of the coefficients
-    start: dict[str, float]  # coordinates of φ that stand for the scale, by name
+    start: dict[str, float]  # coordinates of φ at this scale, by name
     shapes: dict[str, float]  # shapes that determine the scale, in their units
     log_weight: float
 
@@ -68,7 +68,7 @@ class Library:
     """
 
     structures: Structures
-    # shape coordinates (points, shapes) of a few candidates, the only ones then; empty: all candidates, default grids
+    # shape coordinates (points, shapes) of the candidates to include; empty: all candidates, on default grids
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
     points: dict[str, list[GridPoint]] = field(default_factory=dict)  # grid of each candidate
     prior_scales: dict[str, list[PriorScale]] = field(default_factory=dict)  # of each candidate

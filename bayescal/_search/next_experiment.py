@@ -30,8 +30,8 @@ from bayescal._model.frame import build_frame
 VERY_STRONG_NATS = 5.0
 
 POSTERIOR_DRAWS = 300  # draws of each member: enough to rank campaigns, as noise is in closed form
-# Readings of a campaign that are predicted, evenly spread: their covariances are n × n.
-MOST_READINGS = 1500
+# Largest number of readings of a campaign that are predicted, evenly spread: their covariances are n × n.
+MAX_READINGS = 1500
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,8 @@ class NextExperiment(Printed):
         ]
         if self.experiments[0].minimum < VERY_STRONG_NATS:
             lines.append(
-                "None of these is expected to tell them apart (a log Bayes factor of "
-                f"{VERY_STRONG_NATS:g} would)."
+                "No experiment is expected to distinguish them (by a log Bayes factor of "
+                f"{VERY_STRONG_NATS:g})."
             )
         return lines
 
@@ -148,13 +148,13 @@ def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
 
 @on_one_thread
 def predict_campaign(calibration: Calibration, readings: Measurements) -> CampaignPrediction:
-    """Predict the readings of a campaign by a fitted model, or `MOST_READINGS` of them, evenly spread.
+    """Predict the readings of a campaign by a fitted model, at most `MAX_READINGS`, evenly spread.
 
     Expected outputs are computed from posterior draws, for new group members; noise and the deviations of new members
     in closed form, as the rank of a covariance from draws alone would be their number.
     """
     calibration.model.require(readings)
-    readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
+    readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MAX_READINGS)))
     frame = build_frame(readings, calibration.reference)
     # Group members of a planned campaign are new ones: their deviations become covariance between their readings.
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}

@@ -15,9 +15,9 @@ from bayescal._calibration.claim import Claim
 from bayescal._core.settings import settings
 from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 
-SHOWN_STRUCTURES = 20  # structures in the summary of a search
-NEGLIGIBLE_PROBABILITY = 1e-3  # probability of a structure that changes no printed digit
-# Probability that a named effect is the right one in a structure that needs an unnamed effect (docs/wrong_model.md).
+MAX_LISTED_STRUCTURES = 20  # number of structures in the summary of a search
+NEGLIGIBLE_PROBABILITY = 1e-3  # probability of a structure below which no printed digit changes
+# Probability that a named effect is the true one in a structure with a substantial unnamed effect.
 NAME_PROBABILITY = 0.55
 
 
@@ -89,14 +89,14 @@ class Posterior:
         space, base_structure = self.space, Structure(self.condition)
         further_effects = {*unseen, *space.latent_effects(base_structure)}
         reported = space.reported_families(base_structure) | space.families(further_effects)
-        triples = zip(self.structures, self.reported_families, self.needs_description, strict=True)
-        named = [not needs and f - space.unnamed_effects(s) <= reported for s, f, needs in triples]
+        triples = zip(self.structures, self.reported_families, self.has_unnamed, strict=True)
+        named = [not has and f - space.unnamed_effects(s) <= reported for s, f, has in triples]
         fits = map(self.evaluated.get, self.structures)
         has_unnamed_noise = [fit is not None and fit.has_unnamed_noise for fit in fits]
         return self._sum_probability(np.array(named) & ~np.array(has_unnamed_noise))
 
     @cached_property
-    def needs_description(self) -> list[bool]:
+    def has_unnamed(self) -> list[bool]:
         """Return, for each structure, whether it has an unnamed effect that is not negligible."""
 
         def is_needed(s: Structure, probability: float) -> bool:
@@ -128,7 +128,7 @@ class Posterior:
         single_shares = (shares.get(family, 0.0) for shares in self.family_shares)
         parts = np.array(self._has_any(families) if others else [*single_shares], dtype=float)
         if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
-            parts = np.where(self.needs_description, NAME_PROBABILITY, 1.0) * parts
+            parts = np.where(self.has_unnamed, NAME_PROBABILITY, 1.0) * parts
         return float(min(1.0, self.probability @ parts))
 
     @cached_property
@@ -219,13 +219,13 @@ def _sum_by_name(sets: Iterable[frozenset[str]], probability: Iterable[float]) -
 
 @dataclass(frozen=True)
 class OtherPath:
-    """The runner-up model: the best under another noise law, if these readings cannot tell which law is right."""
+    """The runner-up model: the best under another noise law, if these readings do not decide between the laws."""
 
     noise: str  # name of the other law
     added: tuple[str, ...]  # effects added under the other law
     log_bayes_factor: float  # runner-up over best model, natural logarithm; negative
     in_words: str  # the other law, in words
-    correlated: bool = False  # whether one of the two laws alone is correlated in time
+    correlated: bool = False  # whether exactly one of the two laws is correlated in time
 
     def __str__(self) -> str:
         details = {"law": self.in_words, "added": self.added or ("nothing",)}
@@ -234,7 +234,7 @@ class OtherPath:
 
 
 @dataclass(frozen=True)
-class ShownStructure:
+class StructureSummary:
     """A structure in the summary of a search: added effects, noise law ("" for the given one), and probability.
 
     `rms`, the rms residual in the output unit, is given for the most probable structure only.
@@ -255,7 +255,7 @@ class ShownStructure:
 class Search:
     """State of a search, under way or ended."""
 
-    structures: tuple[ShownStructure, ...]  # the most probable ones
+    structures: tuple[StructureSummary, ...]  # the most probable ones
     weighed: int  # number of evaluated structures
     complete: bool  # whether the search was completed
     stopped: str = ""  # why it ended early, in words; empty while under way and when completed
@@ -265,14 +265,14 @@ class Search:
     @classmethod
     def summarise(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:
         """Summarise the structures evaluated so far; `counts` are the other fields."""
-        fits, summaries = structures.visited.values(), list[ShownStructure]()
+        fits, summaries = structures.visited.values(), list[StructureSummary]()
         if any(math.isfinite(w.log_posterior) for w in fits):
             posterior = Posterior.from_structures(structures)
             pairs = zip(posterior.structures, posterior.probability, strict=True)
             fitted = [(posterior.evaluated[s], p) for s, p in pairs if s in posterior.evaluated]
             rms = float(np.sqrt(np.mean(structures.linearise(fitted[0][0]).residual ** 2)))
-            for w, p in fitted[:SHOWN_STRUCTURES]:
+            for w, p in fitted[:MAX_LISTED_STRUCTURES]:
                 effects, noise = tuple(sorted(w.structure.effects)), w.structure.noise
-                summaries.append(ShownStructure(effects, noise, w.log_evidence, float(p)))
+                summaries.append(StructureSummary(effects, noise, w.log_evidence, float(p)))
             summaries[0] = replace(summaries[0], rms=rms)
         return cls(tuple(summaries), len(fits), complete, **counts)

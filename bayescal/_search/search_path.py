@@ -50,7 +50,7 @@ class Step:
     description: str = ""  # other changes of the model, in words; empty if there are none
     holdout_test: HoldoutTest | None = None  # test of the model by the hold-out data
     failures: tuple[Claim, ...] = ()  # why no search can start from this model; mostly empty
-    outlying_groups: tuple[Claim, ...] = ()  # implausibly different members, or along a column
+    outlying_groups: tuple[Claim, ...] = ()  # claims of implausible deviations of group members
 
     def with_reasons(self, reasons: Sequence[str]) -> Step:
         """Return the step with reasons against its calibration in the verdict."""
@@ -163,12 +163,12 @@ class SearchPath(Printed):
             return ""
         if discovery is None:
             reliable = self.steps[0].calibration.verdict.ok
-            why = "no effect was to be added" if reliable else "the fit is not reliable"
-            return search.stopped or f"Nothing was looked for: {why}."
+            why = "no effect may be added" if reliable else "the fit is not reliable"
+            return search.stopped or f"No search was made: {why}."
         lines = [search.stopped] if search.stopped else []
         added, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
         if not lines and added >= allowed > 0:
-            lines.append(f"The search has added the {allowed} effects that it may (--max-effects).")
+            lines.append(f"The search added its maximum of {allowed} effects (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
         tested = {n: p for n, p in probabilities.items() if p is not None}
@@ -196,13 +196,13 @@ class SearchPath(Printed):
     def _parts(self) -> list[str | ResultTable]:
         """Return the table of errors by step, and the effects found."""
         rows = self.rows
-        note = f"{RISE_MARK.strip()} held-out error more than a twentieth above that of the step before"
+        note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
         lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
         level = settings().found_probability
         heads = {level: "found" if self.complete else "best when the search ended"}
-        heads |= {0.5: "more probable than not", 0.0: "in the model shown, one of several"}
+        heads |= {0.5: "more probable than not", 0.0: "in the last model, one of several"}
         texts = dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
             family = self.final.calibration.model.effect(name).family_name

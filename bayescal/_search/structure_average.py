@@ -81,9 +81,9 @@ def add_inadequacy(
 def _run_spreads(
     calibration: Calibration, structures: Structures, structure: Structure
 ) -> dict[str, float]:
-    """Return the rms spread between runs of each deviation that some draws lack, from its posterior when added.
+    """Return the rms between-run standard deviation of each between-run effect that some draws lack, by name.
 
-    The logarithm of a spread that was not found is uniform up to its plausible size.
+    It is from the posterior with the effect added, under a log-uniform prior.
     """
     spreads, names = dict[str, float](), {*structure.effects, *structures.candidates_for(structure)}
     names &= calibration.model.instrument.known.keys()  # others cannot be looked up by name

@@ -1,9 +1,9 @@
 """Structures, sets of added effects with a noise law: their prior probabilities and their evidence.
 
-Each candidate is in or out, independently, with odds such that P(model complete) is one half; placeholders share a
-tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds. A
-plausible size is known to an order of magnitude: evidence is averaged over it times 1, 3 and 10.
-Effects that readings cannot tell from those of a structure are latent in its model, with their priors.
+Candidates are included independently, with prior odds such that P(model complete) is one half; unknown dependences
+have a tenth of the prior. A candidate is a family of forms, which share its odds; a structure has one of them at most.
+A plausible size is known to an order of magnitude: evidence is averaged over 1, 3 and 10 times that size.
+Effects that readings cannot distinguish from those of a structure are latent in its model, with their priors.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ OCCAM_WINDOW_NATS = 6.0
 LAW_WINDOW_NATS = 100.0
 # Nats of log posterior behind the best, from which a mode is found coarsely: its effect on probabilities is below 1e-6.
 COARSE_NATS = 10.0
-# Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
-# coefficients on the chamber ramp stood 3 to 8 such sizes out.
+# Factors on a candidate's plausible size, known to an order of magnitude, with their prior probabilities: coefficients
+# of a real sensor in a chamber were 3 to 8 such sizes.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
-# Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
+# Prior standard deviation of a coefficient averaged over these factors, in plausible sizes.
 RMS_SCALE_FACTOR = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
 FORM_ROWS = 700  # block means of a longer record, on which forms of an effect are compared
@@ -133,7 +133,7 @@ class Structures:
     layout: Layout  # of the base, with the numbers of group members
     record: Record  # the readings
     candidates: Mapping[str, Effect]  # effects that may be added, by name
-    noise_laws: Mapping[str, Noise]  # further noise laws that the readings can tell, by name
+    noise_laws: Mapping[str, Noise]  # further noise laws to evaluate, by name
     stated_log_odds: Mapping[str, float] = field(default_factory=dict)  # given for some candidates
     noise_floor: float = 0.0  # noise that no model removes, output unit
     spans: Spans = field(default_factory=Spans)  # candidates that these readings cannot tell apart

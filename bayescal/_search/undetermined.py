@@ -72,7 +72,7 @@ class Undetermined(Printed):
         if self.add:
             lines += ["Add one each:", *(f"  {pose}" for pose in self.add)]
         if self.left:
-            lines.append(f"{self.left} combination(s) are determined by no further pose.")
+            lines.append(f"No further pose determines the other {self.left} combination(s).")
         return lines
 
     def _brief(self) -> str:

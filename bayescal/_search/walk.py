@@ -26,14 +26,14 @@ BEAM_STRUCTURES = 4
 FITTED_NEIGHBOURS = (2, 10)
 FITTED_PAIRS = 4  # pairs of effects among them, for effects that show only together
 
-FORM_NATS = 3.0  # by which the means of a long record tell that a form is better, or no worse
+FORM_NATS = 3.0  # change of log posterior on block means that decides whether a form is fitted
 LAWS_OF_REDUCED = 2  # finer noise laws evaluated without one of the best structure's effects
 FOLLOW_SECONDS = 1.0  # between two progress reports
 Evaluations = Generator[EvaluatedStructure, None, None]
 
-OUT_OF_TIME = "The search was ended after {:.0f} s with the best so far: more time may find more."
-STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
-NOT_BEGUN = "There was no time to search ({}): no structure but the first was evaluated."
+OUT_OF_TIME = "The search was ended early, after {:.0f} s, with the best structure so far."
+STOPPED = "The search was interrupted after {:.0f} s with the best structure so far."
+NOT_BEGUN = "There was no time to search ({}): only the first structure was evaluated."
 
 
 @on_one_thread
