@@ -1,10 +1,10 @@
-"""The commands of the core.
+"""The core commands.
 
-Of instruments: instruments, effects, simulate; for some, pairs of devices. The whole loop:
-`calibrate`, of one output or of several channels of one unit. From readings to a calibration: fit, check, discover,
-compare, predict; and the noise of a sensor. Use of results: compensate, export, budget, report.
+Instruments: instruments, effects, simulate, pairs (of devices), demo. Calibration: calibrate (the whole loop, for one
+output or several channels of a device), fit, check, discover, compare, predict, noise. Use of results: compensate,
+export, budget, report.
 
-Imports are placed where they are first needed: a bad file is refused before a sampler loads.
+Imports are local to the functions that need them, so that a bad file is refused before a sampler loads.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from bayescal._cli.options import (
     Shared,
     Texts,
     UsedParts,
-    drawn,
-    named_numbers,
+    draw_safely,
     opt,
     optional_names,
+    parse_numbers,
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
@@ -61,25 +61,25 @@ from bayescal._report.whole_folder import (
 )
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
-"""`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
+"""Entry points `select(calibration, criterion=…)`, which return a printable table of pairs with `data()` for JSON."""
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 
 
 class InstrumentsCommand(AsJson, Command):
-    """List installed instruments, describe one, or check your own."""
+    """List installed instruments; describe or check one."""
 
     example = "bayescal instruments --check level.py:INSTRUMENT --readings bar.csv"
-    named: str | None = Argument(
-        None, metavar="NAME", help="Instrument whose columns and effects are listed; all if none."
+    name: str | None = Argument(
+        None, metavar="NAME", help="Instrument to describe; default: list all instruments."
     )
     check: str | None = opt(
-        "Simulate this instrument, fit what was simulated, and say what came back.",
+        "Check this instrument: fit simulated readings and compare with the truth.",
         metavar="my.py:INSTRUMENT",
     )
     readings: list[Path] | None = opt(
-        "With --check: files whose columns are taken in place of a simulator's.",
-        callback=options.refuse_missing,
+        "With --check: files whose columns replace those of the simulator.",
+        callback=options.check_files_exist,
     )
     seed: int = Shared.seed
 
@@ -87,16 +87,16 @@ class InstrumentsCommand(AsJson, Command):
         from bayescal._model.installed import installed_instruments
 
         if self.check is not None:
-            chosen = instrument_named(self.check)
-            readings = bc.read(self.readings, chosen) if self.readings else None
-            checked = bc.check_instrument(chosen, readings, seed=self.seed)
-            return Answer(checked, ok=checked.ok, why=" ".join(checked.errors))
+            instrument = instrument_named(self.check)
+            readings = bc.read(self.readings, instrument) if self.readings else None
+            check = bc.check_instrument(instrument, readings, seed=self.seed)
+            return Answer(check, ok=check.ok, why=" ".join(check.errors))
         if self.readings:
-            raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
+            raise InputError("--readings needs --check my.py:INSTRUMENT")
         from bayescal._cli.output import format_instrument, format_instruments
 
-        if self.named is not None:
-            return Answer(*format_instrument(instrument_named(self.named)))
+        if self.name is not None:
+            return Answer(*format_instrument(instrument_named(self.name)))
         return Answer(*format_instruments(installed_instruments()))
 
 
@@ -110,74 +110,75 @@ class EffectsCommand(AsJson, Command):
     def answer(self) -> Answer:
         from bayescal._cli.output import format_effects
 
-        chosen = instrument_named(self.instrument)
-        kinds = {"baseline": chosen.effects, "candidate": chosen.candidates}
-        kinds["your own"] = request.load_user_effects(self.effects_file)
-        return Answer(*format_effects(kinds))
+        instrument = instrument_named(self.instrument)
+        effects_by_kind = {"baseline": instrument.effects, "candidate": instrument.candidates}
+        effects_by_kind["your own"] = request.load_user_effects(self.effects_file)
+        return Answer(*format_effects(effects_by_kind))
 
 
 class SimulateCommand(AsJson, Command):
-    """Simulate a test campaign, with effects hidden in it."""
+    """Simulate a test campaign with hidden effects."""
 
     example = (
         "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
     )
     instrument: str = Shared.instrument
-    out: Path = opt("File to write: .csv.", ...)
-    effect: Texts = opt("name=size: an effect to hide; repeat for more.")
+    out: Path = opt("Output file (.csv).", ...)
+    effect: Texts = opt("Effect to hide, name=size; repeatable.")
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
         from bayescal._data.unit_conversion import unit_label
 
-        chosen = instrument_named(self.instrument)
-        if chosen.simulator is None:
-            raise InputError(f"instrument {chosen.name!r} has no simulator")
-        hidden = named_numbers(self.effect, "--effect")
+        instrument = instrument_named(self.instrument)
+        if instrument.simulator is None:
+            raise InputError(f"instrument {instrument.name!r} has no simulator")
+        hidden_effects = parse_numbers(self.effect, "--effect")
         try:
-            readings = chosen.simulate(hidden, seed=self.seed)
+            readings = instrument.simulate(hidden_effects, seed=self.seed)
         except ValueError as error:
             raise InputError(str(error)) from None
         readings.write(self.out)
-        units = {n: unit_label(e.coefficients[0].unit) for n, e in chosen.known.items()}
-        sizes = (f"{n} = {size:g} {units.get(n, '')}".rstrip() for n, size in hidden.items())
-        listing = ", ".join(sizes) or "nothing"
+        units = {n: unit_label(e.coefficients[0].unit) for n, e in instrument.known.items()}
+        sizes = hidden_effects.items()
+        size_texts = (f"{n} = {size:g} {units.get(n, '')}".rstrip() for n, size in sizes)
+        listing = ", ".join(size_texts) or "nothing"
         text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
-        return Answer(text, {**data, "effects": hidden})
+        return Answer(text, {**data, "effects": hidden_effects})
 
 
 class PairsCommand(ReadRequest, AsJson, Command):
-    """Rank pairs of devices by their probability to be the best."""
+    """Rank device pairs by their probability of being the best."""
 
     example = "bayescal pairs readings.csv"
-    instrument: str = opt("Whose devices are chosen in pairs.", "differential_pair")
-    criterion: str = opt(f"{', '.join(CRITERIA)}.", "residual")
+    instrument: str = opt("Instrument type of the devices.", "differential_pair")
+    criterion: str = opt(f"Selection criterion: {', '.join(CRITERIA)}.", "residual")
     add: Texts = Shared.add
     average: str | None = Shared.average
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
-        offers = [*entry_points(group=PAIR_SELECTIONS, name=self.instrument)]
-        if not offers:
+        selections = [*entry_points(group=PAIR_SELECTIONS, name=self.instrument)]
+        if not selections:
             raise InputError(
-                f"instrument {self.instrument!r} does not choose its devices in pairs: leave --instrument out"
+                f"instrument {self.instrument!r} does not support the selection of pairs: omit --instrument"
             )
         if self.criterion not in CRITERIA:
             raise InputError(f"--criterion {self.criterion!r} is not one of {', '.join(CRITERIA)}")
         _, model, readings = request.open_request(self)
         print_notes(readings.flags)
-        fitted = bc.fit(model, readings, seed=self.seed, strict=False)
-        verdict = fitted.verdict
-        pairs = offers[0].load()(fitted, criterion=self.criterion)
+        calibration = bc.fit(model, readings, seed=self.seed, strict=False)
+        verdict = calibration.verdict
+        pairs = selections[0].load()(calibration, criterion=self.criterion)
         return Answer(pairs, ok=verdict.ok, why=" ".join(verdict.reasons))
 
 
 class DemoCommand(AsJson, Command):
-    """Find an effect that is hidden in simulated readings."""
+    """Find an effect hidden in simulated readings."""
 
     example = "bayescal demo --out demo_output"
-    out: Path = opt("Folder to write to.", Path("demo_output"))
+    out: Path = opt("Output folder.", Path("demo_output"))
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
@@ -186,47 +187,47 @@ class DemoCommand(AsJson, Command):
         with result_folder(self.out):
             for seed, file in enumerate(files, self.seed + 1):
                 simulation = SimulateCommand(instrument=gyro, out=file, effect=hidden, seed=seed)
-                print_notes([simulation.answer().shown])
+                print_notes([simulation.answer().content])
             arguments = {"files": [files[0]], "holdout": [files[1]], "out": self.out}
-            how = {"instrument": gyro, "seed": self.seed, "json_": self.json_}
-            calibrated = CalibrateCommand(**arguments, **how).answer()
+            kwargs = {"instrument": gyro, "seed": self.seed, "json_": self.json_}
+            calibrated = CalibrateCommand(**arguments, **kwargs).answer()
         program = sys.argv[0]
         command = "bayescal" if shutil.which("bayescal") == program else program
         line = f"{command} calibrate FILE.csv --instrument mems_gyro --out result"
         picture = f"the picture: {self.out / 'loop.png'}"
-        hints = f"{picture}\nwith readings of your own: {line}"
+        hints = f"{picture}\nwith your own readings: {line}"
         return replace(calibrated, written=f"{calibrated.written}\n{hints}")
 
 
 class CalibrateCommand(SearchRequest, AsJson, Command):
-    """Fit, find what is missing, add it, see the error fall.
+    """Fit a model, find missing effects, add them.
 
-    The first table stands as soon as the first fit does; Ctrl-C then ends the search with the best so far. Channels of
-    one unit are searched together: structures and noise of their own, one body for all.
+    The first table is printed after the first fit; Ctrl-C then ends the search with the best model so far. Channels of
+    a device are searched jointly: each with its own structure and noise, with common body temperatures.
     """
 
     example = "bayescal calibrate readings.csv --instrument mems_gyro --out result"
     channels: str | None = Shared.channels
-    simple_noise: bool = opt("Leave out sums of noise terms: faster on long records.", False)
+    simple_noise: bool = opt("Omit sums of noise terms: faster for long records.", False)
     covariates: str | None = Shared.covariates
     out: Path | None = Shared.folder
-    verbose: bool = opt("With all candidates of every step.", False)
+    verbose: bool = opt("Print all candidates of every step.", False)
 
     def answer(self) -> Answer:
-        names = options.channel_names(self.channels)
+        names = options.parse_channels(self.channels)
         if not names and self.out is not None and (self.out / CHANNELS).is_file():
             raise InputError(
-                f"{self.out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still "
-                "be made: give another folder, or remove it"
+                f"{self.out} contains the channels of a device ({CHANNELS}), which reports and parameters would still "
+                "include: give another folder, or remove it"
             )
-        noise = Settings(finer_noise=not self.simple_noise)
-        with use_settings(noise), result_folder(self.out) as folder:
+        search_settings = Settings(finer_noise=not self.simple_noise)
+        with use_settings(search_settings), result_folder(self.out) as folder:
             models, readings, holdout = request.searched(names, self)
             name, first_readings = next(iter(readings.items()))
             settings = {
                 "effects": request.load_effects(self, models[name].instrument, first_readings),
-                "method": request.method_named(self.method),
-                "reference": dict(named_numbers(self.reference, "--reference")),
+                "method": request.create_method(self.method),
+                "reference": dict(parse_numbers(self.reference, "--reference")),
                 **self.settings(),
                 "covariates": optional_names(self.covariates),
             }
@@ -235,29 +236,29 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             reporter = ConsoleReporter(self.json_ or bool(names), self.verbose, names)
             if names:
                 settings |= {"holdout": holdout or None, "follow": reporter.follow}
-                searched = bc.calibrate_channels(models, readings, **settings)
+                search = bc.calibrate_channels(models, readings, **settings)
             else:
                 settings |= {"holdout": holdout.get(""), "follow": partial(reporter.follow, "")}
-                searched = bc.calibrate(models[name], first_readings, **settings)
+                search = bc.calibrate(models[name], first_readings, **settings)
             drawn_all, written = True, ""
             if folder is not None:
-                drawn_all = drawn(searched.save, folder)
+                drawn_all = draw_safely(search.save, folder)
                 possible_files = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
                 files = (n for n in possible_files if n in (*files_of(folder), MANIFEST))
-                listed = f"{CHANNELS}, and a folder for each channel" if names else ", ".join(files)
-                written = f"{folder}/{listed}"
-            paths = searched.search_paths if isinstance(searched, bc.Channels) else {"": searched}
+                listing = f"{CHANNELS}, and a folder per channel" if names else ", ".join(files)
+                written = f"{folder}/{listing}"
+            paths = search.search_paths if isinstance(search, bc.Channels) else {"": search}
             fitted = {n: t.final.calibration.readings for n, t in paths.items()}
             first_flags = request.flags_of(readings)
             print_notes(flag for flag in request.flags_of(fitted) if flag not in first_flags)
             text_options = {"started": reporter.begun, "verbose": self.verbose}
-            content = format_search(searched, self.json_, **text_options)
-            why = searched.reason if isinstance(searched, bc.Channels) else searched.gate.reason
-            return Answer(content, ok=searched.ok, why=why, made=drawn_all, written=written)
+            content = format_search(search, self.json_, **text_options)
+            reason = search.reason if isinstance(search, bc.Channels) else search.gate.reason
+            return Answer(content, ok=search.ok, why=reason, drawn=drawn_all, written=written)
 
 
 class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
-    """Fit one model: coefficients with uncertainty."""
+    """Fit one model: coefficients with uncertainties."""
 
     example = "bayescal fit readings.csv --instrument mems_gyro --out result"
     instrument: str = Shared.instrument
@@ -275,26 +276,26 @@ class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
         with result_folder(self.out) as folder:
             _, model, readings = request.open_request(self)
             if self.noise is not None:
-                model = model.with_noise(request.noise_named(self.noise, model, readings))
+                model = model.with_noise(request.find_noise_law(self.noise, model, readings))
             print_notes(readings.flags)
-            reference = dict(named_numbers(self.reference, "--reference"))
-            how = {"seed": self.seed, "strict": False, "reference": reference}
-            calibration = bc.fit(model, readings, request.method_named(self.method), **how)
-            from bayescal._cli.output import fit_data
+            reference = dict(parse_numbers(self.reference, "--reference"))
+            kwargs = {"seed": self.seed, "strict": False, "reference": reference}
+            calibration = bc.fit(model, readings, request.create_method(self.method), **kwargs)
+            from bayescal._cli.output import convert_fit
 
             if calibration.verdict.ok:
                 calibration = calibration.with_verdict(against=calibration.conflicts)
-            content = fit_data(calibration) if self.json_ else calibration
+            content = convert_fit(calibration) if self.json_ else calibration
             verdict, written = calibration.verdict, ""
             if folder is not None:
-                with whole_folder(folder) as hidden:
-                    calibration.save(hidden / CALIBRATION)
+                with whole_folder(folder) as partial_folder:
+                    calibration.save(partial_folder / CALIBRATION)
                 written = f"{folder / CALIBRATION}"
             return Answer(content, ok=verdict.reliable, why=verdict.why_not, written=written)
 
 
 class CheckCommand(OwnParts, AsJson, Command):
-    """Say where a fitted model fails."""
+    """Check the residuals of a fitted model."""
 
     example = "bayescal check result/calibration.nc"
     calibration: Path = Shared.calibration
@@ -305,32 +306,33 @@ class CheckCommand(OwnParts, AsJson, Command):
 
 
 class DiscoverCommand(OwnParts, AsJson, Command):
-    """Say which effect is missing, and how to tell rivals apart."""
+    """Find missing effects, and tests to distinguish them."""
 
     example = "bayescal discover result/calibration.nc"
     calibration: Path = Shared.calibration
     typed: Texts = Shared.typed
     max_effects: int = Shared.max_effects
     time_limit: float | None = Shared.time_limit
-    ignore: Texts = opt("Exclude this column as a possible cause; repeatable.", metavar="COLUMN")
+    ignore: Texts = opt("Column to exclude as a covariate; repeatable.", metavar="COLUMN")
     covariates: str | None = Shared.covariates
-    next_experiment: bool = opt("Rank campaigns by how well they tell rivals apart.", False)
+    next_experiment: bool = opt("Rank campaigns by how well they distinguish candidates.", False)
 
     def answer(self) -> Answer:
-        loaded = request.load_saved(self.calibration, self)
-        effects = request.load_effects(self, loaded.model.instrument, loaded.readings)
-        allowed = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
-        discovery = bc.discover(loaded, effects=effects, max_effects=self.max_effects, **allowed)
+        calibration = request.load_saved(self.calibration, self)
+        effects = request.load_effects(self, calibration.model.instrument, calibration.readings)
+        columns = {"ignore": self.ignore or (), "covariates": optional_names(self.covariates)}
+        kwargs = {"effects": effects, "max_effects": self.max_effects, **columns}
+        discovery = bc.discover(calibration, **kwargs)
         from bayescal._report.result_json import experiment_data, missing_data
 
-        checked, end = bc.check(loaded), deadline.current()
-        text, data = str(discovery), missing_data(discovery, 0, checked)
-        if self.next_experiment and end.over:
-            text += f"\n\nnext experiment: left out ({end.why})"
+        check, limit = bc.check(calibration), deadline.current()
+        text, data = str(discovery), missing_data(discovery, 0, check)
+        if self.next_experiment and limit.over:
+            text += f"\n\nnext experiment: omitted ({limit.why})"
         elif self.next_experiment:
             rivals = discovery.rivals
-            ranked = bc.next_experiment(loaded, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: none proposed: no other candidate is probable enough'}"
+            ranked = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
+            text += f"\n\n{ranked or 'next experiment: none (no other probable candidate)'}"
             data["next_experiment"] = None if ranked is None else experiment_data(ranked)
         return Answer(text, data)
 
@@ -344,7 +346,7 @@ class CompareCommand(ReadRequest, AsJson, Command):
     )
     instrument: str = Shared.instrument
     structures: Texts = opt(
-        "Structure, or with effects added, as line+bias.thermal_lag; repeat; all if none.",
+        "Structure, also with added effects: line+bias.thermal_lag; repeatable; default: all.",
         *(None, "--structure"),
     )
     reference: Texts = Shared.reference
@@ -357,26 +359,26 @@ class CompareCommand(ReadRequest, AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
-        chosen, _, readings = request.open_request(self)
-        names = self.structures or [name for name, _ in chosen.structures]
-        effects = request.load_effects(self, chosen, readings)
+        instrument, _, readings = request.open_request(self)
+        names = self.structures or [name for name, _ in instrument.structures]
+        effects = request.load_effects(self, instrument, readings)
         models = {}
         for name in names:  # "line+bias.thermal_lag"
-            first, *added = (part.strip() for part in name.split("+"))
-            requested = ReadRequest()
-            requested.structure, requested.add = first, added
-            requested.reference_dcc = self.reference_dcc
-            models[name] = request.compose(chosen, requested, effects)
+            structure, *effect_names = (part.strip() for part in name.split("+"))
+            model_options = ReadRequest()
+            model_options.structure, model_options.add = structure, effect_names
+            model_options.reference_dcc = self.reference_dcc
+            models[name] = request.compose(instrument, model_options, effects)
             models[name].require(readings)
         if len(models) < 2:
             raise InputError(f"compare needs at least two structures, not {len(models)}")
         print_notes(readings.flags)
-        how = {"seed": self.seed, "strict": False}
-        how["reference"] = named_numbers(self.reference, "--reference")
-        method, fits = request.method_named(self.method), {}
+        kwargs = {"seed": self.seed, "strict": False}
+        kwargs["reference"] = parse_numbers(self.reference, "--reference")
+        method, fits = request.create_method(self.method), {}
         for i, name in enumerate(counted([*models], "structures")):
             with deadline.sooner(1 / (len(models) - i)):
-                fits[name] = bc.fit(models[name], readings, method, **how)
+                fits[name] = bc.fit(models[name], readings, method, **kwargs)
         comparison = bc.compare(fits)
         failed = [
             f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok
@@ -385,45 +387,46 @@ class CompareCommand(ReadRequest, AsJson, Command):
 
 
 class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
-    """Predict readings with a calibration, and compare."""
+    """Predict readings with a calibration and compare them."""
 
     example = "bayescal predict result/calibration.nc new.csv --out predicted.csv"
     calibration: Path = Shared.calibration
     files: list[Path] = Shared.files
-    out: Path | None = opt("File to write: .csv.")
+    out: Path | None = opt("Output file (.csv).")
     average: str | None = Shared.average
 
     def answer(self) -> Answer:
-        loaded = request.load_saved(self.calibration, self)
-        how = {**self.for_read(), "allow_one_temperature": True, "like": loaded.readings}
-        readings = bc.read(self.files, loaded.model.instrument, **how)
+        calibration = request.load_saved(self.calibration, self)
+        kwargs = {**self.read_options(), "like": calibration.readings}
+        kwargs["allow_one_temperature"] = True
+        readings = bc.read(self.files, calibration.model.instrument, **kwargs)
         readings = request.average(readings, self.average)
         self.keep()
         print_notes(readings.flags)
-        prediction = bc.predict(loaded, readings)
+        prediction = bc.predict(calibration, readings)
         from bayescal._cli.output import write_prediction
         from bayescal._core.formatting import number
         from bayescal._data.unit_conversion import unit_label
 
         if self.out is not None:
             write_prediction(prediction, readings, self.out)
-        expected = float((prediction.sd**2).mean()) ** 0.5
-        unit = unit_label(loaded.unit)
+        expected_rmse = float((prediction.sd**2).mean()) ** 0.5
+        unit = unit_label(calibration.unit)
         text = f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit} "
-        text += f"({number(expected)} {unit} expected from the standard uncertainties)"
+        text += f"({number(expected_rmse)} {unit} expected from the standard uncertainties)"
         text += f"\nwritten: {self.out}" if self.out else ""
-        data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected}
-        data |= {"unit": loaded.unit, "file": str(self.out) if self.out else None}
-        return Answer(text, data, ok=loaded.verdict.reliable, why=loaded.verdict.why_not)
+        data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected_rmse}
+        data |= {"unit": calibration.unit, "file": str(self.out) if self.out else None}
+        return Answer(text, data, ok=calibration.verdict.reliable, why=calibration.verdict.why_not)
 
 
 class NoiseCommand(ReadRequest, AsJson, Command):
     """Estimate noise density, bias instability and random walk."""
 
     example = "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --out noise"
-    instrument = "still_sensor"  # whose output changes only by its noise and temperature
+    instrument = "still_sensor"  # at rest: its output changes by noise and temperature only
     channels: str | None = opt(
-        "Columns that are outputs, one after another: gyro_x,acc_x.", metavar="NAME,NAME,…"
+        "Output columns, analysed separately: gyro_x,acc_x.", metavar="NAME,NAME,…"
     )
     average: str | None = Shared.average
     time_limit: float | None = Shared.time_limit
@@ -431,8 +434,8 @@ class NoiseCommand(ReadRequest, AsJson, Command):
     out: Path | None = Shared.folder
 
     def answer(self) -> Answer:
-        _, _, readings = request.open_channels(options.channel_names(self.channels), self)
-        if self.channels is None:  # called as the file calls its output
+        _, _, readings = request.open_channels(options.parse_channels(self.channels), self)
+        if self.channels is None:  # named after the output column of the file
             single = readings[""]
             readings = {next((s.output for s in single.sources if s.output), "output"): single}
         with result_folder(self.out) as folder:
@@ -454,80 +457,79 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                             bc.plot.save(bc.plot.noise(results[name]), hidden / picture)
                 written.extend(folder / picture for picture in pictures)
 
-            drawn_all = folder is None or drawn(draw, folder)
+            drawn_all = folder is None or draw_safely(draw, folder)
             claims = ((name, claim) for name, result in results.items() for claim in result.claims)
-            doubts = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
+            warnings = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
             return Answer(
                 "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
                 {name: result.data() for name, result in results.items()},
-                doubt=" ".join(doubts),
-                made=drawn_all,
+                warning=" ".join(warnings),
+                drawn=drawn_all,
                 written=", ".join(map(str, written)),
             )
 
 
 class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
-    """Turn readings back into what was measured."""
+    """Compute the measurand from the readings."""
 
     example = "bayescal compensate result/calibration.nc flight.csv --out done.csv"
     in_place = "file"
     calibration: Path = Shared.calibration
     file: Path = Argument(help="Readings: text, .parquet, .xlsx or .mat.")
-    out: Path = opt("File to write: .csv, or .parquet of such.", ..., "--out", "-o")
-    first_order: bool = opt("Propagate mean and covariance, as exports do, not draws.", False)
-    without_noise: bool = opt("Leave the noise of each reading out.", False)
+    out: Path = opt("Output file (.csv, or .parquet for a .parquet file).", ..., "--out", "-o")
+    first_order: bool = opt("Propagate mean and covariance instead of draws.", False)
+    without_noise: bool = opt("Exclude the noise of a reading from the uncertainty.", False)
 
     def answer(self) -> Answer:
         from bayescal._use.compensate_file import compensate_file
 
-        chosen = request.compensator_from(self.calibration, self)
-        how = {**self.for_read(), "missing": self.missing or "drop"}
-        how["method"] = "first order" if self.first_order else "draws"
-        done = compensate_file(chosen, self.file, self.out, **how, noise=not self.without_noise)
+        correction = request.load_compensator(self.calibration, self)
+        kwargs = {**self.read_options(), "missing": self.missing or "drop"}
+        kwargs["method"] = "first order" if self.first_order else "draws"
+        kwargs["noise"] = not self.without_noise
+        result = compensate_file(correction, self.file, self.out, **kwargs)
         self.keep()
-        outside = (
-            f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
-            for name, count in done.outside.items()
+        extrapolations = (
+            f"{name} is outside its calibrated range in {count} of {result.rows} readings, which are extrapolated"
+            for name, count in result.outside.items()
         )
-        flags = (flag for flag in done.flags if getattr(flag, "code", "") != "rows.dropped")
-        print_notes((*chosen.notes, *flags, *outside))
+        flags = (flag for flag in result.flags if getattr(flag, "code", "") != "rows.dropped")
+        print_notes((*correction.notes, *flags, *extrapolations))
         noise = f"with{'out' * self.without_noise} the noise of one reading"
-        added = f"columns {' and '.join(done.columns)} [{chosen.unit}] added"
-        text = f"{self.out}: {done.rows} readings, {added}"
-        text += f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
-        text += f"\n{done.columns[1]}: k = 1, {noise}"
-        data = {"file": str(self.out), "rows": done.rows, "columns": list(done.columns)}
-        data |= {"unit": chosen.unit, "epoch": chosen.about.epoch, "outside": done.outside}
-        data |= {"unsolved": done.unsolved, "missing": done.missing}
-        verdict = request.reliable({"": chosen})
-        if done.unsolved:
-            why = f"{done.unsolved} readings have no solution and are written empty"
+        added = f"columns {' and '.join(result.columns)} [{correction.unit}] added"
+        text = f"{self.out}: {result.rows} readings, {added}"
+        missing = f"; {result.missing} rows are empty because of missing readings"
+        text += missing * bool(result.missing)
+        text += f"\n{result.columns[1]}: k = 1, {noise}"
+        data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
+        data |= {"unit": correction.unit, "epoch": correction.about.epoch}
+        data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}
+        verdict = request.reliable({"": correction})
+        if result.unsolved:
+            why = f"{result.unsolved} readings have no solution and are left empty"
             verdict = {"ok": False, "why": why}
         return Answer(text, data, **verdict)
 
 
 class ExportCommand(InUse, DecisionRule, Command):
-    """Write C99, Python, JSON, parameters or a certificate.
-
-    Of three axes too; those of a unit together in one file.
-    """
+    """Write C99, Python, JSON, parameters or a certificate."""
 
     example = "bayescal export result/calibration.nc --format c --out gyro.h"
     calibrations: list[Path] = Argument(
-        [], help="Folders of results, calibrations (.nc): one, one an axis, or a unit's."
+        [], help="Result folders or calibrations (.nc): one, one per axis, or a device's."
     )
     format_: str | None = opt(
-        "json, c or python; px4-params or ardupilot-params; dcc.",
+        "json, c, python, px4-params, ardupilot-params or dcc.",
         *(None, "--format"),
     )
-    out: Path | None = opt("File to write; standard output if none.", None, "--out", "-o")
-    axis: Texts = opt("gyro_x=a.nc: calibration of an axis, where its readings do not name it.")
-    device_id: Texts = opt("gyro=3670026: PX4's number of a sensor; repeat.")
+    out: Path | None = opt("Output file; default: standard output.", None, "--out", "-o")
+    axis: Texts = opt("gyro_x=a.nc: calibration of an axis that its readings do not name.")
+    device_id: Texts = opt("gyro=3670026: PX4's device id of a sensor; repeatable.")
     local_gravity: float | None = Shared.local_gravity
     certificate: Path | None = Shared.certificate
     limit: Texts = Shared.limit
-    name: str | None = opt("With which all names in C begin; else that of the instrument.")
-    without_uncertainty: bool = opt("C and Python without the coefficients' covariance.", False)
+    name: str | None = opt("Prefix of all names in C; default: the instrument's name.")
+    without_uncertainty: bool = opt("Omit the coefficients' covariance in C and Python.", False)
 
     def answer(self) -> Answer:
         from bayescal._use.correction_files import kinds
@@ -535,22 +537,22 @@ class ExportCommand(InUse, DecisionRule, Command):
         writers = {n: write for exports in offered("exports") for n, write in exports().items()}
         formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *writers))]
         if self.format_ is None and self.out is None:
-            raise InputError(f"say which format: --format {', '.join(formats)}")
+            raise InputError(f"no format was given: --format {', '.join(formats)}")
         if self.format_ not in (None, *formats):
             raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
         if self.format_ in writers:
             return writers[self.format_](self)
         corrections = [correction for _, correction in self.loaded()]
         if not corrections or isinstance(corrections[0], bc.Compensator):
-            self.refuse_several()
+            self.require_one()
         return self.written(corrections)
 
-    def refuse_several(self) -> None:
-        """Raise InputError for more than one calibration, or none."""
+    def require_one(self) -> None:
+        """Raise InputError unless exactly one calibration is given."""
         if len(self.calibrations) != 1 or self.axis or self.device_id:
             raise InputError(
-                "a program is of one calibration, without --axis and --device-id: several, by axis, make parameters "
-                "(--format px4-params or ardupilot-params)"
+                "a program is exported for one calibration, without --axis and --device-id; several axes are exported "
+                "as parameters (--format px4-params or ardupilot-params)"
             )
 
     @property
@@ -561,23 +563,23 @@ class ExportCommand(InUse, DecisionRule, Command):
         return self.local_gravity or STANDARD_GRAVITY
 
     def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
-        """Load files and their corrections; raise InputError for several of which one is of one output."""
-        corrections = [(p, request.correction_from(p, self)) for p in paths or self.calibrations]
+        """Load corrections with their paths; raise InputError if one-output and three-axis ones are mixed."""
+        corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(single) < len(corrections):
-            why = f"{single[0]} is of one output, and others are of three axes: give it alone"
-            raise InputError(why)
+            fault = f"{single[0]} has one output, but others have three axes: export it alone"
+            raise InputError(fault)
         return corrections
 
     def written(self, corrections: Sequence[Any]) -> Answer:
-        """Write corrections to one file, or return them as text; warn of parts that the format cannot hold."""
+        """Write corrections to one file, or return their text; warn of parts that the format cannot represent."""
         from bayescal._use import correction_files as files
 
         programs = [getattr(correction, "program", correction) for correction in corrections]
         kind, format = files.kind_of(programs[0]), files.format_of(self.out, self.format_)
         first_program, *others = programs
-        how = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
-        text = files.as_text(first_program, format, **how)
+        kwargs = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
+        text = files.as_text(first_program, format, **kwargs)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
         names = [program.about_it()[0] for program in programs]
@@ -589,28 +591,28 @@ class ExportCommand(InUse, DecisionRule, Command):
 
 
 class BudgetCommand(InUse, AsJson, Command):
-    """Split the uncertainty of a compensated value (JCGM 100)."""
+    """Print the uncertainty budget of a corrected value."""
 
     example = "bayescal budget result/calibration.nc --at temperature=60"
     calibration: Path = Shared.calibration
-    at: Texts = opt("temperature=60: operating point, in fixed units; repeat for more.")
+    at: Texts = opt("temperature=60: operating point, in fixed units; repeatable.")
     k: float = opt("Coverage factor of the expanded uncertainty.", 2.0, "-k")
 
     def answer(self) -> Answer:
-        chosen = request.compensator_from(self.calibration, self)
-        result = bc.budget(chosen, named_numbers(self.at, "--at"), k=self.k)
-        return Answer(result, **request.reliable({"": chosen}))
+        correction = request.load_compensator(self.calibration, self)
+        result = bc.budget(correction, parse_numbers(self.at, "--at"), k=self.k)
+        return Answer(result, **request.reliable({"": correction}))
 
 
 class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
-    """Write the report for sign-off, in one HTML file."""
+    """Write a report for sign-off as one HTML file."""
 
     example = "bayescal report result -o report.html"
     calibrations: list[Path] = Argument(
-        help="Saved calibrations (.nc), or folders that `bayescal calibrate --out` wrote."
+        help="Calibrations (.nc), or result folders of `bayescal calibrate --out`."
     )
-    out: Path = opt("HTML file to write.", Path("report.html"), "--out", "-o")
-    title: str = opt("Of the report.", "")
+    out: Path = opt("Output file (.html).", Path("report.html"), "--out", "-o")
+    title: str = opt("Title of the report.", "")
     certificate: Path | None = Shared.certificate
     limit: Texts = Shared.limit
 
@@ -618,24 +620,25 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
         certificate = decisions = None
         if self.certificate:
             certificate = first_offered("certificate", "--certificate")(self.certificate)
-        chapters = request.chapters_from(self.calibrations, self)
+        chapters = request.load_chapters(self.calibrations, self)
         if self.limit:
             if len(chapters) != 1:
                 raise InputError(
-                    f"--limit decides about one result, {len(chapters)} were given: report each by itself"
+                    f"--limit applies to one result, but {len(chapters)} were given: report them separately"
                 )
             decide = first_offered("decided", "--limit")
-            decisions = decide(chapters[0].used, self.limit, **self.deciding())
+            decisions = decide(chapters[0].used, self.limit, **self.decision_options())
         texts = {"title": self.title, "certificate": certificate}
-        is_complete = drawn(partial(bc.report, chapters, self.out, decisions=decisions, **texts))
+        report = partial(bc.report, chapters, self.out, decisions=decisions, **texts)
+        is_complete = draw_safely(report)
         verdicts = [c.data["verdict"] for c in chapters]
         return Answer(
             f"written: {self.out}",
             {"file": str(self.out), "chapters": len(chapters)},
             ok=all(v["ok"] for v in verdicts),
             why=" ".join(reason for v in verdicts for reason in v["reasons"]),
-            doubt=decisions.doubt if decisions else "",
-            made=is_complete,
+            warning=decisions.doubt if decisions else "",
+            drawn=is_complete,
         )
 
 

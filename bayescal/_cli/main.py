@@ -1,10 +1,10 @@
 """The command line.
 
-Exit status: 0 done; 1 not converged, or the noise gate failed, or a picture could not be drawn (results are written all
-the same); 2 bad input: one sentence on stderr, or a list of all that is wrong with the files; nothing written. Ctrl-C
-ends with what there is, and the status that this has; 130 where there is nothing yet, and where it is pressed again.
+Exit status: 0: success; 1: not converged, acceptance checks failed, or a figure could not be drawn (results are
+written); 2: invalid input, with a sentence or a list of problems on stderr, and nothing written. Ctrl-C ends with the
+result so far and its status; 130 if there is none yet, or if it is pressed again.
 
-Heavy modules load inside the commands, so that `bayescal --help` answers at once.
+Heavy modules load inside the commands, so that `bayescal --help` is fast.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import format_error, own_file_line
 
-# New objects between two garbage collections: a collection of a million takes a quarter of a second.
-# With Python's default of 700 there are thirty collections while modules load.
+# New objects between two garbage collections; collecting a million takes a quarter of a second. With Python's default
+# of 700 there are thirty collections while modules load.
 COLLECTION_OBJECTS = 1_000_000
 # Placeholder of an option's value in the help, by type.
 METAVARS = {"Path": "FILE", "float": "NUMBER", "int": "INTEGER", "str": "TEXT", "Texts": "TEXT"}
@@ -39,7 +39,7 @@ OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory"
 
 
 def application(name: str | None = None) -> typer.Typer:
-    """Build the application of all commands; parse the options of command `name` only, if given, to save time."""
+    """Build the application of all commands; to save time, only `name`, if given, gets its options."""
     app = typer.Typer(
         name="bayescal",
         help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
@@ -52,7 +52,7 @@ def application(name: str | None = None) -> typer.Typer:
     )
     for group in (commands.COMMANDS, *offered("commands")):
         for command in group:
-            command_name, help_text = command.called(), inspect.getdoc(command)
+            command_name, help_text = command.command_name(), inspect.getdoc(command)
             for parameter in inspect.signature(command).parameters.values():
                 kind = re.search("Path|float|int|str|Texts", str(parameter.annotation))
                 is_option = hasattr(parameter.default, "count")
@@ -66,8 +66,7 @@ def application(name: str | None = None) -> typer.Typer:
 def main() -> NoReturn:
     """Run the command line and exit without Python's clean-up.
 
-    Files are closed and workers have ended. The clean-up of Python and JAX would take 0.9 s and only free memory, which
-    the end of the process frees too.
+    Files are closed and workers have ended; the clean-up of Python and JAX would take 0.9 s and only free memory.
     """
     status = command()
     for stream in (sys.stdout, sys.stderr):
@@ -79,7 +78,7 @@ def main() -> NoReturn:
 
 
 def command() -> int:
-    """Run the requested command and return its exit status. Every error is a sentence on stderr, never a traceback."""
+    """Run the requested command and return its exit status; print errors as sentences on stderr, not as tracebacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for encodings without ° or µ
@@ -94,28 +93,28 @@ def command() -> int:
         sys.stdout.flush()
         return outcome if isinstance(outcome, int) else 0
     except (NotConverged, NotDrawn) as error:
-        return _failed(str(error), 1)
+        return _report_failure(str(error), 1)
     except BayescalError as error:
-        return _failed(str(error), 2, listed=bool(getattr(error, "problems", ())))
+        return _report_failure(str(error), 2, listed=bool(getattr(error, "problems", ())))
     except (typer.Abort, KeyboardInterrupt):
-        return _failed("stopped: what was written before stays as it was", INTERRUPTED)
+        return _report_failure("interrupted: files written before are unchanged", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        return _failed(_user_message(error), 2)
+        return _report_failure(_user_message(error), 2)
 
 
 def _user_message(error: BaseException) -> str:
-    """Format an error that a user can resolve; raise any other."""
+    """Format an error that the user can resolve; re-raise any other."""
     short = isinstance(error, MemoryError) or OUT_OF_MEMORY.search(str(error))
     if short or getattr(error, "errno", None) == errno.ENOMEM:
-        return "too little memory: give fewer readings (--average), or allow more"
+        return "out of memory: average the readings (--average), or provide more memory"
     if isinstance(error, OSError):
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
     file, line = own_file_line(error)
     if line:  # an exception in the user's code, such as a basis
-        return f"{file}, line {line} failed: {format_error(error)}. Mend it, or leave --effects out"
+        return f"{file}, line {line} failed: {format_error(error)}. Correct it, or omit --effects"
     usage = getattr(error, "format_message", None)  # an option that the parser refused
     if usage is None:
         raise error
@@ -124,7 +123,7 @@ def _user_message(error: BaseException) -> str:
     return f"{usage_text}. See: {context.command_path if context else 'bayescal'} --help"
 
 
-def _failed(message: str, status: int, listed: bool = False) -> int:
+def _report_failure(message: str, status: int, listed: bool = False) -> int:
     """Print a message on stderr and return the status."""
     with contextlib.suppress(OSError):  # stderr may be closed
         text = message if listed else " ".join(message.split())

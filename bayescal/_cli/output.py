@@ -1,4 +1,4 @@
-"""Output of commands: formatted text, plain JSON data, a file of predictions."""
+"""Output of commands: text, data for JSON, and a file of predictions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_CHECKS = 3  # covariates in the printed residual checks of the first model, 
 
 
 def format_instruments(listed: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
-    """Format installed instruments as text, and convert them to data."""
+    """Format the installed instruments as text, and as data for JSON."""
     data = {n: {**_describe(i), "columns": [c.name for c in i.columns]} for n, i in listed.items()}
     rows = [[name, unit_label(about["unit"]), about["title"]] for name, about in data.items()]
     return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40)), data
@@ -41,7 +41,7 @@ def _describe(instrument: Instrument) -> dict[str, Any]:
 
 
 def format_instrument(chosen: Instrument) -> tuple[str, dict[str, Any]]:
-    """Format the columns of an instrument's files, and the names of its effects, as text and as data."""
+    """Format the columns and effects of an instrument as text, and as data for JSON."""
     columns, rows = [], []
     for c in chosen.columns:
         is_needed = c.required and c.default is None
@@ -53,8 +53,8 @@ def format_instrument(chosen: Instrument) -> tuple[str, dict[str, Any]]:
     lines = [
         f"{chosen.name}: {chosen.title}",
         f"effects of the first model: {', '.join(baseline)}",
-        f"looked for beside them: {', '.join(candidates)}",
-        f"what each of them is: bayescal effects --instrument {chosen.name}",
+        f"candidate effects: {', '.join(candidates)}",
+        f"description of the effects: bayescal effects --instrument {chosen.name}",
     ]
     title, *notes = map(folded, lines)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
@@ -63,7 +63,7 @@ def format_instrument(chosen: Instrument) -> tuple[str, dict[str, Any]]:
 
 
 def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
-    """Format effects as text, a table per kind ("baseline", …) and a list of sources; and convert them to data."""
+    """Format effects as text (a table per kind, such as "baseline", and sources), and as data for JSON."""
     data, parts, by_source = [], [], dict[str, list[str]]()
     for kind, effects in kinds.items():
         rows = []
@@ -83,8 +83,8 @@ def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
     return "\n\n".join([*parts, "\n".join([SOURCES, *sources])]), data
 
 
-def fit_data(calibration: Calibration) -> dict[str, Any]:
-    """Convert a fit to data."""
+def convert_fit(calibration: Calibration) -> dict[str, Any]:
+    """Convert a fit to data for JSON."""
     verdict = calibration.verdict
     coefficients, hyperparameters = summary(calibration)
     return {
@@ -113,19 +113,19 @@ def _section(heading: str, *parts: object) -> str:
 
 
 class ConsoleReporter:
-    """Print a search's progress: the first table, then a line when the best structure changes or after ten seconds."""
+    """Prints the progress of a search: the first table, then a line per new best structure or every ten seconds."""
 
     def __init__(self, started: bool, verbose: bool = False, channels: Sequence[str] = ()) -> None:
         self.begun, self.verbose, self.channels = started, verbose, [*channels]
         self._printed = dict[str, tuple[int, str]]()
 
     def follow(self, name: str, path: SearchPath) -> None:
-        """Print the progress of a channel's search; `name` is "" for a single output."""
+        """Print the progress of the search of channel `name` ("" for a single output)."""
         if not self.begun:
             print(format_first_model(path, self.verbose), flush=True)
             self.begun = True
         if line := path.progress:
-            assert path.search is not None  # where it has a line
+            assert path.search is not None  # a progress line implies a search
             state = (len(path.steps), str(path.search.structures[0]))
             if state != self._printed.get(name) or progress.silence() >= progress.INTERVAL_SECONDS:
                 number_of = self.channels.index(name) + 1 if name else 0
@@ -135,7 +135,7 @@ class ConsoleReporter:
 
 
 def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> Any:
-    """Return the output of `calibrate`: JSON data, or text."""
+    """Format the output of `calibrate` as data for JSON, or as text."""
     if isinstance(search, SearchPath):
         return result(search) if as_data else format_loop(search, **how)
     texts = (folded(f"{name}: {path.in_short}") for name, path in search.search_paths.items())
@@ -143,12 +143,12 @@ def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> A
 
 
 def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) -> str:
-    """Format the output of `calibrate` from its first model to its last.
+    """Format the output of `calibrate`, from the first model to the last.
 
     Args:
         path: result of the search.
         started: whether the first table has been printed.
-        verbose: include all candidates of every step.
+        verbose: whether to include all candidates of every step.
     """
     final = path.final
     parts = [""] if started else [format_first_model(path, verbose)]
@@ -168,14 +168,14 @@ def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) 
 
 
 def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
-    """Format the coefficients of the model average; if verbose, also those absent from the most probable structure."""
+    """Format the coefficients of the model average; only if verbose, those absent from the most probable structure."""
     final = trail.final.calibration
     tables = unknowns_parts(trail.calibration, None if verbose else final.model.names)
     return "\n".join([*map(str, tables), final.remarks])
 
 
 def format_average(path: SearchPath, verbose: bool = False) -> str:
-    """Format the structures of the model average and their probabilities; "" without an average."""
+    """Format the structures of a model average with their probabilities; "" without an average."""
     if path.average is None:
         return ""
     shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in path.shares]
@@ -195,7 +195,7 @@ def _reason_not_tested(step: Step) -> str:
 
 
 def _missing_lines(path: SearchPath) -> list[str]:
-    """Format the effects missing from each step, with probabilities, unless added alone; doubts about units once."""
+    """Format the missing effects of each step, except those added singly, and questions about units."""
     lines, questions = list[str](), dict[Claim, None]()
     model, threshold = path.final.calibration.model, settings().found_probability
     added_alone = {
@@ -216,7 +216,7 @@ def _missing_lines(path: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """Write the readings with columns predicted, predicted_standard_uncertainty, residual."""
+    """Write readings with the columns predicted, predicted_standard_uncertainty and residual."""
     p = prediction
     columns = {"predicted": p.mean, "predicted_standard_uncertainty": p.sd, "residual": p.residual}
     for name, values in columns.items():

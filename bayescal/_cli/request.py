@@ -1,4 +1,4 @@
-"""Objects that command-line options request: instrument, model, readings, method; saved calibrations and corrections.
+"""Objects that command-line options request: instrument, model, readings, method, calibrations, corrections.
 
 Invalid files are refused before JAX loads; samplers and other heavy modules load with the first calibration.
 """
@@ -18,7 +18,7 @@ from bayescal._cli.options import (
     ReadRequest,
     SearchRequest,
     UsedParts,
-    named_numbers,
+    parse_numbers,
 )
 from bayescal._core.annex import first_offered
 from bayescal._core.errors import InputError
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from bayescal._report.result_json import Chapter
     from bayescal._use.compensation_program import CorrectionInUse
 
-LONG_LOG_READINGS = 20_000  # above which means over short times have nearly the same information
+LONG_LOG_READINGS = 20_000  # number of readings above which averaging loses little information
 
 
 def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]:
-    """Return the requested instrument, model and readings; the instrument tailored to the readings."""
+    """Return the requested instrument, adapted to the readings, the model and the readings."""
     _, models, readings = open_channels((), request)
     return models[""].instrument, models[""], readings[""]
 
@@ -55,7 +55,7 @@ def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]
 def open_channels(
     names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Return instrument, models and readings of channels (none named: one, called ""), models tailored to them."""
+    """Return the instrument, and models and readings by channel (a single output: ""), models adapted to readings."""
     instrument = instrument_named(request.instrument)
     records = _read(request.files, instrument, request, names)
     for record in records.values():
@@ -63,7 +63,7 @@ def open_channels(
         averages = request.average is not None or instrument.outputs
         if len(record) > LONG_LOG_READINGS and record.has("time") and not averages:
             mean = f"--average TIME, means of {-(-len(record) // LONG_LOG_READINGS)} or more"
-            note = f"{len(record):,} readings: {mean}, leaves nearly the same information"
+            note = f"{len(record):,} readings: {mean}, loses little information"
             print_notes([f"{record.file}: {note}"])
     readings = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
     models = {}
@@ -79,7 +79,7 @@ def open_channels(
 def load_effects(
     request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Load user-defined effects, of a file and typed; raise InputError for an invalid file or formula."""
+    """Load user-defined effects from --effects and --effect; raise InputError for an invalid file or formula."""
     typed = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
     return (*load_user_effects(request.effects_file), *typed)
 
@@ -89,12 +89,12 @@ def _read(
 ) -> dict[str, Measurements]:
     options |= {"outputs": list(names)} if names else {}
     with stage("reading"):
-        readings = bc.read(list(files), kind, **request.for_read(), **options)
+        readings = bc.read(list(files), kind, **request.read_options(), **options)
     return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
 
 
 def average(readings: Measurements, average: str | None, keep_spikes: bool = False) -> Measurements:
-    """Average readings by --average, after removal of clipped readings and spikes, which a mean would hide."""
+    """Exclude clipped readings and spikes, then average by --average; return the readings unchanged without it."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -103,7 +103,7 @@ def average(readings: Measurements, average: str | None, keep_spikes: bool = Fal
 
 
 def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) -> Model:
-    """Compose the requested model: a structure or the baseline, effects added, coefficients fixed."""
+    """Compose the requested model: a structure or the baseline, with added effects and fixed coefficients."""
     effects = {effect.name: effect for effect in added}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
     structure = request.structure or ""
@@ -119,11 +119,11 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
         column, _, path = text.rpartition("=")
         read_certificate = first_offered("reference_dcc", "--reference-dcc")
         model = model + read_certificate(path, instrument, column or "temperature")
-    return model.fix(named_numbers(request.fix, "--fix"))
+    return model.fix(parse_numbers(request.fix, "--fix"))
 
 
-def noise_named(name: str, model: Model, readings: Measurements) -> Noise:
-    """Return a noise model by name: the model's own, or one that a search would compare on these readings."""
+def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
+    """Return the noise law of a name: the model's, or one that a search would compare for these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
@@ -132,21 +132,21 @@ def noise_named(name: str, model: Model, readings: Measurements) -> Noise:
     models = {model.noise.name: model.noise, **laws_over(model, frame)}
     if name not in models:
         raise InputError(
-            f"--noise {name!r}: for this model and these readings there are {', '.join(models)}. A law of your own is "
-            "offered by its file: --effects my_law.py"
+            f"--noise {name!r} is not one of {', '.join(models)}. Your own law is loaded from its file: "
+            "--effects my_law.py"
         )
     return models[name]
 
 
-def method_named(name: str) -> Method:
-    """Return a method with its standard settings, by its name on the command line."""
+def create_method(name: str) -> Method:
+    """Return the method of inference of a command-line name, with default settings."""
     return getattr(bc, METHODS[name])()
 
 
 def searched(
     names: Sequence[str], request: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
-    """Return models, readings and hold-out data by channel ("" for one output); print the readings' flags."""
+    """Return models, readings and hold-out data by channel ("": a single output); print the readings' flags."""
     instrument, models, readings = open_channels(names, request)
     holdout = {}
     if request.holdout:
@@ -158,7 +158,7 @@ def searched(
 
 
 def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
-    """List the channels' flags: those common to all channels once, others with the channel's name."""
+    """List the flags of readings: once if common to all channels, else with the channel's name."""
     names_by_flag = dict[str, list[str]]()
     for name, record in readings.items():
         for flag in record.flags:
@@ -188,8 +188,8 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
                 units = (k for k, words in PREFIXES.items() if normalise(label).startswith(words))
                 if any(not is_convertible(kind, unit) for kind in units):
                     raise InputError(
-                        f"{record.file}: the column {group!r} names {label!r}, whose output is not in "
-                        f"{unit or 'no unit'}: give the readings of each sensor in a file of their own"
+                        f"{record.file}: the column {group!r} contains {label!r}, a sensor whose output is not in "
+                        f"{unit or 'no unit'}: give the readings of each sensor in a separate file"
                     )
     return parts
 
@@ -198,32 +198,31 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
 
 
 def reliable(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
-    """Return whether results are fit for use, and the reason if not, as keyword arguments of `Answer`."""
+    """Return whether results are fit for use, and the reasons if not, as keyword arguments of `Answer`."""
     reasons = [f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not]
     return {"ok": not reasons, "why": "; ".join(reasons)}
 
 
-def _user_parts(parts: OwnParts) -> dict[str, Any]:
-    """Return the user's effects and instrument as keyword arguments of `bc.load`."""
+def _load_user_parts(parts: OwnParts) -> dict[str, Any]:
+    """Load user-defined effects and instrument as keyword arguments of `bc.load`."""
     named = parts.instrument_file
     instruments = () if named is None else (instrument_named(named),)
     return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
 
 def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
-    """Load a saved calibration, or the one of a result folder.
+    """Load a saved calibration, or that of a result folder.
 
     Args:
         path: file or folder.
-        user: the user's effects and instrument; and whether to load the average over structures instead, if the folder
-            has one.
+        user: user-defined effects and instrument, and whether to load the average over structures, if there is one.
 
     Raises:
         InputError: the calibration cannot be loaded, or differs from the hash in its folder's manifest.
     """
     if (path / CHANNELS).is_file():
         raise InputError(
-            f"{path} holds several channels: name the folder of one, such as {of_units([path])[0]}"
+            f"{path} contains several channels: give the folder of one, such as {of_units([path])[0]}"
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
     if isinstance(user, UsedParts) and path.name == CALIBRATION:
@@ -233,29 +232,29 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
         if user.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
     refuse_mixed(path.parent, path.name)
-    return bc.load(path, **_user_parts(user))
+    return bc.load(path, **_load_user_parts(user))
 
 
-def compensator_from(path: Path, user: InUse) -> bc.Compensator:
+def load_compensator(path: Path, user: InUse) -> bc.Compensator:
     """Load the compensator of one output from a saved calibration."""
-    correction = correction_from(path, user)
+    correction = load_correction(path, user)
     if not isinstance(correction, bc.Compensator):
         raise InputError(
-            f"{path} is of three axes: `bayescal export` writes its correction, in Python bc.vector_correction makes it"
+            f"{path} has three axes: use `bayescal export`, in Python bc.vector_correction, for its correction"
         )
     return correction
 
 
-def correction_from(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
-    """Load the correction of a saved calibration, of one output or of three axes."""
+def load_correction(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
+    """Load the correction of a saved calibration with one output or three axes."""
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=user.members)
-    return first_offered("corrected", f"{path} is of three axes: to correct them")(calibration)
+    return first_offered("corrected", f"{path} has three axes: their correction")(calibration)
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:
-    """Replace the folder of a unit by its channels' folders, or by a file in each."""
+    """Replace each folder of several channels by the channels' folders, or by a file in each."""
     folders: list[Path] = []
     for path in paths:
         unit = (path / CHANNELS).is_file()
@@ -263,10 +262,10 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return folders
 
 
-def chapters_from(paths: list[Path], user: OwnParts) -> list[Chapter]:
-    """Load the chapters of a report: saved calibrations, and folders with the search that led to one."""
+def load_chapters(paths: list[Path], user: OwnParts) -> list[Chapter]:
+    """Load the chapters of a report, from saved calibrations and result folders."""
     from bayescal._report.result_json import chapters, read_chapter
 
-    parts, files = _user_parts(user), of_units(paths)
+    parts, files = _load_user_parts(user), of_units(paths)
     loaded = (read_chapter(p, **parts) if p.is_dir() else load_saved(p, user) for p in files)
     return chapters(loaded, parts["effects"])

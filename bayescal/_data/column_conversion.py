@@ -75,7 +75,8 @@ def _load_cells(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cel
     columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
     requested = {positions[n]: c.unit is not None for n, c in columns.items()}
     is_date = [normalise(h.name) in DATE_NAMES and not h.unit for h in table.headers]
-    days = [i for i in np.flatnonzero(is_date) if "time" in columns and i != positions["time"]]
+    days = np.flatnonzero(is_date).tolist() if "time" in columns else []
+    days = [i for i in days if i != positions["time"]]
     dates = dict.fromkeys(days, True) if len(days) == 1 else {}
     cells = load_whole(table, requested | dates)
     loaded = {name: cells[positions[name]] for name in columns}

@@ -108,4 +108,4 @@ def options_of(said: str) -> dict[str, Any]:
 
     app = typer.Typer()
     app.command()(Taken)
-    return app(shlex.split(said), standalone_mode=False).for_read()
+    return app(shlex.split(said), standalone_mode=False).read_options()

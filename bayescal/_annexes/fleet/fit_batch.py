@@ -175,7 +175,7 @@ def fit_batch(
     options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
     paths, missing, left_out = _paths(readings), dict[str, str](), dict[str, str]()
-    ws.refuse_missing([path for path in paths if not path.is_dir()])
+    ws.check_files_exist([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):

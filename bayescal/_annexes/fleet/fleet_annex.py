@@ -44,12 +44,12 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
             batch = bc.fit_batch(
                 model,
                 self.files,
-                method=ws.method_named(self.method),
+                method=ws.create_method(self.method),
                 seed=self.seed,
-                reference={**ws.named_numbers(self.reference, "--reference")},
+                reference={**ws.parse_numbers(self.reference, "--reference")},
                 client=client,
                 out=self.out,
-                columns=self.for_read(),
+                columns=self.read_options(),
                 find=self.find,
                 effects=effects,
             )

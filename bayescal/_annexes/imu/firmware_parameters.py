@@ -444,7 +444,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
         return cmd.written([compensator for _, compensator in loaded])
     compensators = _by_axis(loaded, cmd)
     devices = dict[str, int]()
-    for name, value in ws.named_values(cmd.device_id, "--device-id").items():
+    for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
         if not value.isdecimal():
             raise bc.InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
         devices[name] = int(value)
@@ -460,8 +460,8 @@ def _by_axis(
     """Return calibrations by axis, as their readings or the user name it."""
     compensators = dict[str, bc.Compensator]()
     candidates = [(axis_of(c.calibration), p, c) for p, c in loaded]
-    pairs = ws.named_values(cmd.axis, "--axis").items()
-    candidates += [(name, Path(p), ws.compensator_from(Path(p), cmd)) for name, p in pairs]
+    pairs = ws.parse_pairs(cmd.axis, "--axis").items()
+    candidates += [(name, Path(p), ws.load_compensator(Path(p), cmd)) for name, p in pairs]
     for name, path, compensator in candidates:
         if name is None:
             raise bc.InputError(

@@ -83,7 +83,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         why = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
         data = {place: triad.correction.data() for place, triad in triads.items()}
         json_data = data.get("", data) if self.json_ else None
-        return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), made=drawn)
+        return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), drawn=drawn)
 
 
 class TriadCommand(TriadOptions, ws.Command):
@@ -138,8 +138,8 @@ class ImuCommand(TriadOptions, ws.Command):
         """Read each triad's columns of the log; raise InputError with the objections of both."""
         logs, problems = [], ws.Objections()
         for sensors, name in SENSORS.items():
-            instrument, options = ws.instrument_named(name), self.for_read()
-            three = ws.names_in(text := getattr(self, sensors))
+            instrument, options = ws.instrument_named(name), self.read_options()
+            three = ws.split_names(text := getattr(self, sensors))
             if len(three) not in (0, 3):
                 raise bc.InputError(
                     f"--{sensors} {text!r}: give three, as ax,ay,az, not {len(three)}"
@@ -179,15 +179,15 @@ def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
 def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
     """Draw pictures and a report of each triad, and one report of all; return whether all were drawn."""
     trails = {place: triad.trail for place, triad in triads.items()}
-    outcomes = [ws.drawn(ws.draw_search, trails, folder)]
+    outcomes = [ws.draw_safely(ws.draw_search, trails, folder)]
 
     def reports() -> None:
         with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as hidden:
             for place, chapters in {**trails, "": [*trails.values()]}.items():
                 (hidden / place).mkdir(exist_ok=True)
-                outcomes.append(ws.drawn(bc.report, chapters, hidden / place / REPORT))
+                outcomes.append(ws.draw_safely(bc.report, chapters, hidden / place / REPORT))
 
-    return all((ws.drawn(reports), *outcomes))
+    return all((ws.draw_safely(reports), *outcomes))
 
 
 def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:

@@ -33,7 +33,7 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
         decisions = bc.decide(
             ws.load_saved(self.calibration, self),
             self.limit,
-            **self.deciding(),
+            **self.decision_options(),
             population=self.population,
             conformity=self.conformity,
             members=self.members,
@@ -41,7 +41,7 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
         )
         if self.out is not None:
             ws.write_json(decisions.data(), self.out, indent=1)
-        return ws.Answer(decisions, doubt=decisions.doubt)
+        return ws.Answer(decisions, warning=decisions.doubt)
 
 
 def certified(command: ws.ExportCommand) -> ws.Answer:
@@ -56,7 +56,7 @@ def certified(command: ws.ExportCommand) -> ws.Answer:
         )
     calibration = ws.load_saved(path, command)
     if command.limit:
-        how = {"members": command.members, "local_gravity": gravity, **command.deciding()}
+        how = {"members": command.members, "local_gravity": gravity, **command.decision_options()}
         decided = bc.decide(calibration, command.limit, **how)
     text = dcc_text(calibration, command.certificate, gravity, decided)
     if command.out is not None:
