@@ -74,10 +74,9 @@ def _load_cells(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cel
     table, positions = file.table, file.positions
     columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
     requested = {positions[n]: c.unit is not None for n, c in columns.items()}
-    is_date = [normalise(h.name) in DATE_NAMES and not h.unit for h in table.headers]
-    days = np.flatnonzero(is_date).tolist() if "time" in columns else []
-    days = [i for i in days if i != positions["time"]]
-    dates = dict.fromkeys(days, True) if len(days) == 1 else {}
+    names = {i: normalise(h.name) for i, h in enumerate(table.headers) if not h.unit}
+    days = [i for i, n in names.items() if n in DATE_NAMES and i != positions.get("time")]
+    dates = dict.fromkeys(days, True) if len(days) == 1 and "time" in columns else {}
     cells = load_whole(table, requested | dates)
     loaded = {name: cells[positions[name]] for name in columns}
     for day in dates:
