@@ -166,7 +166,7 @@ class SensorNoise(Printed):
         probable = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= MIN_PROBABILITY
         ]
-        doubts = [f"Not to be used as they are: {c}" for c in self.claims if c.severity != "note"]
+        doubts = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
         term = "term" + " of a law that does not fit" * bool(doubts)
         terms = plain_table([term, "value", "95 % interval", "SI"], rows, fold=40)
         which = "Best noise law, which does not fit" if doubts else "Noise law (probability)"

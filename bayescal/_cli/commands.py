@@ -458,12 +458,12 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                 written.extend(folder / picture for picture in pictures)
 
             drawn_all = folder is None or draw_safely(draw, folder)
-            claims = ((name, claim) for name, result in results.items() for claim in result.claims)
-            warnings = (f"{name}: {claim}" for name, claim in claims if claim.severity != "note")
+            doubted = [n for n, r in results.items() if any(c.severity != "note" for c in r.claims)]
+            warning = f"not to be used as they are: {', '.join(doubted)}" if doubted else ""
             return Answer(
                 "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
                 {name: result.data() for name, result in results.items()},
-                warning=" ".join(warnings),
+                warning=warning,
                 drawn=drawn_all,
                 written=", ".join(map(str, written)),
             )
