@@ -9,9 +9,9 @@ import numpy as np
 
 from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal_models import differential_pair, mems_gyro
-from bayescal_models.differential_pair.simulator import columns_and_truth
+from bayescal_models.differential_pair.simulator import simulate_batch
 from bayescal_models.inclinometer.campaign import X, Y
-from bayescal_models.inclinometer.simulator import MEAN_TEMPERATURE
+from bayescal_models.inclinometer.simulator import MEAN_TEMPERATURE_DEGC
 from bayescal_models.ng_accelerometer.campaign import TRUTH_A
 from bayescal_models.quartz_beam_accelerometer.simulator import CUBIC
 from benchmarks.spoilt_records.subject import Columns, Shift, Subject
@@ -33,7 +33,7 @@ def _tilted(c: Columns) -> np.ndarray:
 
 def _of_devices(seed: int, hidden: Mapping[str, float]) -> dict[str, float]:
     """Scale factors of the accelerometers on the arm, ppm."""
-    _, truth = columns_and_truth(hidden, seed=seed, campaign=BATCH)
+    _, truth = simulate_batch(hidden, seed=seed, campaign=BATCH)
     pairs = zip(truth.names, truth.scale, strict=True)
     return {f"scale.device({name})": 1e6 * (scale - 1.0) for name, scale in pairs}
 
@@ -142,7 +142,7 @@ SUBJECTS = {
             polynomials=tuple(
                 (f"zero.constant({axis})", f"zero.temperature({axis})") for axis in "xy"
             ),
-            T0=MEAN_TEMPERATURE,
+            T0=MEAN_TEMPERATURE_DEGC,
         ),
         Subject(
             "differential_pair",

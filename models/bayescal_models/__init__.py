@@ -1,13 +1,13 @@
-"""The instruments. To add one, add a folder beside these and a line here.
+"""Instruments, one package each. To add one, add a package here and its name to `INSTRUMENTS`.
 
-Each instrument's folder says in `__init__.py` what its files hold; the public names, in `__init__.pyi`, load
-on first use. Its `model` holds `INSTRUMENT`, its docstring is the data sheet. Its
-`reference_problem` is small, with proper priors; intervals must cover on it, and methods agree:
+An instrument's `__init__.py` declares the columns of its files; its public names, listed in `__init__.pyi`, are loaded
+on first use. Its module `model` defines `INSTRUMENT`; the docstring of `model` is the data sheet. Its
+`reference_problem` has few readings and proper priors; on it the coverage of intervals and the agreement of methods
+are tested:
 
     model, readings = reference_problem.model(), reference_problem.readings()
 
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS. Where there is one,
-`hidden(effects, seed)` makes readings of a fuller test with effects hidden in them, as `simulate` takes them.
+`reference_posterior.json` contains the posterior for `readings(seed=0)` from long NUTS runs.
 """
 
 INSTRUMENTS = (

@@ -1,20 +1,20 @@
-"""Catalogue: factories of the effects that instruments share, and the table of effects of an instrument.
+"""Catalogue: factories of effects that instruments have in common, and the table of an instrument's effects.
 
-    EFFECTS = EffectTable.of(
+    EFFECTS = EffectTable.from_rows(
         "data sheet of the sensor; size ours",
         baseline=(("bias.constant", constant, 50.0, "deg/s"), ("bias.temperature", linear, 0.05, "deg/s/degC")),
         candidates=(
             ("bias.warm_up", warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),
-            *recorded("bias", "deg/s", size=0.6, span=25.0, pace=1.0),
+            *make_common_effects("bias", "deg/s", size=0.6, span=25.0, pace=1.0),
         ),
     )
 
-A row has the canonical name, `slot.cause`; the family, a factory; the plausible size, a prior standard deviation
-(for a learned standard deviation: its prior's scale), with its unit; and the source, if not that of the table.
-`recorded` has the families of quantities that any test records: a thermometer, a clock, the supply voltage. A row
-higher up in an instrument's table replaces the one of the same name there.
-Effects of one instrument are built from a basis by `effect`, or by `family` for several slots with the same basis;
-an effect whose coefficients have different sizes is in the table as an `Effect`.
+A row is (canonical name `slot.cause`, factory, plausible size, unit) or these and a source that replaces the table's.
+The plausible size is the standard deviation of the prior or, for a group standard deviation, the scale of its prior.
+`make_common_effects` builds the effects of quantities that every test records: temperature, time, supply voltage. Of
+two rows with the same name the first is used. `effect` makes the factory of an effect of one instrument from a basis,
+`family` that of an effect on several slots with the same basis. An effect whose coefficients have different sizes
+stands in the table as an `Effect`.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from bayescal_models.simulated import HOUR as HOUR
 from bayescal_models.simulated import MINUTE as MINUTE
 from bayescal_models.supply import SUPPLY
 
-SIGNS = ("", "²", "³", "⁴", "⁵")
+POWERS = ("", "²", "³", "⁴", "⁵")
 
-Maker = Callable[[str, Any, str, str], bc.Effect]
-Row = tuple[str, Maker, Any, str] | tuple[str, Maker, Any, str, str] | bc.Effect
+Factory = Callable[[str, Any, str, str], bc.Effect]
+Row = tuple[str, Factory, Any, str] | tuple[str, Factory, Any, str, str] | bc.Effect
 
 
 @dataclass(frozen=True)
 class EffectTable:
-    """The effects of an instrument.
+    """Table of the effects of an instrument.
 
     Attributes:
         baseline: effects of a first calibration.
         candidates: effects that may be missing from it.
-        others: effects of named models only.
+        others: effects that only the instrument's named models contain.
     """
 
     baseline: tuple[bc.Effect, ...]
@@ -54,7 +54,7 @@ class EffectTable:
     others: tuple[bc.Effect, ...]
 
     @classmethod
-    def of(
+    def from_rows(
         cls,
         source: str,
         *,
@@ -62,60 +62,60 @@ class EffectTable:
         candidates: Iterable[Row] = (),
         others: Iterable[Row] = (),
     ) -> EffectTable:
-        """Build a table from rows; `source` is the default source. Of rows with the same name the first is used."""
+        """Build a table from rows with a default source. Of rows with the same name the first is used."""
         used_names: set[str] = set()
 
-        def make(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
+        def build_effects(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
             by_name: dict[str, bc.Effect] = {}
             for row in rows:
-                e = row if isinstance(row, bc.Effect) else _effect(source, *row)
+                e = row if isinstance(row, bc.Effect) else _make_effect(source, *row)
                 by_name.setdefault(e.name, e)
             effects = tuple(e for name, e in by_name.items() if name not in used_names)
             used_names.update(by_name)
             return effects
 
-        return cls(make(baseline), make(candidates), make(others))
+        return cls(build_effects(baseline), build_effects(candidates), build_effects(others))
 
     def __getitem__(self, name: str) -> bc.Effect:
         return next(e for e in (*self.baseline, *self.candidates, *self.others) if e.name == name)
 
 
-def _effect(
-    source: str, name: str, maker: Maker, size: Any, unit: str, *source_of_row: str
+def _make_effect(
+    source: str, name: str, factory: Factory, size: Any, unit: str, *row_source: str
 ) -> bc.Effect:
-    return maker(name, size, unit, *(source_of_row or (source,)))
+    return factory(name, size, unit, *(row_source or (source,)))
 
 
-# The families of `bayescal.effects`.
+# Factories that wrap those of `bayescal.effects`.
 
 
-def _general(maker: Callable[..., bc.Effect], **options: Any) -> Maker:
-    def make(name: str, size: Any, unit: str, source: str) -> bc.Effect:
-        return maker(name.partition(".")[0], size, unit, source=source, **options)
+def _adapt(factory: Callable[..., bc.Effect], **options: Any) -> Factory:
+    def make_effect(name: str, size: Any, unit: str, source: str) -> bc.Effect:
+        return factory(name.partition(".")[0], size, unit, source=source, **options)
 
-    return make
+    return make_effect
 
 
-constant = _general(effects.constant)
-linear, quadratic = _general(effects.linear), _general(effects.quadratic)
-cubic, quartic = _general(effects.cubic), _general(effects.quartic)
-hysteresis, drift = _general(effects.hysteresis), _general(effects.drift)
+constant = _adapt(effects.constant)
+linear, quadratic = _adapt(effects.linear), _adapt(effects.quadratic)
+cubic, quartic = _adapt(effects.cubic), _adapt(effects.quartic)
+hysteresis, drift = _adapt(effects.hysteresis), _adapt(effects.drift)
 
 
 def deviation(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """Build a deviation for each member of a group, such as `bias.run`, with a learned standard deviation."""
+    """Build a random effect with one deviation per group member, such as `bias.run`; their sd is estimated."""
     slot, _, per = name.partition(".")
     return effects.deviation(slot, per, size, unit, source=source)
 
 
-def warm_up(low: float, high: float) -> Maker:
-    """Build the maker of a warm-up within a run, of time constant `low` to `high`, s."""
-    return _general(effects.warm_up, low=low, high=high)
+def warm_up(low: float, high: float) -> Factory:
+    """Make the factory of a warm-up after each power-on; its time constant is between `low` and `high`, s."""
+    return _adapt(effects.warm_up, low=low, high=high)
 
 
-def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Maker:
-    """Build the maker of a lag proportional to temperature, of time constant `low` to `high`, s."""
-    return _general(effects.temperature_x_lag, low=low, high=high, column=column)
+def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Factory:
+    """Make the factory of (T − T0) times a thermal lag; its time constant is between `low` and `high`, s."""
+    return _adapt(effects.temperature_x_lag, low=low, high=high, column=column)
 
 
 def thermal_lag(
@@ -124,33 +124,35 @@ def thermal_lag(
     start: float,
     start_unit: str,
     rate: tuple[Any, ...] = (),
-    **further: Any,
-) -> Maker:
-    """Build the maker of a thermal lag of time constant `low` to `high`, s.
+    **options: Any,
+) -> Factory:
+    """Make the factory of a thermal lag.
 
     Args:
-        start, start_unit: plausible contribution of its state at the start of a run, and its unit.
-        rate: size and unit of its form for short τ, a rate, and its source if another; none if empty.
-        further: options of `effects.thermal_lag`.
+        low, high: limits of the time constant τ, s.
+        start, start_unit: plausible contribution of the lag at the start of a run, and its unit.
+        rate: size and unit of c·dT/dt, the alternative form for short τ, and its source; no such form if empty.
+        options: further options of `effects.thermal_lag`.
     """
 
-    def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    def make_effect(name: str, size: float, unit: str, source: str) -> bc.Effect:
         slot, _, cause = name.partition(".")
-        body = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
+        fixed = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
         if rate:
-            body["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
-        return effects.thermal_lag(slot, size, unit, source=source, **body, **further)
+            fixed["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
+        return effects.thermal_lag(slot, size, unit, source=source, **fixed, **options)
 
-    return make
-
-
-# Families of quantities that every test records, for a slot of any instrument.
-
-SHORT, LONG = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)  # s, ranges of lag times
-LAG, SLOW = 5.0, 40.0  # min, lag times at which a lag of a quarter of the size is plausible
+    return make_effect
 
 
-def recorded(
+# Effects of quantities that every test records, for a slot of any instrument.
+
+# Ranges of time constants of a lag, s.
+SHORT_LAG_S, LONG_LAG_S = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)
+LAG_MIN, SLOW_MIN = 5.0, 40.0  # min, time constants at which a lag is plausibly size/4
+
+
+def make_common_effects(
     slot: str,
     unit: str,
     *,
@@ -163,72 +165,73 @@ def recorded(
     per: str | None = None,
     source: str = "",
 ) -> tuple[bc.Effect, ...]:
-    """Build the families of a thermometer, a clock and a supply's voltage, sized by the slot's plausible change.
+    """Build the effects of temperature, time and supply voltage on a slot; sizes follow from its plausible change.
 
     Args:
-        slot: slot that they add to.
-        unit: unit of `size`, and of the coefficients.
+        slot: slot that the effects contribute to.
+        unit: unit of `size`; the units of the coefficients derive from it.
         size: plausible change of the slot over a test.
-        span: half the range of the temperature, °C.
-        pace: plausible rate of the temperature, °C/min.
+        span: half the temperature range, °C.
+        pace: plausible temperature rate, °C/min.
         column: column of the thermometer.
         order: highest power of the temperature; the fourth is nearly collinear with the second.
-        causes: names of the families to build, without the slot; all if empty.
-        per: group with one coefficient per member; None for a single one.
-        source: source text with placeholders for the share of `size` and where it is reached; ours if empty.
+        causes: effects to build, named without the slot; all if empty.
+        per: group with one coefficient per member; None: one coefficient.
+        source: template of the source text; its two fields take the fraction of `size` and the condition for it.
     """
     source = source or f"ours: {{:g}} of {size:g} {unit}{{}}"
-    half, q, of = 0.5 * size, 0.25 * size, f"{unit}/degC"
-    at_end = ", from the middle to an end of the temperatures"
-    at_pace = " at the mean rate of the temperature"
-    lags, lags_slowly = (f"{at_pace} and a lag of {t:g} min" for t in (LAG, SLOW))
-    rate = (q / pace, f"{unit}/(degC/min)", source.format(0.25, at_pace))
-    short = thermal_lag(*SHORT, q, unit, rate=rate, column=column)
-    power = partial(_general, column=column, name=column)
-    slow, grows = thermal_lag(*LONG, q, unit, column=column), temperature_x_lag(*SHORT, column)
-    turning = _general(effects.hysteresis, column=column, widths=(0.01 * span, 0.5 * span, "degC"))
-    supplied = effect(_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
-    product = effect(partial(_by_supply, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
-    powers: tuple[tuple[str, Maker, float, str, float, str], ...] = (
-        (column, power(effects.linear), size / span, of, 1.0, at_end),
-        (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{of}^2", 0.5, at_end),
-        (f"{column}_cubic", power(effects.cubic), q / span**3, f"{of}^3", 0.25, at_end),
-        (f"{column}_quartic", power(effects.quartic), q / span**4, f"{of}^4", 0.25, at_end),
+    half, q, slope = 0.5 * size, 0.25 * size, f"{unit}/degC"
+    end = ", from the middle to an end of the temperatures"
+    pace_text = " at the mean rate of the temperature"
+    lag_text, slow_text = (f"{pace_text} and a lag of {t:g} min" for t in (LAG_MIN, SLOW_MIN))
+    rate = (q / pace, f"{unit}/(degC/min)", source.format(0.25, pace_text))
+    short_lag = thermal_lag(*SHORT_LAG_S, q, unit, rate=rate, column=column)
+    power = partial(_adapt, column=column, name=column)
+    slow_lag = thermal_lag(*LONG_LAG_S, q, unit, column=column)
+    lag_cross = temperature_x_lag(*SHORT_LAG_S, column)
+    backlash = _adapt(effects.hysteresis, column=column, widths=(0.01 * span, 0.5 * span, "degC"))
+    supply = effect(_supply_deviation, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
+    product = effect(partial(_supply_product, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
+    powers: tuple[tuple[str, Factory, float, str, float, str], ...] = (
+        (column, power(effects.linear), size / span, slope, 1.0, end),
+        (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{slope}^2", 0.5, end),
+        (f"{column}_cubic", power(effects.cubic), q / span**3, f"{slope}^3", 0.25, end),
+        (f"{column}_quartic", power(effects.quartic), q / span**4, f"{slope}^4", 0.25, end),
     )
     rows = (
         *powers[:order],
-        ("thermal_lag", short, q / (pace * LAG), of, 0.25, lags),
-        ("thermal_lag_slow", slow, q / (pace * SLOW), of, 0.25, lags_slowly),
-        ("temperature_x_lag", grows, q / (pace * LAG * span), f"{of}^2", 0.25, lags),
-        ("hysteresis", turning, q, unit, 0.25, ""),
+        ("thermal_lag", short_lag, q / (pace * LAG_MIN), slope, 0.25, lag_text),
+        ("thermal_lag_slow", slow_lag, q / (pace * SLOW_MIN), slope, 0.25, slow_text),
+        ("temperature_x_lag", lag_cross, q / (pace * LAG_MIN * span), f"{slope}^2", 0.25, lag_text),
+        ("hysteresis", backlash, q, unit, 0.25, ""),
         ("warm_up", warm_up(2 * MINUTE, 40 * MINUTE), half, unit, 0.5, ""),
         ("drift", drift, half, unit, 0.5, ""),
         ("run", deviation, q, unit, 0.25, ""),
-        ("supply", supplied, size, f"{unit}/V", 1.0, " at 1 V"),
-        ("temperature_x_supply", product, half / span, f"{of}/V", 0.5, f" at 1 V{at_end}"),
+        ("supply", supply, size, f"{unit}/V", 1.0, " at 1 V"),
+        ("temperature_x_supply", product, half / span, f"{slope}/V", 0.5, f" at 1 V{end}"),
     )
     return tuple(
-        _per_member(maker(f"{slot}.{cause}", size_of_row, its, source.format(share, where)), per)
-        for cause, maker, size_of_row, its, share, where in rows
+        _expand(factory(f"{slot}.{cause}", row_size, row_unit, source.format(fraction, text)), per)
+        for cause, factory, row_size, row_unit, fraction, text in rows
         if not causes or cause in causes
     )
 
 
-def _supply(r: bc.Frame) -> Any:
+def _supply_deviation(r: bc.Frame) -> Any:
     low, high = (r.reference[f"{SUPPLY.name}_{end}"] for end in ("low", "high"))
     return r[SUPPLY.name] - 0.5 * (low + high)
 
 
-def _by_supply(column: str, r: bc.Frame) -> Any:
-    return r.centred(column) * _supply(r)
+def _supply_product(column: str, r: bc.Frame) -> Any:
+    return r.centred(column) * _supply_deviation(r)
 
 
-def _per_member(base: bc.Effect, group: str | None) -> bc.Effect:
-    """Give an effect and its forms one coefficient per member of a group."""
+def _expand(base: bc.Effect, group: str | None) -> bc.Effect:
+    """Give an effect and its alternative forms one coefficient per member of a group; None: leave it unchanged."""
     if group is None:
         return base
     coefficients = (c if c.per or c.known else replace(c, per=group) for c in base.coefficients)
-    forms = tuple(_per_member(form, group) for form in base.forms)
+    forms = tuple(_expand(form, group) for form in base.forms)
     return replace(base, coefficients=tuple(coefficients), forms=forms)
 
 
@@ -243,33 +246,33 @@ def effect(
     parts: Sequence[str] = ("",),
     slots: Sequence[str] = (),
     per: str | None = None,
-    learned: Any = None,
+    group_sd_prior: Any = None,
     varies: tuple[str, ...] | None = None,
     **fields: Any,
-) -> Maker:
-    """Build the maker of an effect whose coefficients, one for each part, have one size.
+) -> Factory:
+    """Make the factory of an effect whose coefficients have the same size, one coefficient per basis column.
 
     Args:
-        basis: basis function with one column per part.
-        equation: text for reports.
-        columns: columns that readings must have.
-        slot: slot, if not the one in the name.
+        basis: basis function, one column per coefficient.
+        equation: equation of the contribution, for reports.
+        columns: columns that the readings must have.
+        slot: slot; by default the one in the effect's name.
         parts: names of the coefficients.
-        slots: slot of each part, if they differ.
-        per: group with one coefficient per member.
-        learned: type of the prior of their standard deviation, of scale `size`; None if it is not learned.
-        varies: columns that must vary; by default all columns except the time.
-        fields: further fields of the effect.
+        slots: slot of each coefficient, if they differ.
+        per: group with one set of coefficients per member.
+        group_sd_prior: type of the prior of the standard deviation between members; None: it is not estimated.
+        varies: columns that must vary; by default all except the time.
+        fields: further fields of `bc.Effect`.
     """
 
-    def make(name: str, size: float, unit: str, source: str) -> bc.Effect:
-        spread = None if learned is None else learned(size)
+    def make_effect(name: str, size: float, unit: str, source: str) -> bc.Effect:
+        group_sd = None if group_sd_prior is None else group_sd_prior(size)
         return bc.Effect(
             name,
             slot or (slots[0] if slots else name.partition(".")[0]),
             basis,
             coefficients=tuple(
-                bc.Coefficient(unit, bc.Normal(0.0, size), part, slot_of_part, per, spread)
+                bc.Coefficient(unit, bc.Normal(0.0, size), part, slot_of_part, per, group_sd)
                 for part, slot_of_part in zip(parts, slots or [None] * len(parts), strict=True)
             ),
             columns=columns,
@@ -279,54 +282,54 @@ def effect(
             **fields,
         )
 
-    return make
+    return make_effect
 
 
 def family(
     slots: Sequence[str], basis: Callable[..., Any], equation: str, *columns: str, **fields: Any
-) -> Maker:
-    """Build the maker of one effect on several slots, one coefficient each, included or excluded together.
+) -> Factory:
+    """Make the factory of an effect with one coefficient on each of several slots, all included or excluded together.
 
     Args:
-        slots: slots; a coefficient's part is the slot's name after the first underscore, unless `parts` is given.
-        basis: basis of one column, the same for all.
-        equation, columns, fields: as of `effect`.
+        slots: slots; a coefficient is named by its slot's name after the first underscore, unless `parts` is given.
+        basis: basis function of one column, the same for all slots.
+        equation, columns, fields: see `effect`.
     """
     parts = fields.pop("parts", None) or [s.partition("_")[2] for s in slots]
-    shared = partial(_in_each, basis, len(slots))
-    return effect(shared, equation, *columns, parts=parts, slots=slots, **fields)
+    repeated = partial(_repeat_column, basis, len(slots))
+    return effect(repeated, equation, *columns, parts=parts, slots=slots, **fields)
 
 
-def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
+def _repeat_column(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
     column = xp.reshape(xp.asarray(basis(r), float), (-1, 1))
     return xp.broadcast_to(column, (r.size, count))
 
 
-# Simple bases.
+# Basis functions.
 
 
 def progress(r: bc.Frame) -> Any:
-    """Return (t − t̄)/(tmax − tmin)."""
+    """Return the normalised time (t − t̄)/(tmax − tmin) of the readings, (n,)."""
     return r.progress
 
 
 def centred(r: bc.Frame) -> Any:
-    """Return T − T0, °C."""
+    """Return the temperature minus the reference temperature, T − T0, °C, (n,)."""
     return r.centred()
 
 
-def goes_one_way(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
-    """Return the reason why readings cannot identify a hysteresis: no rise, or no fall, above `dead_band`, °C."""
+def missing_reversal(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
+    """Return why readings do not identify a hysteresis: no rise or no fall above `dead_band`, °C; None if they do."""
     rises = falls = False
     _, run = readings.groups("run")
     for k in np.unique(run):
-        path = readings[column][run == k][np.argsort(readings["time"][run == k], kind="stable")]
-        stood = path[0]
-        for now in path:
-            if abs(now - stood) > dead_band:
-                rises, falls = rises or now > stood, falls or now < stood
-                stood = now
+        course = readings[column][run == k][np.argsort(readings["time"][run == k], kind="stable")]
+        reference = course[0]
+        for value in course:
+            if abs(value - reference) > dead_band:
+                rises, falls = rises or value > reference, falls or value < reference
+                reference = value
     if rises and falls:
         return None
-    way = "only rises" if rises else "only falls" if falls else "stands still"
-    return f"needs {column} to rise and to fall within runs, by over {dead_band:g} °C; it {way}"
+    motion = "only rises" if rises else "only falls" if falls else "stands still"
+    return f"needs {column} to rise and to fall within runs, by over {dead_band:g} °C; it {motion}"

@@ -1,4 +1,4 @@
-"""Unstated local gravity: the relative error that it may cause in a test.
+"""Unstated local gravity: nuisance effect of the relative error that it causes in outputs.
 
 At sea level gravity is 9.780 m/s² at the equator and 9.832 m/s² at a pole. Outputs in m/s² that were divided by a
 standard value have a common relative error with a rectangular distribution (JCGM 100:2008, 4.3.7) of standard deviation
@@ -11,8 +11,8 @@ from typing import Any
 
 import bayescal as bc
 
-PPM = 1530.0  # relative standard uncertainty
-ASSUMED = bc.Column(
+SD_PPM = 1530.0  # relative standard uncertainty
+ASSUMED_GRAVITY = bc.Column(
     "assumed_gravity",
     "1",
     "1 where the output was divided by an unstated local gravity",
@@ -22,28 +22,28 @@ ASSUMED = bc.Column(
 )
 
 
-def make_nuisance_effect(slot: str, size: float = PPM, unit: str = "ppm") -> bc.Effect:
-    """Return the nuisance effect of an instrument on which gravity acts.
+def make_nuisance_effect(slot: str, size: float = SD_PPM, unit: str = "ppm") -> bc.Effect:
+    """Return the nuisance effect of an unstated local gravity on an instrument with gravity as input.
 
     Args:
         slot: slot of the input, or of its relative deviation.
-        size, unit: its standard uncertainty.
+        size, unit: standard uncertainty of local gravity, in the slot's terms, and its unit.
     """
     return bc.Effect(
         f"{slot}.local_gravity",
         slot,
-        _where_assumed,
+        _assumption_indicator,
         coefficients=(bc.Coefficient(unit, bc.Normal(0.0, size)),),
         equation="c,  by which local gravity differs from that assumed",
         source="normal gravity of the Geodetic Reference System 1980, taken as rectangular (JCGM 100:2008)",
-        untestable=_stated,
+        untestable=_explain_stated_gravity,
     )
 
 
-def _where_assumed(r: bc.Frame) -> Any:
-    return r[ASSUMED.name] if ASSUMED.name in r.columns else 0.0 * r.step
+def _assumption_indicator(r: bc.Frame) -> Any:
+    return r[ASSUMED_GRAVITY.name] if ASSUMED_GRAVITY.name in r.columns else 0.0 * r.step
 
 
-def _stated(readings: bc.Measurements) -> str | None:
-    measured = not readings.has(ASSUMED.name) or not readings[ASSUMED.name].any()
-    return "needs outputs in m/s² and an unknown local gravity" if measured else None
+def _explain_stated_gravity(readings: bc.Measurements) -> str | None:
+    is_stated = not readings.has(ASSUMED_GRAVITY.name) or not readings[ASSUMED_GRAVITY.name].any()
+    return "needs outputs in m/s² and an unknown local gravity" if is_stated else None

@@ -1,4 +1,4 @@
-"""The column of the supply voltage, which files of every instrument may have."""
+"""Optional column of the sensor's supply voltage, common to all instruments."""
 
 import bayescal as bc
 

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.simulator import LAG_TIME
+from bayescal_models.still_sensor.simulator import LAG_TAU_S
 
 LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
 HIDDEN = {"strong": {LAG: 8.0}, "weak": {LAG: 3.0}, "none": {QUADRATIC: 0.05}}
@@ -40,7 +40,7 @@ def test_the_unit_has_one_time_and_it_is_the_true_one(unit) -> None:
     lag = next(s for s in unit.shared if s.effect == LAG)
     _, low, high = lag.posterior
     assert lag.probability > 0.95
-    assert low < LAG_TIME < high
+    assert low < LAG_TAU_S < high
     paths = unit.search_paths
     tau = {n: paths[n].final.calibration.samples(f"{LAG}.tau") for n in ("strong", "weak")}
     for (
@@ -63,7 +63,7 @@ def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, t
         assert [e.shapes for e in kept.model.effects] == [e.shapes for e in now.model.effects]
         np.testing.assert_array_equal(kept.samples("bias.constant"), now.samples("bias.constant"))
     lag = next(s for s in data["shared"] if s["effect"] == LAG)
-    assert lag["low"] < LAG_TIME < lag["high"]
+    assert lag["low"] < LAG_TAU_S < lag["high"]
 
 
 @pytest.mark.slow

@@ -35,12 +35,15 @@ def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
 def test_it_is_the_density_of_the_framework(instrument: str) -> None:
     """Differences between any two points, so that what is constant does not count."""
     module, readings = written_out(instrument)
-    own, program = module.data(readings), bc.numpyro_program(module.equal(), readings)
+    own, program = (
+        module.model_arguments(readings),
+        bc.numpyro_program(module.equivalent_model(), readings),
+    )
     with jax.enable_x64(True):
         seeded = handlers.seed(module.model, 0)
         sites = handlers.trace(seeded).get_trace(**{**own, "output": None})
         free = {n: s for n, s in sites.items() if s["type"] == "sample" and n != "output"}
-        mode = bc.fit(module.equal(), readings, bc.LeastSquares())
+        mode = bc.fit(module.equivalent_model(), readings, bc.LeastSquares())
         random, found = np.random.default_rng(1), []
         for _ in range(4):
             at = {n: near(mode, n, site, random) for n, site in free.items()}
@@ -87,7 +90,7 @@ def test_nuts_on_it_agrees(instrument: str) -> None:
         return float(np.subtract(*np.quantile(draws, [0.84, 0.16])))
 
     module, readings = written_out(instrument)
-    fitted = bc.fit(module.equal(), readings)
+    fitted = bc.fit(module.equivalent_model(), readings)
     drawn = draws(module, readings)
     compared = [name for name in map(str, fitted.posterior) if name in drawn]
     assert len(compared) >= 3

@@ -11,7 +11,7 @@ import bayescal as bc
 from bayescal_models import gyro_triad
 from bayescal_models.gyro_triad import Campaign
 from bayescal_models.gyro_triad.simulator import BASELINE
-from bayescal_models.triad.simulator import SHARES
+from bayescal_models.triad.simulator import FACTORS
 from tests.support.triad_truth import TRUE, matrix_of
 
 INSTRUMENT = gyro_triad.INSTRUMENT
@@ -78,7 +78,7 @@ def test_what_is_corrected_counts_on_gravity() -> None:
     with pytest.raises(bc.InputError):
         correct(y, temperature=40.0)
     found = correct(y, temperature=40.0, beside=gravity)
-    bias = np.array(BASELINE["bias.constant"]) + 0.05 * SHARES.reshape(3, 3) @ gravity
+    bias = np.array(BASELINE["bias.constant"]) + 0.05 * FACTORS.reshape(3, 3) @ gravity
     apart = found.vector[0] - np.linalg.solve(matrix_of(BASELINE), y - bias)
     assert apart @ np.linalg.solve(found.covariance[0], apart) < 16
 

@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
-from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement
+from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle
 from tests.support.inside import frame_of
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -74,7 +74,7 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     assert (found.nothing_missing or 0.0) > 0.5
     said = {c.effect: c for c in found.candidates}
     assert found.latent == ("dividing.face",) and said["dividing.wobble"].kind == "not visible"
-    for name in model.ON_TILT:
+    for name in ("zero.electrical_tilt", "zero.exact_placement", "scale.constant"):
         assert said[name].kind == "not testable"
 
 
@@ -96,7 +96,7 @@ def test_aliases_of_the_zero_test_are_exact() -> None:
 
 
 def test_the_spline_table_goes_through_its_knots() -> None:
-    angles = np.concatenate([model.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
+    angles = np.concatenate([model.KNOT_ANGLES_RAD, np.deg2rad([-60.0, 60.0, 10.0])])
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, placement_angle=angles, output=np.arange(10.0)
     )
@@ -104,7 +104,7 @@ def test_the_spline_table_goes_through_its_knots() -> None:
     basis = np.asarray(model.EFFECTS["zero.table"].evaluate(frame, {}))
     np.testing.assert_allclose(basis[:7], np.eye(7), atol=1e-12)
     np.testing.assert_allclose(
-        basis @ model.KNOTS, angles, atol=1e-12
+        basis @ model.KNOT_ANGLES_RAD, angles, atol=1e-12
     )  # lines stay lines, beyond the table too
 
 
@@ -192,7 +192,7 @@ def test_what_a_line_cannot_compensate_is_the_size_of_the_published_remainder(li
 
 def test_placement_angles_at_large_tilts() -> None:
     x = np.deg2rad([30.0, 0.0, 45.0])
-    found = np.rad2deg(exact_placement(x, np.deg2rad([30.0, 40.0, 30.0]), np))
+    found = np.rad2deg(exact_placement_angle(x, np.deg2rad([30.0, 40.0, 30.0]), np))
     np.testing.assert_allclose(found, [35.26, 40.0, 45.0], atol=0.01)
 
 

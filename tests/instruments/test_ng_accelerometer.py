@@ -11,7 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer import reference_problem
-from bayescal_models.ng_accelerometer.model import accelerations
+from bayescal_models.ng_accelerometer.model import resolve_gravity
 from bayescal_models.ng_accelerometer.simulator import gravity, simulate_arrays
 from bayescal_models.simulated import ARCSEC, DEGREE
 from tests.support import references
@@ -44,7 +44,7 @@ def cells(
 def test_two_independent_geometries_agree() -> None:
     rng = np.random.default_rng(1)
     tilt, angle, fixture, parallel, perp = rng.uniform(-3, 3, (5, 200))
-    closed = accelerations(tilt, angle, fixture, parallel, perp)
+    closed = resolve_gravity(tilt, angle, fixture, parallel, perp)
     turned = gravity(tilt + perp, parallel, angle, fixture)
     np.testing.assert_allclose(closed.along, turned[0], atol=1e-8)
     np.testing.assert_allclose(closed.normal, turned[1], atol=1e-14)
@@ -55,7 +55,7 @@ def test_small_angles_are_the_document_s() -> None:
     tilt = 0.45 * DEGREE
     angle = rng.uniform(0, 2 * np.pi, 50)
     fixture, parallel, perp = 1e-5 * rng.standard_normal((3, 50))
-    exact = accelerations(jnp.asarray(tilt), jnp.asarray(angle), fixture, parallel, perp).along
+    exact = resolve_gravity(jnp.asarray(tilt), jnp.asarray(angle), fixture, parallel, perp).along
     small = 1e6 * (
         np.sin(tilt) * np.sin(angle)
         + fixture * np.cos(tilt)
@@ -114,7 +114,7 @@ def test_second_order_is_a_harmonic_of_the_angle() -> None:
     assert pytest.approx(1.5, abs=0.05) == HARMONIC
     made = simulate_arrays({"second_order": 0.05}, seed=1, campaign=STILL)
     level = simulate_arrays(seed=1, campaign=STILL)
-    change, angle = made.noise_free - level.noise_free, made.world.angle[:, 0]
+    change, angle = made.noise_free - level.noise_free, made.conditions.angle[:, 0]
     np.testing.assert_allclose(change, HARMONIC - HARMONIC * np.cos(2 * angle), atol=1e-6)
 
 

@@ -14,7 +14,7 @@ from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.pairing import criteria
-from bayescal_models.differential_pair.pairing.selection import CRITERIA, judge
+from bayescal_models.differential_pair.pairing.selection import CRITERIA, evaluate_pairs
 from bayescal_models.differential_pair.simulator import Truth
 from tests.support.command_line import needs_installation
 from tests.support.made_up.pairs import SMALL, made_up, simulated_batch
@@ -50,10 +50,10 @@ def test_the_environment_and_the_pairs_residual_are_recovered(calibration, batch
     assert devices.names == batch.names
     off = devices.environment.mean(axis=0) - batch.environment
     assert np.sqrt(np.mean(off**2)) < 25.0  # µg, of 1 mg; the noise of a reading is 18
-    found = judge(devices)
-    true = criteria.residual(batch.environment, batch.scale, found.of_ratio["median"])
+    found = evaluate_pairs(devices)
+    true = criteria.residual_rms(batch.environment, batch.scale, found.ratio_fields["median"])
     sd = found.residual.std(axis=0)
-    assert np.abs((true - found.of_pair["expected_residual"]) / sd).max() < 4
+    assert np.abs((true - found.pair_fields["expected_residual"]) / sd).max() < 4
 
 
 def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch) -> None:
@@ -112,7 +112,7 @@ def test_probabilities_add_up_and_the_first_pair_is_the_best(criterion: str) -> 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_set_of_pairs_is_disjoint_and_optimal(seed: int) -> None:
     devices = made_up(seed)
-    table, cost = dp.select(devices), judge(devices).of_pair["expected_residual"]
+    table, cost = dp.select(devices), evaluate_pairs(devices).pair_fields["expected_residual"]
     for side in zip(*table.matching, strict=True):
         assert len(set(side)) == 3
     total = sum(table.of(*pair).expected_residual for pair in table.matching)
@@ -125,7 +125,7 @@ def test_the_set_of_pairs_is_disjoint_and_optimal(seed: int) -> None:
 def test_the_residual_is_the_rms_that_its_formula_says() -> None:
     devices = made_up(draws=3)
     ratio = np.full((3, 4), 0.9)
-    found = criteria.residual(devices.environment, devices.scale, ratio)
+    found = criteria.residual_rms(devices.environment, devices.scale, ratio)
     one, two = devices.environment[1, 2], devices.environment[1, 5]
     left = (one - 0.9 * two) / (devices.scale[1, 2] + 0.9 * devices.scale[1, 5])
     assert found[1, 2, 2] == pytest.approx(np.sqrt(np.mean(left**2)))
@@ -136,7 +136,7 @@ def test_ideal_pairs_have_a_raw_variance_near_three_quarters() -> None:
     plan = replace(SMALL, profile="plateau", alike=True, noise=0.0)
     truth, readings = simulated_batch(plan, seed=11)
     records = readings["output"].reshape(len(truth.names), -1)
-    found = criteria.ratio_variance(criteria.polynomial(plan.time, records), truth.outer)
+    found = criteria.ratio_variance(criteria.fit_polynomial(plan.time, records), truth.outer)
     np.testing.assert_allclose(found, 0.75, atol=0.01)
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models import quartz_beam_accelerometer as quartz
-from bayescal_models.ng_accelerometer.model import TIDE
-from bayescal_models.ng_accelerometer.moon_and_sun import plumb_line, tide
+from bayescal_models.ng_accelerometer.model import CONSTITUENTS
+from bayescal_models.ng_accelerometer.moon_and_sun import normalised_tide, plumb_line_tilt
 from bayescal_models.ng_accelerometer.simulator import simulate_arrays
-from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.world import COUPLING, SELF_HEATING, World
-from bayescal_models.simulated import HOUR, first_order_body
+from bayescal_models.quartz_beam_accelerometer.campaign import STEP_S
+from bayescal_models.quartz_beam_accelerometer.world import COUPLING, SELF_HEATING, Conditions
+from bayescal_models.simulated import HOUR, first_order_low_pass
 
 PLAIN = quartz.simulate(seed=3)
 
@@ -28,7 +28,7 @@ def test_uncompensated_change_is_what_the_source_names() -> None:
 
 def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
     plan = quartz.Campaign(thermometer_noise=0.0)
-    world = World(plan)
+    world = Conditions(plan)
     soaked = world.cell >= 0
     t1, t2 = world.average(world.circuit), world.average(world.head)
     # Soaked: circuit warmer by its own heat, head by its share of that; both still.
@@ -47,15 +47,15 @@ def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
 
 
 def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
-    ramp = 0.02 * GRID * np.arange(2000, dtype=np.float64)  # 0.02 °C/s
-    assert ramp[-1] - first_order_body(ramp, 300.0, GRID)[-1] == pytest.approx(
+    ramp = 0.02 * STEP_S * np.arange(2000, dtype=np.float64)  # 0.02 °C/s
+    assert ramp[-1] - first_order_low_pass(ramp, 300.0, STEP_S)[-1] == pytest.approx(
         0.02 * 300.0, rel=1e-6
     )
 
 
 def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:
     plan = quartz.Campaign(repeats=0, attitudes=(0.0,), device="beams")
-    true, head = quartz.true_values(plan).bias, World(plan)
+    true, head = quartz.true_values(plan).bias, Conditions(plan)
     t2, rate = head.average(head.head), head.average(head.head_rate)
     up, down = (true[(abs(t2) < 5) & (np.sign(rate) == s)].mean() for s in (1, -1))
     assert abs(up - down) > 100  # µg: hysteresis that temperature alone cannot tell
@@ -74,8 +74,8 @@ PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
 
 def test_groups_scatter_by_the_stated_spread() -> None:
     plan = replace(PLAN, runs=60, temperatures=(20.0, 40.0), pause=0.0, soak=600.0)
-    world = simulate_arrays(seed=5, campaign=plan).world
-    for draws, codes in ((world.by_cell["bias"], world.cell), (world.by_run["scale"], world.run)):
+    world = simulate_arrays(seed=5, campaign=plan).conditions
+    for draws, codes in ((world.cell_deviates["bias"], world.cell), (world.run_deviates["scale"], world.run)):
         own = np.array([draws[codes == k, 0] for k in np.unique(codes)])
         assert (np.ptp(own, axis=1) == 0).all()
         assert own[:, 0].std() == pytest.approx(1.0, abs=0.25)
@@ -83,7 +83,7 @@ def test_groups_scatter_by_the_stated_spread() -> None:
 
 def unexplained(component: np.ndarray, seconds: np.ndarray, stretch: float) -> float:
     """Share of a tide's variance that sines and cosines of the five periods, stretched, leave."""
-    periods = [stretch * hours * HOUR for hours, _ in TIDE.values()]
+    periods = [stretch * hours * HOUR for hours, _ in CONSTITUENTS.values()]
     waves = [wave(2 * np.pi * seconds / p) for p in periods for wave in (np.cos, np.sin)]
     basis = np.column_stack([*waves, np.ones_like(seconds)])
     fit = basis @ np.linalg.lstsq(basis, component, rcond=None)[0]
@@ -92,10 +92,10 @@ def unexplained(component: np.ndarray, seconds: np.ndarray, stretch: float) -> f
 
 def test_the_tide_is_the_five_constituents_and_little_else() -> None:
     seconds = np.arange(0.0, 60 * 86400.0, 1800.0)
-    for component in tide(seconds):
+    for component in normalised_tide(seconds):
         assert unexplained(component, seconds, 1.0) < 0.1
         assert unexplained(component, seconds, 1.02) > 0.5
-    east, north = plumb_line(7730.0 + seconds / 86400.0)
+    east, north = plumb_line_tilt(7730.0 + seconds / 86400.0)
     assert 0.8e-7 < np.abs(east).max() < 1.5e-7  # 84 nrad of the Moon and 39 of the Sun, at most
     assert 0.3e-7 < np.abs(north).max() < 1.5e-7
 

@@ -10,22 +10,22 @@ import pytest
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.resonance import (
+    constant_amplitude_change,
+    constant_force_change,
     resonance_denominator,
-    with_amplitude_held,
-    with_force_held,
 )
 from bayescal_models.mems_gyro.simulator import NOISE_LAWS, simulate_arrays
-from bayescal_models.simulated import Simulated
+from bayescal_models.simulated import SimulatedTest
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)
 
 
-def simulated(campaign: Campaign, effects: dict | None = None, **options) -> Simulated:
+def simulated(campaign: Campaign, effects: dict | None = None, **options) -> SimulatedTest:
     return simulate_arrays(effects, campaign=campaign, **options)
 
 
-def in_run(sim: Simulated, run: str, values: np.ndarray) -> np.ndarray:
+def in_run(sim: SimulatedTest, run: str, values: np.ndarray) -> np.ndarray:
     """The values of one run."""
     return values[sim.columns["run"] == run]
 
@@ -100,7 +100,7 @@ def test_resonance_denominator_at_match_is_the_damping() -> None:
 CHANGE = np.linspace(-25.0, 25.0, 101)  # °C
 
 
-@pytest.mark.parametrize("gain", [with_amplitude_held, with_force_held])
+@pytest.mark.parametrize("gain", [constant_amplitude_change, constant_force_change])
 @pytest.mark.parametrize("ratio", [1.0, 1.001, 1.05])
 def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(gain, ratio: float) -> None:
     slope = 21.4 * np.ptp(gain(CHANGE[[0, -1]], 1e-4, 1e-4, ratio, 1000.0)) / 50.0
@@ -108,7 +108,7 @@ def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(gain, ratio: float
 
 
 def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
-    rate = 669.0 * with_amplitude_held(CHANGE, 8e-5, 8e-5, 1.05, 1000.0)
+    rate = 669.0 * constant_amplitude_change(CHANGE, 8e-5, 8e-5, 1.05, 1000.0)
     slope, middle = np.polyfit(CHANGE, rate, 1)
     assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(0.0, abs=0.01)
     bend = rate - np.polyval([slope, middle], CHANGE)
@@ -141,7 +141,7 @@ ALL = {**SIZES, "unlisted.humidity": 0.02}
 HIDDEN = list(ALL)
 
 
-def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> Simulated:
+def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> SimulatedTest:
     """One effect of its plausible size, hidden alone."""
     return simulated(campaign, {name: ALL[name]}, seed=seed)
 

@@ -23,4 +23,4 @@ TRUE = {
 def matrix_of(baseline: Mapping[str, Sequence[float]]) -> np.ndarray:
     """Of the outputs by what acts, of scale factors in ppm and misalignments in mrad."""
     scale, angles = (np.array(baseline[f"{n}.constant"]) for n in ("scale", "misalignment"))
-    return simulator.matrix_of(1e-6 * scale, 1e-3 * angles)
+    return simulator.axis_matrix(1e-6 * scale, 1e-3 * angles)

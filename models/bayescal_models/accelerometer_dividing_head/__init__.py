@@ -3,7 +3,7 @@
 import lazy_loader
 
 import bayescal as bc
-from bayescal_models.local_gravity import ASSUMED
+from bayescal_models.local_gravity import ASSUMED_GRAVITY
 
 COLUMNS = (
     bc.Column("run", None, "label of the run, or of the mounting", required=False),
@@ -13,9 +13,9 @@ COLUMNS = (
         "position_angle", "rad", "θ, set on the head; 0 with the axis level", low=-7.0, high=7.0
     ),
     bc.Column("output", "ug", "output, or V with the nominal scale"),
-    ASSUMED,
+    ASSUMED_GRAVITY,
 )
-VOLTS = 1.3e-6  # V per µg: 1.3 mA/g over 1 kΩ
+VOLTS = 1.3e-6  # V/µg, nominal scale factor: 1.3 mA/g over 1 kΩ
 NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,8 @@
 """Self-contained NumPyro model of an accelerometer on a dividing head, linear in temperature.
 
-The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-Output y of reading i, µg, at the angle θ and the temperature T:
+Output y, µg, at the set angle θ and the temperature T:
 
     y = K0 + k0·(T − T0) + (1 + κ + λ·(T − T0))·g·sin(θ + ψ) + e,     e ~ N(0, σ²)
 """
@@ -23,7 +23,7 @@ G = 1e6  # µg
 
 
 def model(temperature, angle, T0, output=None) -> None:
-    """Define the model of temperatures °C and angles rad (n,), T0 °C; output µg (n,), or None to simulate."""
+    """Define the NumPyro model: temperature °C and angle rad (n,), T0 °C; output µg (n,), or None to simulate."""
     change = temperature - T0
     k0 = numpyro.sample("bias.constant", Normal(0.0, 4000.0))  # µg
     k0 += numpyro.sample("bias.temperature", Normal(0.0, 30.0)) * change
@@ -35,8 +35,8 @@ def model(temperature, angle, T0, output=None) -> None:
     numpyro.sample("output", Normal(k0 + (1 + 1e-6 * kappa) * G * a, noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     columns = {n: readings[n] for n in ("temperature", "output")}
     return columns | {
         "angle": readings["position_angle"],
@@ -44,4 +44,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-equal = reference_problem.model  # the same model as a sum of named effects
+equivalent_model = reference_problem.model  # a sum of named effects with the same posterior

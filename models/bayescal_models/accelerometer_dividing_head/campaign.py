@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Campaign:
-    """Equally spaced positions of the head at each temperature, once per run.
+    """Plan of a tumble test: equally spaced positions of the head at each temperature, once per run.
 
     Attributes:
-        positions: number of positions over a turn, from θ = 0; 24 are every 15°.
+        positions: number of positions over a turn, from θ = 0; 24: every 15°.
         temperatures: soak temperatures of the chamber, °C.
         runs: number of runs, each with a new mounting.
         soak: time before the first position at a temperature, s.
         dwell: time between readings, s.
-        noise: standard deviation of a reading, µg.
-        thermometer_noise: standard deviation of its temperature about the chamber's, °C.
+        noise: standard deviation of the noise of a reading, µg.
+        thermometer_noise: standard deviation of the measured temperature about the set point, °C.
     """
 
     positions: int = 24

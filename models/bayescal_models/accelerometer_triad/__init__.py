@@ -3,13 +3,13 @@
 import lazy_loader
 
 import bayescal as bc
-from bayescal_models.local_gravity import ASSUMED
+from bayescal_models.local_gravity import ASSUMED_GRAVITY
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, made_in_poses, three
+from bayescal_models.triad.columns import SESSION, pose_columns, triple
 
 COLUMNS = (
     *SESSION,
-    *three(
+    *triple(
         "output",
         "g",
         "of axis {axis}, averaged in a pose",
@@ -23,14 +23,14 @@ COLUMNS = (
         low=0.9,
         high=1.1,
     ),
-    *three(
+    *triple(
         "direction",
         "1",
         "of the specific force at rest (up), along axis {axis}, where known",
         required=False,
     ),
-    *made_in_poses("g"),
-    ASSUMED,
+    *pose_columns("g"),
+    ASSUMED_GRAVITY,
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -31,8 +31,8 @@ from bayescal_models import local_gravity
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.catalogue import EffectTable
-from bayescal_models.simulated import ReferenceProblem, readings_of
-from bayescal_models.triad.campaign import TWO_SESSIONS, Campaign
+from bayescal_models.simulated import ReferenceProblem, readings_simulator
+from bayescal_models.triad.campaign import Campaign
 from bayescal_models.triad.equation import (
     BIAS,
     CROSS,
@@ -41,22 +41,22 @@ from bayescal_models.triad.equation import (
     SCALE,
     SQUARE,
     UPPER,
-    equation,
-    higher_order,
-    slots,
+    axis_slots,
+    higher_order_slots,
+    output_function,
 )
-from bayescal_models.triad.experiments import experiments
+from bayescal_models.triad.experiments import list_pose_experiments
 from bayescal_models.triad.families import (
-    behind,
     constant,
-    frame_of_sensors,
-    of_run,
-    over_temperature,
-    with_time,
+    drift,
+    run_offset,
+    tempco,
+    thermal_lag,
+    triad_rotation,
 )
-from bayescal_models.triad.scatter import with_scatter
+from bayescal_models.triad.scatter import set_noise_prior
 
-VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.03)
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=output_function, common_scale=0.03)
 
 
 def _response(slots, r):
@@ -65,14 +65,14 @@ def _response(slots, r):
 
 SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
-SECOND = "IEEE Std 1293-2018, model equation; size ours, a nonlinearity of 0.1 % at 1 g"
-PLASTIC = "ours: 1 mrad in 50 °C, of a package's plastic"
-MOUNTED = "ours: how well a triad is mounted"
+NONLINEARITY = "IEEE Std 1293-2018, model equation; size ours, a nonlinearity of 0.1 % at 1 g"
+PACKAGE = "ours: 1 mrad in 50 °C, for a plastic package"
+MOUNTING = "ours: accuracy of the mounting of a triad"
 SCATTER = "ours; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions"
 K2, KIJ, K3 = constant(SQUARE, "K2·f²"), constant(CROSS, "K·f_i·f_j"), constant(CUBE, "K3·f³")
 
 # Sizes are those of consumer MEMS parts.
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     SHEETS,
     baseline=(
         ("bias.constant", constant(BIAS), 50.0, "mg"),
@@ -80,42 +80,42 @@ EFFECTS = EffectTable.of(
         ("misalignment.constant", constant(UPPER), 20.0, "mrad"),
     ),
     candidates=(
-        ("bias.temperature", over_temperature(BIAS), 0.5, "mg/degC", TEMPCO),
-        ("scale.temperature", over_temperature(SCALE), 200.0, "ppm/degC", TEMPCO),
-        ("misalignment.temperature", over_temperature(UPPER), 0.02, "mrad/degC", PLASTIC),
-        ("bias.temperature_quadratic", over_temperature(BIAS, 2), 0.005, "mg/degC^2", TEMPCO),
-        ("square.constant", K2, 1.0, "mg/g^2", SECOND),
-        ("cross.constant", KIJ, 1.0, "mg/g^2", SECOND),
-        ("cube.constant", K3, 1.0, "mg/g^3", SECOND),
-        ("misalignment.frame", frame_of_sensors(LOWER), 20.0, "mrad", MOUNTED),
-        ("bias.thermal_lag", behind(BIAS), 0.5, "mg/degC", TEMPCO),
-        ("bias.drift", with_time(BIAS), 1.0, "mg", "ours"),
-        ("bias.run", of_run(BIAS), 1.0, "mg", SCATTER),
+        ("bias.temperature", tempco(BIAS), 0.5, "mg/degC", TEMPCO),
+        ("scale.temperature", tempco(SCALE), 200.0, "ppm/degC", TEMPCO),
+        ("misalignment.temperature", tempco(UPPER), 0.02, "mrad/degC", PACKAGE),
+        ("bias.temperature_quadratic", tempco(BIAS, 2), 0.005, "mg/degC^2", TEMPCO),
+        ("square.constant", K2, 1.0, "mg/g^2", NONLINEARITY),
+        ("cross.constant", KIJ, 1.0, "mg/g^2", NONLINEARITY),
+        ("cube.constant", K3, 1.0, "mg/g^3", NONLINEARITY),
+        ("misalignment.frame", triad_rotation(LOWER), 20.0, "mrad", MOUNTING),
+        ("bias.thermal_lag", thermal_lag(BIAS), 0.5, "mg/degC", TEMPCO),
+        ("bias.drift", drift(BIAS), 1.0, "mg", "ours"),
+        ("bias.run", run_offset(BIAS), 1.0, "mg", SCATTER),
     ),
 )
 
 
-def tailored(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """Return the instrument with a noise prior from the poses' stated uncertainties."""
-    return with_scatter(INSTRUMENT, readings, **settings)
+def tailor_to_readings(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
+    """Return the instrument with a noise prior about the stated uncertainties of these poses."""
+    return set_noise_prior(INSTRUMENT, readings, **settings)
 
 
 INSTRUMENT = bc.Instrument(
     name="accelerometer_triad",
     title="three accelerometers in poses at rest: bias, scale, misalignment",
     columns=COLUMNS,
-    slots=(*slots("g", "force"), *higher_order("g")),
+    slots=(*axis_slots("g", "force"), *higher_order_slots("g")),
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
-    nuisances=(local_gravity.make_nuisance_effect("magnitude", 1e-3 * local_gravity.PPM, "mg"),),
+    nuisances=(local_gravity.make_nuisance_effect("magnitude", 1e-3 * local_gravity.SD_PPM, "mg"),),
     noise=bc.White(bc.HalfCauchy(1e-3)),
     simulator=simulated_columns,
-    experiments=experiments(1.0),
+    experiments=list_pose_experiments(1.0),
     vector=VECTOR,
-    tailor=tailored,
+    tailor=tailor_to_readings,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)
 # 24 poses in unknown directions at 0.5 mg.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign(), Campaign(**TWO_SESSIONS))
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign())

@@ -1,19 +1,19 @@
-"""Self-contained NumPyro model of accelerometers in two opposed groups on a centrifuge, in one environment.
+"""Self-contained NumPyro model of accelerometers in two opposed groups on a centrifuge, in a shared environment.
 
-Each device has a scale factor, a sensitivity to the shared environment, and a departure of its own.
+Each device has a scale factor, a sensitivity to the shared environment, and an individual departure from it.
 
-It is the model that `bc.fit(equal(), readings)` fits, given as an example; the package does not import it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits. NUTS is run on it by
 
     nuts = NUTS(bc.non_centred(model, CENTRED), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **model_arguments(readings))
 
-Output of device k at time t, a the acceleration outward, s = +1 outer and −1 inner (source 3; sizes ours):
+Output y of device k at time t, with outward acceleration a, s = +1 outer and −1 inner (source 3; sizes ours):
 
     y = s_k·(1 + κ_k)·a(t) + w_k(t) + e,     κ_k ~ N(0, s_κ²),  λ_k ~ N(1, s_λ²),  e ~ N(0, σ²)
     w_k = Σ c_kn·P_n,     c_kn ~ N(λ_k·u_n, s_n²),     P_n Legendre polynomials of unit rms over the record
 
-w_k is λ_k·u(t), a share in the common environment, and the device's own departure from it, whose size and
-spectrum s_n are learned. Orders above the fifth are u_n in all devices.
+w_k is λ_k·u(t), the response to the shared environment, plus the device's departure, whose standard deviations s_n
+are estimated. Orders above the fifth are u_n in all devices.
 """
 
 from __future__ import annotations
@@ -30,40 +30,41 @@ import bayescal as bc
 from bayescal_models.differential_pair import reference_problem
 
 SENSITIVITY = "environment.shared[sensitivity]"
-CENTRED = ("u", "w", "scale.device", SENSITIVITY)  # determined by readings rather than priors
-ORDERS, DIFFERING = np.arange(9), np.arange(6)  # orders of u, and those that differ between devices
+CENTRED_SITES = ("u", "w", "scale.device", SENSITIVITY)  # determined by readings rather than priors
+ORDERS, DEPARTURE_ORDERS = np.arange(9), np.arange(6)  # polynomial orders of u and departures
 DISTURBANCE = 1000.0  # µg rms over the record
-FALLING = 0.6**ORDERS  # relative prior sd of the orders of u
+RATIOS = 0.6**ORDERS  # relative prior sd of the orders of u
 
 
 def model(acceleration, sign, device, devices, orders, output=None) -> None:
-    """Define the model of acceleration µg, sign and device index (n,), P_n (n, 9); output µg, or None to simulate."""
-    spread = {
+    """Define the NumPyro model: acceleration µg, sign and device index (n,), P_n (n, 9); output µg or None."""
+    group_sds = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
         for name, size in (("scale.device", 5000.0), (SENSITIVITY, 0.2))
     }
     u = numpyro.sample(
-        "u", Normal(0.0, DISTURBANCE * FALLING / np.sqrt(np.sum(FALLING**2))).to_event(1)
+        "u", Normal(0.0, DISTURBANCE * RATIOS / np.sqrt(np.sum(RATIOS**2))).to_event(1)
     )
-    share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))  # of v in u
-    falling = numpyro.sample("departure.device.falling", LogNormal(np.log(0.4873), 0.3406))
-    powers = falling**DIFFERING
+    # Departures: rms relative to that of u, and ratio of the sds of successive orders.
+    share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))
+    order_ratio = numpyro.sample("departure.device.falling", LogNormal(np.log(0.4873), 0.3406))
+    powers = order_ratio**DEPARTURE_ORDERS
     with numpyro.plate("devices", devices):
-        kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, spread["scale.device"]))
-        sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, spread[SENSITIVITY]))
+        kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, group_sds["scale.device"]))
+        sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, group_sds[SENSITIVITY]))
         departure_sd = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
-        mean = sensitivity[:, None] * u[: len(DIFFERING)]
+        mean = sensitivity[:, None] * u[: len(DEPARTURE_ORDERS)]
         w = numpyro.sample("w", Normal(mean, departure_sd).to_event(1))
     noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg
     mean = sign * (1 + kappa[device]) * acceleration + jnp.sum(
-        orders[:, : len(DIFFERING)] * w[device], axis=1
+        orders[:, : len(DEPARTURE_ORDERS)] * w[device], axis=1
     )
-    mean = mean + orders[:, len(DIFFERING) :] @ u[len(DIFFERING) :]
+    mean = mean + orders[:, len(DEPARTURE_ORDERS) :] @ u[len(DEPARTURE_ORDERS) :]
     numpyro.sample("output", Normal(mean, noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     (devices, device), (groups, group) = readings.groups("device"), readings.groups("group")
     time = readings["time"]
     progress = 2 * (time - time.mean()) / np.ptp(time)
@@ -73,4 +74,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     return {**columns, "sign": sign, "device": device, "devices": len(devices), "orders": orders}
 
 
-equal = reference_problem.model  # the same model as a sum of named effects
+equivalent_model = reference_problem.model  # a sum of named effects with the same posterior

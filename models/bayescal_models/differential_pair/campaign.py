@@ -1,4 +1,4 @@
-"""Plan of a test of accelerometers on a centrifuge arm (source 3), and the population of devices."""
+"""Plan of a test of accelerometers on a centrifuge arm (source 3), and properties of the population of devices."""
 
 from __future__ import annotations
 
@@ -6,34 +6,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal_models.simulated import Array, refuse, refuse_unknown
+from bayescal_models.simulated import Array, raise_if, validate_options
 
 G = 1e6  # µg
 RADIUS = 1.0  # m, radius of the arm (ours)
 GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
-LEVEL = 5.0  # g, level of a single plateau
+PLATEAU_LEVEL_G = 5.0  # g, level of a single plateau
 DISTURBANCE = 1000.0  # µg rms, of u over the record
-SENSITIVITY_SPREAD = 0.2  # standard deviation of λd over devices
-SCALE_SPREAD = 2000.0  # standard deviation of scale factors over devices, ppm
-DEPARTURE = 0.05  # rms of a device's own environment, in parts of the disturbance
+SENSITIVITY_SD = 0.2  # standard deviation of λd over devices
+SCALE_SD_PPM = 2000.0  # standard deviation of scale factors over devices, ppm
+DEPARTURE_RATIO = 0.05  # rms of a device's departure v relative to that of u
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """The plan of a test and the population that its devices come from.
+    """Plan of a centrifuge test, and properties of the tested devices.
 
     Attributes:
         outer, inner: number of devices in each group.
         duration: duration of the record, s.
-        samples: readings of each device, each an average over duration/samples.
-        profile: "steps", through `levels` with ramps between them; "plateau", at 5 g throughout.
-        levels: plateaus, g; up and down, or a slow disturbance looks like a wrong scale factor.
-        ramp: time of a change of level, s; the speed of the arm changes smoothly.
-        noise: white, of an output averaged over 1 s, µg; a reading, averaged over τ seconds, has noise/√τ.
-        warming: rise of the fixture's temperature, °C.
-        thermometer: noise of the thermometer, °C; None leaves the column out.
-        alike: devices identical but for noise: λd = 1, no departures, one scale factor.
+        samples: number of readings of each device, each averaged over duration/samples.
+        profile: "steps": plateaus at `levels` with ramps between them; "plateau": constant 5 g.
+        levels: accelerations of the plateaus, g; if monotonic, a slow disturbance resembles a scale factor error.
+        ramp: duration of a change of level, s; the speed of the arm changes smoothly.
+        noise: standard deviation of white noise averaged over 1 s, µg; of a reading averaged over τ s: noise/√τ.
+        warming: temperature rise of the fixture, °C.
+        thermometer: standard deviation of the thermometer's noise, °C; None: no temperature column.
+        alike: whether devices differ by noise only (λd = 1, no departures, equal scale factors).
     """
 
     outer: int = 3
@@ -49,12 +49,12 @@ class Campaign:
     alike: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an unknown profile, and ramps longer than the plateaus, by a ValueError."""
-        refuse_unknown(self, profile=PROFILES)
-        refuse(
+        """Raise a ValueError if the profile is unknown, or ramps leave no plateau."""
+        validate_options(self, profile=PROFILES)
+        raise_if(
             self.ramp * len(self.levels) >= self.duration,
             f"Campaign(ramp={self.ramp:g} s): {len(self.levels)} levels in {self.duration:g} s leave "
-            "no plateau; shorten the ramps",
+            "no plateau: shorten the ramps",
         )
 
     @property

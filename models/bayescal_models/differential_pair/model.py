@@ -10,12 +10,12 @@ commanded acceleration along the arm (µg, outward):
 are ours, the equation is source 3's. g of `misalignment.device` is an alias of a bias, r·dΩ/dt is not; `input.radius`
 is an exact alias of `scale.device`, hence untestable.
 
-The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg; or, if the readings show it,
-larger while the arm changes its speed (`noise.py`).
+The radius r of the arm in r·dΩ/dt is 1 m (`RADIUS`). Noise: white, 100 µg; or, if the readings show it, larger while
+the arm changes its speed (`noise.py`).
 
-λd·u is a product of unknowns: one factor is sampled with the hyper-parameters: the orders of u, whose number
-does not grow with that of devices; λd, whose standard deviation is learned, would form a funnel with it. A constant
-acceleration leaves each device's scale and the constant part of its environment indistinguishable: record steps.
+λd·u is a product of unknowns, so one factor is sampled with the hyper-parameters: the orders of u, whose number does
+not grow with that of the devices; λd would form a funnel with its estimated standard deviation. At constant
+acceleration each device's scale factor and the constant part of its environment are confounded: record steps.
 
 Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by `pairing/measure.py`.
 """
@@ -27,71 +27,71 @@ from typing import Any
 import bayescal as bc
 from bayescal import xp
 from bayescal_models import catalogue
-from bayescal_models.catalogue import EffectTable, Maker, effect, one, progress
+from bayescal_models.catalogue import EffectTable, Factory, effect, one, progress
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, G
 from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
-from bayescal_models.differential_pair.noise import NoiseWhileChanging, ends, slope
+from bayescal_models.differential_pair.noise import NoiseWhileChanging, end_values, mean_derivative
 from bayescal_models.differential_pair.simulator import simulated_columns
-from bayescal_models.simulated import readings_of
+from bayescal_models.simulated import readings_simulator
 
 SOURCE = "source 3; size ours"
 
 
-def direction(r: bc.Frame) -> Any:
-    """Return +1 for the outer group, −1 for the inner."""
+def side_sign(r: bc.Frame) -> Any:
+    """Return the sign of each reading's input axis: +1 in the outer group, −1 in the inner one, (n,)."""
     return r.has_label("group", "outer") - r.has_label("group", "inner")
 
 
-def tangential(r: bc.Frame) -> Any:
-    """Return r·dΩ/dt from the commanded acceleration, µg."""
+def tangential_acceleration(r: bc.Frame) -> Any:
+    """Compute the tangential acceleration r·dΩ/dt, µg, from the commanded acceleration, (n,)."""
     speed = xp.sqrt(xp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
-    return slope(r, speed)  # r·Ω in units such that its derivative is in µg
+    return mean_derivative(r, speed)  # speed r·Ω in µg·s
 
 
 def _response(slots, r):
-    a, sign = r["acceleration"], direction(r)
-    input_acceleration = a * (1.0 + slots["input"]) - slots["timing"] * slope(r, a)
+    a, sign = r["acceleration"], side_sign(r)
+    input_acceleration = a * (1.0 + slots["input"]) - slots["timing"] * mean_derivative(r, a)
     return (
         sign * (1.0 + slots["scale"]) * input_acceleration
         + slots["bias"]
-        + slots["misalignment"] * (G + tangential(r))
+        + slots["misalignment"] * (G + tangential_acceleration(r))
         + slots["sensitivity"] * slots["environment"]
         + slots["departure"]
     )
 
 
-def _softening(r: bc.Frame) -> Any:
-    """Return columns of a softening spring's change of scale: x/(1 − kx) = x + kx² + k²x³ + …"""
-    outward = direction(r) * r["acceleration"]
-    # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a). Between its ends a parabola of that mean has the
-    # variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180; how long a reading is of its step is a share of it.
-    before, after = ends(r, r["acceleration"])
-    bend = 3.0 * (before + after - 2.0 * r["acceleration"])
-    varies = (after - before) ** 2 / 12.0 + bend**2 / 180.0
-    within = direction(r) * varies / xp.maximum(r["acceleration"], 1.0)
-    return xp.stack([outward, outward**2, within], axis=-1)
+def _softening_columns(r: bc.Frame) -> Any:
+    """Return the columns of a softening spring, x/(1 − kx) = x + kx² + k²x³ + …, in the scale factor, (n, 3)."""
+    outward = side_sign(r) * r["acceleration"]
+    # A reading is a mean over its averaging time: k·⟨a²⟩ = k·(⟨a⟩² + var a). A parabola with the end values a₀, a₁ and
+    # the mean ⟨a⟩ has the variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180.
+    before, after = end_values(r, r["acceleration"])
+    curvature = 3.0 * (before + after - 2.0 * r["acceleration"])
+    variance = (after - before) ** 2 / 12.0 + curvature**2 / 180.0
+    variance_term = side_sign(r) * variance / xp.maximum(r["acceleration"], 1.0)
+    return xp.stack([outward, outward**2, variance_term], axis=-1)
 
 
-def _as_scale(readings: bc.Measurements) -> str:
+def _radius_alias(readings: bc.Measurements) -> str:
     return (
-        "is an exact alias of scale.device: on an arm, another radius has the effect of another scale factor. "
-        "Measure the radii, or swap devices between places"
+        "is an exact alias of scale.device: an error of the radius has the effect of a scale factor deviation. "
+        "Measure the radii, or swap devices between positions"
     )
 
 
-def _device(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Maker:
-    """Build an effect with one coefficient per device and learned standard deviation; `acceleration` must vary."""
-    defaults = {"per": "device", "learned": bc.HalfNormal, "varies": ("acceleration",)}
+def _device_effect(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Factory:
+    """Make the factory of a random effect of devices, with estimated standard deviation; `acceleration` must vary."""
+    defaults = {"per": "device", "group_sd_prior": bc.HalfNormal, "varies": ("acceleration",)}
     return effect(basis, equation, "device", *columns, **{**defaults, **fields})
 
 
-# Third order with the second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, but
-# too small to be found alone. K2' is K2 times (duration of a reading/interval between readings)².
+# Second and third order in one effect: at 10 g and 650 ppm/g the third order is 40 ppm of the scale factor, four times
+# the uncertainty, but too small to be found alone. K2' is K2 times (averaging time/reading interval)².
 SECOND_ORDER = bc.Effect(
     "scale.second_order",
     "scale",
-    _softening,
+    _softening_columns,
     coefficients=tuple(
         bc.Coefficient(unit, bc.Normal(0.0, size), part, None, "device", bc.HalfNormal(size))
         for part, unit, size in (
@@ -106,25 +106,25 @@ SECOND_ORDER = bc.Effect(
     source=SOURCE,
 )
 
-ARM = ("time", "acceleration")
-TILTED = _device("ε[device]·(g + r·dΩ/dt)", *ARM)
-LATE = _device("−δ[device]·da/dt", *ARM)
-FARTHER = _device("a·δr[device]/r", "acceleration", varies=(), untestable=_as_scale)
-AGEING = _device("d[device]·(t − t̄)/(tmax − tmin)", "time", basis=progress, varies=())
+ARM_COLUMNS = ("time", "acceleration")
+MISALIGNMENT = _device_effect("ε[device]·(g + r·dΩ/dt)", *ARM_COLUMNS)
+TIMING_SKEW = _device_effect("−δ[device]·da/dt", *ARM_COLUMNS)
+ARM_RADIUS = _device_effect("a·δr[device]/r", "acceleration", varies=(), untestable=_radius_alias)
+DRIFT = _device_effect("d[device]·(t − t̄)/(tmax − tmin)", "time", basis=progress, varies=())
 
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     SOURCE,
     baseline=(("scale.device", catalogue.deviation, 5000.0, "ppm"), SHARED, DEPARTURE),
     candidates=(
         ("environment.temperature", catalogue.linear, 100.0, "ug/degC"),
         SECOND_ORDER,
-        ("misalignment.device", TILTED, 5.0, "mrad"),
-        ("input.radius", FARTHER, 1e4, "ppm"),
-        ("timing.skew", LATE, 10.0, "ms"),
-        ("bias.drift", AGEING, 100.0, "ug"),
+        ("misalignment.device", MISALIGNMENT, 5.0, "mrad"),
+        ("input.radius", ARM_RADIUS, 1e4, "ppm"),
+        ("timing.skew", TIMING_SKEW, 10.0, "ms"),
+        ("bias.drift", DRIFT, 100.0, "ug"),
         ("bias.device", catalogue.deviation, 10000.0, "ug"),
         # Lags and warm-up are part of the shared disturbance, a free function of time.
-        *catalogue.recorded(
+        *catalogue.make_common_effects(
             *("bias", "ug"), size=1000.0, span=5.0, pace=1.0, causes=("supply",), per="device"
         ),
     ),
@@ -158,4 +158,4 @@ INSTRUMENT = bc.Instrument(
     simulator=simulated_columns,
     source="source 3",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)

@@ -1,8 +1,8 @@
-"""Averaging within a reading: a column at the reading's ends, its slope, and noise while it changes.
+"""Changes of a column within the averaging time of a reading: end values, derivative, and a noise law.
 
-The mean of a term of second order in the acceleration exceeds its value at the mean acceleration
-by the variance of the acceleration within the reading. Such readings have less weight for the scale factor
-than those on a plateau, by a parameter that is learned.
+The mean of a second-order term in the acceleration exceeds its value at the mean acceleration by the variance of the
+acceleration within the reading. The noise law gives such readings less weight than those on a plateau, by an estimated
+parameter.
 """
 
 from __future__ import annotations
@@ -14,50 +14,50 @@ import bayescal as bc
 from bayescal import xp
 from bayescal_models.differential_pair.campaign import G
 
-SPLINE = math.sqrt(3.0) - 2.0
-REACH = 12  # neighbours on either side: the next has the weight 10⁻⁷
-SHARE = "noise.while_changing"
+SPLINE_DECAY = math.sqrt(3.0) - 2.0  # ratio z of successive weights
+NEIGHBOUR_COUNT = 12  # number of neighbours on either side; the next has the weight 10⁻⁷
+SHARE_NAME = "noise.while_changing"
 
 
-def slope(r: bc.Frame, values: Any) -> Any:
-    """Return the mean time derivative of a column within each reading, unit/s: its change over the duration.
+def mean_derivative(r: bc.Frame, values: Any) -> Any:
+    """Return the mean time derivative of a column within each reading, unit/s, (n,).
 
-    A reading lasts from half way to the one before it to half way to the next.
+    A reading lasts from the midpoint to the previous reading to the midpoint to the next one.
     """
-    back = xp.where(r.step > 0, r.step, 0.0)
-    ahead = xp.append(back[1:], 0.0)
-    sides = (back > 0).astype(float) + (ahead > 0)
-    lasts = xp.placed(r.order, (back + ahead) / xp.maximum(sides, 1.0))
-    before, after = ends(r, values)
-    return (after - before) / xp.where(lasts > 0, lasts, 1.0)
+    interval_before = xp.where(r.step > 0, r.step, 0.0)
+    interval_after = xp.append(interval_before[1:], 0.0)
+    sides = (interval_before > 0).astype(float) + (interval_after > 0)
+    duration = xp.placed(r.order, (interval_before + interval_after) / xp.maximum(sides, 1.0))
+    before, after = end_values(r, values)
+    return (after - before) / xp.where(duration > 0, duration, 1.0)
 
 
-def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
-    """Return a column at the beginning and the end of each reading, given its means over the readings.
+def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
+    """Return the values of a column at the beginning and the end of each reading, (n,) each, from its means (n,).
 
-    These are the slopes e of the cubic spline through the integral of the column, which the means give exactly: of a
-    record of even steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a mean of neighbours' means
-    with weights z^|j|, z = √3 − 2. Beyond its ends a record is extrapolated as constant.
+    They are the slopes e of the cubic spline through the integral of the column, which the means determine: for equal
+    steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a weighted mean of the means with weights
+    z^|j|, z = √3 − 2. Outside a record the column is extrapolated as constant.
     Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
     """
     ordered, place = xp.asarray(values)[r.order], xp.arange(r.size)
-    begins = r.step <= 0
-    first = xp.maximum.accumulate(xp.where(begins, place, 0))
-    closing = xp.where(xp.append(begins[1:], True), place, r.size - 1)
-    last = xp.minimum.accumulate(closing[::-1])[::-1]
+    is_run_start = r.step <= 0
+    first_index = xp.maximum.accumulate(xp.where(is_run_start, place, 0))
+    closing = xp.where(xp.append(is_run_start[1:], True), place, r.size - 1)
+    last_index = xp.minimum.accumulate(closing[::-1])[::-1]
 
-    def at(shift: int) -> Any:
-        return ordered[xp.clip(place + shift, first, last)]
+    def shift_values(shift: int) -> Any:
+        return ordered[xp.clip(place + shift, first_index, last_index)]
 
-    weights = {j: SPLINE ** abs(j) for j in range(-REACH, REACH + 1)}
+    weights = {j: SPLINE_DECAY ** abs(j) for j in range(-NEIGHBOUR_COUNT, NEIGHBOUR_COUNT + 1)}
     total = 2.0 * sum(weights.values())
-    before = sum(w * (at(j - 1) + at(j)) for j, w in weights.items()) / total
-    after = sum(w * (at(j) + at(j + 1)) for j, w in weights.items()) / total
+    before = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / total
+    after = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / total
     return xp.placed(r.order, before), xp.placed(r.order, after)
 
 
 class NoiseWhileChanging(bc.Noise):
-    """White noise, larger where the acceleration changes: σᵢ = σ·√(1 + (k·Δaᵢ²)²), Δaᵢ over a reading, g.
+    """White noise that is larger while the acceleration changes by Δaᵢ, g, within a reading: σᵢ = σ·√(1 + (k·Δaᵢ²)²).
 
     Attributes:
         scale: prior of σ, output unit.
@@ -76,16 +76,16 @@ class NoiseWhileChanging(bc.Noise):
         return ("time", "acceleration")
 
     def parameters(self) -> dict[str, Any]:
-        return {"noise.white": self.scale, SHARE: self.share}
+        return {"noise.white": self.scale, SHARE_NAME: self.share}
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
         return ("noise.white",)
 
     def unit(self, name: str, output: str) -> str:
-        return "1/g^2" if name == SHARE else output
+        return "1/g^2" if name == SHARE_NAME else output
 
     def variance(self, parameters: Any, frame: bc.Frame) -> Any:
-        before, after = ends(frame, frame["acceleration"])
+        before, after = end_values(frame, frame["acceleration"])
         change = (after - before) / G
-        return parameters["noise.white"] ** 2 * (1.0 + (parameters[SHARE] * change**2) ** 2)
+        return parameters["noise.white"] ** 2 * (1.0 + (parameters[SHARE_NAME] * change**2) ** 2)

@@ -1,4 +1,4 @@
-"""The reference problem of four devices on an arm, as described in `bayescal_models`."""
+"""Reference problem of the differential pair: four devices on an arm (see `bayescal_models`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
 
 
 def model() -> bc.Model:
-    """Return the baseline with proper priors; the noise has a half-normal one, so that no draw is enormous."""
+    """Return the baseline with a half-normal prior of the noise, whose draws are never extreme."""
     return INSTRUMENT.baseline().with_noise(bc.White(bc.HalfNormal(50.0)))
 
 

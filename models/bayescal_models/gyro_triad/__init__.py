@@ -4,18 +4,18 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, declare_move_columns, derived, three
+from bayescal_models.triad.columns import SESSION, derived_columns, move_columns, triple
 
 COLUMNS = (
     *SESSION,
-    *three(
+    *triple(
         "output",
         "deg/s",
         "of axis {axis}, averaged while the rate is steady",
         ("gyro_{axis}", "gyr_{axis}", "g{axis}", "w{axis}"),
     ),
     bc.Column("rate", "deg/s", "of the table; 0 at rest", default=0.0),
-    *three("direction", "1", "of the table's axis, along axis {axis} of the body", required=False),
+    *triple("direction", "1", "of the table's axis, along axis {axis} of the body", required=False),
     bc.Column(
         "pose_uncertainty",
         "rad",
@@ -25,17 +25,17 @@ COLUMNS = (
         high=1.0,
     ),
     bc.Column("mounting", None, "readings that share that error", required=False),
-    *three(
+    *triple(
         "gravity", "g", "specific force at rest (up), along axis {axis} of the body", required=False
     ),
-    *three("earth", "deg/s", "rotation of the Earth, along axis {axis}", required=False),
-    *derived(
+    *triple("earth", "deg/s", "rotation of the Earth, along axis {axis}", required=False),
+    *derived_columns(
         "deg/s",
         "which output a reading is of",
         "which output a reading is of",
         "one of the three outputs, or a mean over a move",
     ),
-    *declare_move_columns("deg/s"),
+    *move_columns("deg/s"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

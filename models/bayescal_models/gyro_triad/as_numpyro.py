@@ -1,8 +1,8 @@
 """Self-contained NumPyro model of three gyroscopes on a rate table, with errors of the mountings.
 
-The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-The table turns at a rate Ω about an axis u of the body, nominally; ω = Ω·u. Of axis a of the unit:
+The table turns at a rate Ω about a nominal axis u of the body, ω = Ω·u. The output of axis a is
 
     y_a = ω_a + b_a + Σ_j G_aj·ω_j + Ω·(θ × u)_a + e_a,     e_a ~ N(0, σ²),     all in °/s
 
@@ -24,36 +24,36 @@ from bayescal_models.gyro_triad.model import INSTRUMENT
 
 
 def model(rate, direction, across, uncertainty, mounting, mountings, output=None) -> None:
-    """Define the model of Ω °/s (n,), u and axis a (n, 3), u(θ) rad, mountings; output °/s, or None to simulate."""
+    """Define the NumPyro model: Ω °/s (n,), u and axis a (n, 3), u(θ) rad, mounting index; output °/s or None."""
 
-    def sample_each(name: str, parts: tuple[str, ...], size: float) -> Any:
+    def sample_parts(name: str, parts: tuple[str, ...], size: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
 
-    bias = sample_each("bias.constant", ("x", "y", "z"), 3.0)  # °/s
-    scale = 1e-6 * sample_each("scale.constant", ("x", "y", "z"), 20_000.0)  # from ppm
+    bias = sample_parts("bias.constant", ("x", "y", "z"), 3.0)  # °/s
+    scale = 1e-6 * sample_parts("scale.constant", ("x", "y", "z"), 20_000.0)  # from ppm
     pairs = ("xy", "xz", "yz", "yx", "zx", "zy")
-    xy, xz, yz, yx, zx, zy = 1e-3 * sample_each("misalignment.constant", pairs, 20.0)  # from mrad
+    xy, xz, yz, yx, zx, zy = 1e-3 * sample_parts("misalignment.constant", pairs, 20.0)  # from mrad
     G = jnp.diag(scale) + jnp.array([[0.0, xy, xz], [yx, 0.0, yz], [zx, zy, 0.0]])
     with numpyro.plate("mountings", mountings):
-        off = sample_each("turn.mounting", ("x", "y", "z"), 1.0)  # in parts of u(θ)
-    theta = uncertainty[:, None] * off.T[mounting]
+        mounting_deviates = sample_parts("turn.mounting", ("x", "y", "z"), 1.0)  # relative to u(θ)
+    theta = uncertainty[:, None] * mounting_deviates.T[mounting]
     omega = rate[:, None] * direction
     y = omega + bias + omega @ G.T + rate[:, None] * jnp.cross(theta, direction)
     noise = numpyro.sample("noise.white", HalfCauchy(0.03))  # °/s
     numpyro.sample("output", Normal(jnp.sum(across * y, axis=1), noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     direction, across = (
         np.stack([readings[f"{name}_{a}"] for a in "xyz"], axis=1)
         for name in ("direction", "across")
     )
     mountings, mounting = readings.groups("mounting")
-    arms = {"rate": readings["rate"], "direction": direction, "across": across}
+    rates = {"rate": readings["rate"], "direction": direction, "across": across}
     groups = {"mounting": mounting, "mountings": len(mountings)}
     columns = {"uncertainty": readings["pose_uncertainty"], "output": readings["output"]}
-    return arms | groups | columns
+    return rates | groups | columns
 
 
-equal = INSTRUMENT.baseline  # the same model as a sum of named effects
+equivalent_model = INSTRUMENT.baseline  # a sum of named effects with the same posterior

@@ -1,4 +1,4 @@
-"""Plan of rates about the axes of a table with a mounted unit, and of moves by hand."""
+"""Plans of a rate-table test of a mounted gyro triad, and of rotations by hand between poses."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ MOUNTINGS = ("x", "y", "z", "-x", "-y", "-z")
 
 @dataclass(frozen=True)
 class Campaign:
-    """Rates about a vertical axis, in successive mountings, each at successive temperatures.
+    """Plan of a rate-table test: rates about the vertical in successive mountings, at successive temperatures.
 
     Attributes:
-        mountings: body axes that point up, such as "x" or "-z".
-        rates: rates of the table at each temperature, °/s; 0 is at rest.
-        temperatures: °C.
+        mountings: body axis that points up in each mounting, such as "x" or "-z".
+        rates: rates of the table at each temperature, °/s; 0: at rest.
+        temperatures: temperatures in test order, °C.
         noise: standard deviation of an averaged output, °/s.
         interval: time between readings, s.
         soak: time before the first reading at a temperature, s.
-        runs: number of sessions, each the whole plan.
+        runs: number of sessions; each repeats the whole plan.
     """
 
     mountings: tuple[str, ...] = MOUNTINGS
@@ -32,17 +32,17 @@ class Campaign:
 
 @dataclass(frozen=True)
 class MovesByHand:
-    """A unit of gyroscopes and accelerometers turned by hand between poses at rest, and logged throughout.
+    """Plan of a continuous log of gyroscopes and accelerometers, rotated by hand between poses at rest.
 
     Attributes:
         poses: number of poses.
-        still: time at rest in each, s.
-        move: duration of a move between poses, s.
-        angle: mean rotation angle of a move, rad.
+        still: time at rest in each pose, s.
+        move: duration of a rotation between poses, s.
+        angle: mean rotation angle between poses, rad.
         rate: sampling rate, 1/s.
-        gyro_noise: white noise of gyroscopes, °/s/√Hz.
-        force_noise: white noise of accelerometers, g/√Hz.
-        latitude: latitude for the Earth's rotation, °; None: without it.
+        gyro_noise: white noise density of the gyroscopes, °/s/√Hz.
+        force_noise: white noise density of the accelerometers, g/√Hz.
+        latitude: latitude, °, for the Earth's rotation; None: no Earth rotation.
     """
 
     poses: int = 24

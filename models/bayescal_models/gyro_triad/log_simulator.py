@@ -1,7 +1,7 @@
-"""Simulator of a log of six channels: a unit turned by hand between poses at rest.
+"""Simulator of a six-channel log of a unit rotated by hand between poses at rest.
 
-The true attitude is integrated in many steps between two samples, from rates in closed form, independently of the
-model's integration.
+The true attitude is integrated in many steps per sample from rates in closed form, independently of the integration
+in the model.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad.campaign import MovesByHand
-from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS
-from bayescal_models.triad.simulator import matrix_of, members_of
+from bayescal_models.gyro_triad.simulator import BASELINE, MEMBER_COUNTS
+from bayescal_models.triad.simulator import axis_matrix, member_sizes
 
-EARTH = 15.041 / 3600  # °/s
-SHAKE = 0.1  # g, standard deviation of the hand's acceleration in moves
-SUBSTEPS = 16  # between samples, in which the true attitude is integrated
-LAWS = (
+EARTH_RATE_DEG_S = 15.041 / 3600  # °/s
+HAND_SHAKE_G = 0.1  # g, amplitude scale of the hand's acceleration during rotations
+SUBSTEPS = 16  # per sample, integration steps of the true attitude
+EFFECT_NAMES = (
     "bias.constant",
     "bias.g_sensitivity",
     "scale.constant",
@@ -32,33 +32,33 @@ LAWS = (
 def simulate_log(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: MovesByHand | None = None
 ) -> dict[str, np.ndarray]:
-    """Simulate a log: columns time (s), gyro_x, … (°/s), accel_x, … (g).
+    """Simulate a log; return its columns: time (s), gyro_x, … (°/s), accel_x, … (g).
 
     Args:
-        effects: canonical name of a gyroscopes' effect → true size, in the unit of its coefficients, or one for
-            each of its members; bias, scale and misalignment are present unless given.
+        effects: canonical name of an effect of the gyroscopes → true size, in the unit of its coefficients, or a size
+            for each of them; constant bias, scale and misalignment have default sizes.
         seed: seed of the random-number generator.
-        campaign: the poses and moves.
+        campaign: plan of the poses and rotations.
 
     Raises:
         ValueError: an effect that the simulator does not have.
     """
-    plan, counts = campaign or MovesByHand(), {name: COUNTS[name] for name in LAWS}
-    sizes = members_of(effects, counts, BASELINE)
+    plan, counts = campaign or MovesByHand(), {name: MEMBER_COUNTS[name] for name in EFFECT_NAMES}
+    sizes = member_sizes(effects, counts, BASELINE)
     rng = np.random.default_rng(seed)
     rate, force, up = _path(plan, rng)  # °/s, g
-    around = np.zeros(3)
+    earth_rate = np.zeros(3)
     if plan.latitude is not None:
         heading, phi = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.latitude)
-        level = [np.cos(phi) * np.cos(heading), np.cos(phi) * np.sin(heading), np.sin(phi)]
-        around = EARTH * np.array(level)
-    rate = rate + np.einsum("nij,i->nj", up, around)
-    matrix = matrix_of(1e-6 * sizes["scale.constant"], 1e-3 * sizes["misalignment.constant"])
+        earth_axis = [np.cos(phi) * np.cos(heading), np.cos(phi) * np.sin(heading), np.sin(phi)]
+        earth_rate = EARTH_RATE_DEG_S * np.array(earth_axis)
+    rate = rate + np.einsum("nij,i->nj", up, earth_rate)
+    matrix = axis_matrix(1e-6 * sizes["scale.constant"], 1e-3 * sizes["misalignment.constant"])
     sensitivity = sizes["bias.g_sensitivity"].reshape(3, 3)
     gyro = rate @ matrix.T + sizes["bias.constant"] + force @ sensitivity.T
     gyro = gyro + 1e-6 * sizes["square.constant"] * rate**2
     scale, angles = (np.array(ACCELEROMETERS[f"{n}.constant"]) for n in ("scale", "misalignment"))
-    accel = force @ matrix_of(1e-6 * scale, 1e-3 * angles).T
+    accel = force @ axis_matrix(1e-6 * scale, 1e-3 * angles).T
     accel = accel + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
     root_rate = math.sqrt(plan.rate)
     gyro = gyro + plan.gyro_noise * root_rate * rng.standard_normal(gyro.shape)
@@ -69,48 +69,48 @@ def simulate_log(
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rates against the ground (n, 3) in °/s, specific force (n, 3) in g, attitudes, body to level (n, 3, 3)."""
-    fine = SUBSTEPS
-    at_rest, moving = round(plan.still * plan.rate), round(plan.move * plan.rate)
+    """Simulate ground-relative rates, °/s, and specific force, g, (n, 3), and body-to-level matrices (n, 3, 3)."""
+    substeps = SUBSTEPS
+    rest_samples, move_samples = round(plan.still * plan.rate), round(plan.move * plan.rate)
     rates, forces, attitudes = [], [], []
     attitude = _rotation(rng.standard_normal(3))
     for pose in range(plan.poses):
-        rates.append(np.zeros((at_rest, 3)))
-        forces.append(np.tile(attitude[2], (at_rest, 1)))
-        attitudes.append(np.tile(attitude, (at_rest, 1, 1)))
+        rates.append(np.zeros((rest_samples, 3)))
+        forces.append(np.tile(attitude[2], (rest_samples, 1)))
+        attitudes.append(np.tile(attitude, (rest_samples, 1, 1)))
         if pose == plan.poses - 1:
             break
         axis = rng.standard_normal(3)
         mean = plan.angle * rng.uniform(0.5, 1.5) * axis / np.linalg.norm(axis) / plan.move
-        aside, pushed = rng.standard_normal((2, 3))
+        cross, push_direction = rng.standard_normal((2, 3))
 
-        def turning(s: np.ndarray, mean: np.ndarray = mean, aside: np.ndarray = aside) -> Any:
-            """Return the rate at fraction s of the move, rad/s."""
-            swell = np.sin(np.pi * s)[:, None] ** 2
-            return swell * (2 * mean + 0.5 * aside * np.sin(2 * np.pi * s)[:, None])
+        def turn_rate(s: np.ndarray, mean: np.ndarray = mean, cross: np.ndarray = cross) -> Any:
+            """Return the angular rate at fraction s of the rotation's duration, rad/s."""
+            envelope = np.sin(np.pi * s)[:, None] ** 2
+            return envelope * (2 * mean + 0.5 * cross * np.sin(2 * np.pi * s)[:, None])
 
-        whole = np.arange(moving) / moving
-        rates.append(np.rad2deg(turning(whole)))
-        orientation = np.empty((moving, 3, 3))
-        middles = (np.arange(moving * fine) + 0.5) / (moving * fine)
-        steps = turning(middles) / (plan.rate * fine)
-        for k in range(moving * fine):
-            if k % fine == 0:
-                orientation[k // fine] = attitude
+        fractions = np.arange(move_samples) / move_samples
+        rates.append(np.rad2deg(turn_rate(fractions)))
+        orientation = np.empty((move_samples, 3, 3))
+        midpoints = (np.arange(move_samples * substeps) + 0.5) / (move_samples * substeps)
+        steps = turn_rate(midpoints) / (plan.rate * substeps)
+        for k in range(move_samples * substeps):
+            if k % substeps == 0:
+                orientation[k // substeps] = attitude
             attitude = attitude @ _rotation(steps[k])
         attitudes.append(orientation)
-        swing = SHAKE * np.sin(np.pi * whole) ** 2 * np.sin(6 * np.pi * whole)
-        felt = np.array([0.0, 0.0, 1.0]) + swing[:, None] * pushed
-        forces.append(np.einsum("nij,ni->nj", orientation, felt))
+        push = HAND_SHAKE_G * np.sin(np.pi * fractions) ** 2 * np.sin(6 * np.pi * fractions)
+        specific_force = np.array([0.0, 0.0, 1.0]) + push[:, None] * push_direction
+        forces.append(np.einsum("nij,ni->nj", orientation, specific_force))
     return np.concatenate(rates), np.concatenate(forces), np.concatenate(attitudes)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """Return Rodrigues' rotation matrix of a rotation vector, rad."""
+    """Return the rotation matrix of a rotation vector, rad, by Rodrigues' formula."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-9:
         return np.eye(3) + cross
-    once, twice = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
-    return np.eye(3) + once * cross + twice * cross @ cross
+    first_order, second_order = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
+    return np.eye(3) + first_order * cross + second_order * cross @ cross

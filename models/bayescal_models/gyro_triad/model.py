@@ -40,139 +40,139 @@ from bayescal_models.catalogue import EffectTable, family, one
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS
 from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.gyro_triad.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, readings_of
-from bayescal_models.triad.columns import AROUND, PULLED, SQUARED, TURNED
+from bayescal_models.simulated import ReferenceProblem, readings_simulator
+from bayescal_models.triad.columns import EARTH_RATE, MEAN_FORCE, MEAN_RATE, MEAN_SQUARED_RATE
 from bayescal_models.triad.equation import (
     AXES,
     BIAS,
-    FIRST,
+    FIRST_ORDER,
     LOWER,
     SCALE,
     SQUARE,
     UPPER,
-    equation,
-    slots,
+    axis_slots,
+    output_function,
 )
-from bayescal_models.triad.experiments import RATES
-from bayescal_models.triad.families import behind, constant, of_run, over_temperature, with_time
+from bayescal_models.triad.experiments import RATE_EXPERIMENTS
+from bayescal_models.triad.families import constant, drift, run_offset, tempco, thermal_lag
 
-GRAVITY = tuple(f"gravity_{a}" for a in AXES)
-SENSITIVITY = tuple(f"sensitivity_{a}{j}" for a in AXES for j in AXES)
+GRAVITY_COLUMNS = tuple(f"gravity_{a}" for a in AXES)
+G_SLOTS = tuple(f"sensitivity_{a}{j}" for a in AXES for j in AXES)
 TURN = tuple(f"turn_{a}" for a in AXES)
-DIRECTION = tuple(f"direction_{a}" for a in AXES)
-EARTH = tuple(f"earth_{a}" for a in AXES)
-ACROSS = tuple(f"across_{a}" for a in AXES)
-ANGLES = (*UPPER, *LOWER)
+DIRECTION_COLUMNS = tuple(f"direction_{a}" for a in AXES)
+EARTH_COLUMNS = tuple(f"earth_{a}" for a in AXES)
+SENSING_AXIS = tuple(f"across_{a}" for a in AXES)
+MISALIGNMENTS = (*UPPER, *LOWER)
 
 
 def _stack(values, names):
     return xp.stack([values[name] for name in names], axis=-1)
 
 
-def _acting(r):
-    rate = r["rate"][..., None] * _stack(r, DIRECTION)
-    return rate + _stack(r, EARTH) if EARTH[0] in r.columns else rate
+def _true_rate(r):
+    rate = r["rate"][..., None] * _stack(r, DIRECTION_COLUMNS)
+    return rate + _stack(r, EARTH_COLUMNS) if EARTH_COLUMNS[0] in r.columns else rate
 
 
-def _equation(slots, r):
-    outputs = equation(slots, r)
-    if GRAVITY[0] not in r.columns:
+def _output_function(slots, r):
+    outputs = output_function(slots, r)
+    if GRAVITY_COLUMNS[0] not in r.columns:
         return outputs
-    matrices = _stack(slots, SENSITIVITY).reshape(r.size, 3, 3)
-    by_gravity = xp.sum(matrices * _stack(r, GRAVITY)[:, None, :], axis=-1)
-    return lambda rate: outputs(rate) + by_gravity
+    matrices = _stack(slots, G_SLOTS).reshape(r.size, 3, 3)
+    gravity_drift = xp.sum(matrices * _stack(r, GRAVITY_COLUMNS)[:, None, :], axis=-1)
+    return lambda rate: outputs(rate) + gravity_drift
 
 
 VECTOR = bc.Vector(
     outputs=OUTPUTS,
-    equation=_equation,
-    acting=_acting,
+    equation=_output_function,
+    acting=_true_rate,
     common_scale=0.03,
-    rig=(*TURN, *AROUND),
-    beside=GRAVITY,
+    rig=(*TURN, *EARTH_RATE),
+    beside=GRAVITY_COLUMNS,
 )
 
 
-def _in_moves(slots, r):
-    """Return mean outputs over moves between poses, along directions fixed in the unit: linear in all slots."""
+def _mean_over_move(slots, r):
+    """Return outputs averaged over rotations between poses, along axes fixed in the unit; linear in all slots."""
     identity = xp.eye(3).ravel()
-    levers = (
-        (ACROSS, BIAS),
-        (TURNED, FIRST),
-        (PULLED, SENSITIVITY),
-        (SQUARED, SQUARE),
-        (AROUND, AROUND),
+    terms = (
+        (SENSING_AXIS, BIAS),
+        (MEAN_RATE, FIRST_ORDER),
+        (MEAN_FORCE, G_SLOTS),
+        (MEAN_SQUARED_RATE, SQUARE),
+        (EARTH_RATE, EARTH_RATE),
     )
-    total = xp.sum(_stack(r, TURNED) * identity, axis=-1)
-    for columns, lever in levers:
-        total = total + xp.sum(_stack(r, columns) * _stack(slots, lever), axis=-1)
+    total = xp.sum(_stack(r, MEAN_RATE) * identity, axis=-1)
+    for columns, slot_names in terms:
+        total = total + xp.sum(_stack(r, columns) * _stack(slots, slot_names), axis=-1)
     return total
 
 
 def _response(slots, r):
-    if TURNED[0] in r.columns:
-        return _in_moves(slots, r)
-    aside = xp.cross(_stack(slots, TURN), _stack(r, DIRECTION))
-    error = r["rate"][..., None] * aside
-    return VECTOR.response(slots, r) + xp.sum(_stack(r, ACROSS) * error, axis=-1)
+    if MEAN_RATE[0] in r.columns:
+        return _mean_over_move(slots, r)
+    axis_error = xp.cross(_stack(slots, TURN), _stack(r, DIRECTION_COLUMNS))
+    error = r["rate"][..., None] * axis_error
+    return VECTOR.response(slots, r) + xp.sum(_stack(r, SENSING_AXIS) * error, axis=-1)
 
 
-def _at_each_mounting(r):
+def _mounting_uncertainty(r):
     return r["pose_uncertainty"]
 
 
 SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
-PLASTIC = "ours: 1 mrad in 50 °C, of a package's plastic"
-MOUNTED = family(
+PACKAGE = "ours: 1 mrad in 50 °C, for a plastic package"
+MOUNTING_ERROR = family(
     TURN,
-    _at_each_mounting,
+    _mounting_uncertainty,
     "c[mounting]·u(mounting),  c ~ N(0, 1)",
     *("mounting", "pose_uncertainty"),
     per="mounting",
     varies=(),
 )
-TOWARD_GRAVITY = family(SENSITIVITY, one, "Σ_j c_aj·g_j", *GRAVITY, along="", varies=())
+G_SENSITIVITY = family(G_SLOTS, one, "Σ_j c_aj·g_j", *GRAVITY_COLUMNS, along="", varies=())
 EARTH_ROTATION = family(
-    AROUND,
+    EARTH_RATE,
     one,
     "ω_E along the axes of the body in the first pose of a run",
-    *AROUND,
+    *EARTH_RATE,
     per="run",
     varies=(),
 )
 
 # Sizes are those of consumer MEMS parts.
-AS_GIVEN = "the standard uncertainty of the mounting, as given with the readings"
-TOWARD_G = "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours"
-NONLINEAR = "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s"
-OF_THE_EARTH = "15.041 °/h in an unknown direction"
+MOUNTING_SOURCE = "the standard uncertainty of the mounting, as given with the readings"
+G_SOURCE = "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours"
+NONLINEARITY = "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s"
+EARTH_SOURCE = "15.041 °/h in an unknown direction"
 
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     SHEETS,
     baseline=(
         ("bias.constant", constant(BIAS), 3.0, "deg/s"),
         ("scale.constant", constant(SCALE), 20000.0, "ppm"),
-        ("misalignment.constant", constant(ANGLES), 20.0, "mrad"),
-        ("turn.mounting", MOUNTED, 1.0, "1", AS_GIVEN),
+        ("misalignment.constant", constant(MISALIGNMENTS), 20.0, "mrad"),
+        ("turn.mounting", MOUNTING_ERROR, 1.0, "1", MOUNTING_SOURCE),
     ),
     candidates=(
-        ("bias.temperature", over_temperature(BIAS), 0.03, "deg/s/degC", TEMPCO),
-        ("scale.temperature", over_temperature(SCALE), 200.0, "ppm/degC", TEMPCO),
-        ("misalignment.temperature", over_temperature(ANGLES), 0.02, "mrad/degC", PLASTIC),
-        ("bias.temperature_quadratic", over_temperature(BIAS, 2), 3e-4, "deg/s/degC^2", TEMPCO),
-        ("bias.g_sensitivity", TOWARD_GRAVITY, 0.1, "deg/s/g", TOWARD_G),
-        ("bias.thermal_lag", behind(BIAS), 0.03, "deg/s/degC", TEMPCO),
-        ("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg", NONLINEAR),
-        ("bias.drift", with_time(BIAS), 0.05, "deg/s", "ours"),
-        ("bias.run", of_run(BIAS), 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts"),
+        ("bias.temperature", tempco(BIAS), 0.03, "deg/s/degC", TEMPCO),
+        ("scale.temperature", tempco(SCALE), 200.0, "ppm/degC", TEMPCO),
+        ("misalignment.temperature", tempco(MISALIGNMENTS), 0.02, "mrad/degC", PACKAGE),
+        ("bias.temperature_quadratic", tempco(BIAS, 2), 3e-4, "deg/s/degC^2", TEMPCO),
+        ("bias.g_sensitivity", G_SENSITIVITY, 0.1, "deg/s/g", G_SOURCE),
+        ("bias.thermal_lag", thermal_lag(BIAS), 0.03, "deg/s/degC", TEMPCO),
+        ("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg", NONLINEARITY),
+        ("bias.drift", drift(BIAS), 0.05, "deg/s", "ours"),
+        ("bias.run", run_offset(BIAS), 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts"),
     ),
-    others=(("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s", OF_THE_EARTH),),
+    others=(("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s", EARTH_SOURCE),),
 )
 
 
 def moved() -> bc.Model:
-    """Return the baseline of moves between poses: no table mounting, and the Earth's rotation is unknown."""
+    """Return the baseline for rotations between poses: no mounting errors; the Earth's rotation is estimated."""
     return INSTRUMENT.baseline() - "turn.mounting" + EFFECTS["earth.rotation"]
 
 
@@ -181,16 +181,16 @@ INSTRUMENT = bc.Instrument(
     title="three gyroscopes on a rate table and at rest: bias, scale, misalignment",
     columns=COLUMNS,
     slots=(
-        *slots("deg/s", "rate"),
+        *axis_slots("deg/s", "rate"),
         *(bc.Slot(n, "s/deg", f"of axis {n[-1]}, times its own input squared") for n in SQUARE),
         *(bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}") for n in TURN),
         *(
             bc.Slot(n, "deg/s/g", f"of axis {n[-2]} to the specific force along {n[-1]}")
-            for n in SENSITIVITY
+            for n in G_SLOTS
         ),
         *(
             bc.Slot(n, "deg/s", f"the Earth's rotation, along axis {n[-1]} of the first pose")
-            for n in AROUND
+            for n in EARTH_RATE
         ),
     ),
     response=_response,
@@ -199,14 +199,10 @@ INSTRUMENT = bc.Instrument(
     noise=bc.White(bc.HalfCauchy(0.03)),
     simulator=simulated_columns,
     structures=(("moves", moved),),
-    experiments=RATES,
+    experiments=RATE_EXPERIMENTS,
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)
 # Five rates in three mountings.
-reference_problem = ReferenceProblem(
-    INSTRUMENT,
-    Campaign(mountings=("x", "y", "z")),
-    Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2),
-)
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(mountings=("x", "y", "z")))

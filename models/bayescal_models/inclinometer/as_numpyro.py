@@ -1,8 +1,8 @@
 """Self-contained NumPyro model of an inclinometer's zero offset against placement angle, for two axes.
 
-The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-Zero offset S of reading i on axis k in mounting j, arcsec, at the placement angle ω (source 4; mountings ours):
+Zero offset S, arcsec, of reading i on axis k in mounting j at the placement angle ω (source 4; mountings ours):
 
     S_i = a_k + b_k·ω_i + d_j + e_i,     d_j ~ N(0, s²),     e_i ~ N(0, σ²)
 """
@@ -20,7 +20,7 @@ from bayescal_models.inclinometer.model import INSTRUMENT
 
 
 def model(placement, axis, axes, run, runs, output=None) -> None:
-    """Define the model of placement angles ° (n,), axis and run from 0; output arcsec (n,), or None to simulate."""
+    """Define the NumPyro model: placement angle °, axis and run index (n,), their numbers; output arcsec or None."""
     with numpyro.plate("axes", axes):
         a = numpyro.sample("zero.constant", Normal(0.0, 1000.0))  # arcsec
         b = numpyro.sample("zero.placement", Normal(0.0, 2.0))  # arcsec/deg
@@ -31,8 +31,8 @@ def model(placement, axis, axes, run, runs, output=None) -> None:
     numpyro.sample("output", Normal(a[axis] + b[axis] * placement + d[run], noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     (axes, axis), (runs, run) = readings.groups("axis"), readings.groups("run")
     groups = {"axis": axis, "axes": len(axes), "run": run, "runs": len(runs)}
     return {
@@ -42,4 +42,4 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-equal = INSTRUMENT.baseline  # the same model as a sum of named effects
+equivalent_model = INSTRUMENT.baseline  # a sum of named effects with the same posterior

@@ -1,4 +1,4 @@
-"""Plans of the zero test and of the verification, and the simulated accelerometers."""
+"""Plans of zero tests and verifications of an inclinometer, and its simulated accelerometers."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from itertools import product
 
 import numpy as np
 
-from bayescal_models.inclinometer.geometry import possible
-from bayescal_models.simulated import refuse
+from bayescal_models.inclinometer.geometry import are_compatible_tilts
+from bayescal_models.simulated import raise_if
 
 
 @dataclass(frozen=True)
 class Accelerometer:
-    """Errors of one accelerometer; angles in arcsec unless stated.
+    """True errors of one accelerometer of an inclinometer, arcsec unless stated.
+
+    The zero at the placement angle ω is electrical + constant + slope·ω + pendulum·cos ω + door·sin ω.
 
     Attributes:
-        constant: zero at ω = 0 about the flange axis (S_p at ω = 0, or the constant of a line).
-        slope: its change with the placement angle, arcsec/deg; 0 if given by the projections.
-        electrical: S_e, which does not tilt with the axis.
-        pendulum, door: S_p and S_d.
-        scale: κ, ppm.
-        share: factor of the sizes of hidden effects on this accelerometer.
+        constant, slope: mechanical zero at ω = 0, and its slope, arcsec/deg.
+        electrical: electrical zero S_e, which does not depend on the tilt.
+        pendulum, door: projections S_p and S_d of the sensing axis.
+        scale: scale factor deviation κ, ppm.
+        share: factor that multiplies the sizes of hidden effects on this accelerometer.
     """
 
     constant: float = 0.0
@@ -33,7 +34,7 @@ class Accelerometer:
     share: float = 1.0
 
     def mechanical(self, angle: np.ndarray) -> np.ndarray:
-        """Return the mechanical zero at a placement angle in rad, arcsec."""
+        """Return the mechanical zero, arcsec, at placement angles in rad."""
         line = self.constant + self.slope * np.rad2deg(angle)
         return line + self.pendulum * np.cos(angle) + self.door * np.sin(angle)
 
@@ -44,25 +45,25 @@ Y = Accelerometer(constant=96.3284, slope=0.06818, share=-0.6)  # source 4: Sy
 
 @dataclass(frozen=True)
 class Campaign:
-    """A zero test on a dividing table or, with a `grid`, a verification on a two-axis one.
+    """Plan of a zero test on a dividing table or, with `grid`, of a verification on a two-axis table.
 
-    The defaults are source 4's zero test, ±45° by 5°, forward and backward in each of two mountings
-    of each axis: 152 readings. Sizes are ours unless stated.
+    The defaults are source 4's zero test: ±45° in 5° steps, forward and backward in each of two mountings of each
+    axis, 152 readings. Values are ours unless a source is stated.
 
     Attributes:
-        axes: accelerometers by label.
-        devices: number of inclinometers, which differ.
+        axes: label and true errors of each accelerometer.
+        devices: number of inclinometers, with different errors.
         angles: placement angles of a sweep, deg.
-        runs: mountings of each axis.
-        backward: whether each sweep is repeated backward.
-        grid: tilts of a verification, deg: all pairs that a body can take; empty for a zero test.
-        exact: whether a verification has the exact geometry; otherwise the document's ω = y.
+        runs: number of mountings of each axis.
+        backward: whether each sweep is repeated in reverse order.
+        grid: tilts of a verification, deg; all pairs that are geometrically possible; empty: zero test.
+        exact: whether a verification has the exact placement angle; otherwise ω = y, as in source 4.
         interval: time between readings, s.
         pause: time between runs, s.
-        noise: standard deviation of a reading, arcsec (source 4 has only the table's 2″).
-        repeatability: standard deviation between mountings, arcsec.
-        swing: amplitude of the laboratory's temperature, °C.
-        period: period of that temperature, s.
+        noise: standard deviation of a reading, arcsec (source 4 states only the table's 2″).
+        repeatability: standard deviation of the zero between mountings, arcsec.
+        swing: amplitude of the laboratory temperature's oscillation, °C.
+        period: period of this oscillation, s.
 
     Raises:
         ValueError: a verification with other axes than x and y.
@@ -83,7 +84,7 @@ class Campaign:
     period: float = 4 * 3600.0
 
     def __post_init__(self) -> None:
-        refuse(
+        raise_if(
             len(self.grid) and {label for label, _ in self.axes} != {"x", "y"},
             "Campaign(grid=…): a verification needs the axes x and y.",
         )
@@ -91,7 +92,7 @@ class Campaign:
     def pairs(self) -> np.ndarray:
         """Return the tilts (x, y) of a verification in test order, rad, (points, 2)."""
         points = np.deg2rad(list(product(self.grid, self.grid)))
-        return points[possible(points[:, 0], points[:, 1])]
+        return points[are_compatible_tilts(points[:, 0], points[:, 1])]
 
 
 VERIFICATION = Campaign(grid=tuple(float(a) for a in range(-45, 46, 15)), runs=1)

@@ -1,7 +1,7 @@
 """On-line compensation of a two-axis inclinometer: tilts and uncertainties from the readings of both axes.
 
-    made = inclinometer.compensate(calibration, reading_x, reading_y)
-    made.x, made.sd_x                  rad
+    tilts = inclinometer.compensate(calibration, reading_x, reading_y)
+    tilts.x, tilts.sd_x                rad
 
 Two laws:
 
@@ -12,12 +12,12 @@ Two laws:
 
       x = arcsin[ sin(reading_x)/(1 + κ_x) − cos x·zero_x(x, y) − m_x·sin y ],   y likewise,
 
-  each by `bayescal.compensator` at the other's tilt, alternately, from the readings. Each iteration reduces the error
-  by the factor of the zero's slope (10⁻³ to 10⁻²), so that four or five reach 10⁻¹² rad.
+  by alternating `bayescal.compensator` of one axis at the tilt of the other, starting from the readings. Each iteration
+  multiplies the error by the zero's slope (10⁻³ to 10⁻²), so that four or five iterations reach 10⁻¹² rad.
 
-Tilts are computed at the posterior mean. Their uncertainty includes, to first order, that of the coefficients, of a new
-mounting (learned standard deviation), and of the reading (noise). Effects of the test rig (dividing table, base) are
-excluded.
+Tilts are computed at the posterior mean. Their standard uncertainty includes, to first order, the coefficients, a new
+mounting (estimated standard deviation) and the noise of the reading, but no errors of the test rig (dividing table,
+base).
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ import numpy as np
 import bayescal as bc
 from bayescal_models.inclinometer.geometry import ARCSEC
 
-MOST = np.pi / 2 + 0.01  # rad, largest reading; a placement angle may be half a turn
-CLOSE, PASSES = 1e-12, 80  # rad, tolerance; maximum number of iterations
-# Then half steps: with both axes at 45° the angle of projection has a square-root singularity: full steps oscillate.
-WHOLE = 10
+MAX_READING_RAD = np.pi / 2 + 0.01  # rad, largest valid reading
+TOLERANCE_RAD, MAX_ITERATIONS = 1e-12, 80  # rad, tolerance; maximum number of iterations
+# Then half steps: with both axes near 45° full steps oscillate, because of the square-root singularity of ω.
+FULL_STEP_ITERATIONS = 10
 Law = Literal["exact", "document"]
 
 
 @dataclass(frozen=True)
 class Compensated:
-    """Tilts, rad, one entry per pair of readings.
+    """Tilts of both axes with standard uncertainties, rad, one entry per pair of readings.
 
     Attributes:
         x, y: tilts at the posterior mean.
         sd_x, sd_y: combined standard uncertainty of coefficients, mounting and noise.
-        passes: number of iterations; 1 for the document's law.
+        passes: number of iterations; 1 for the law "document".
     """
 
     x: np.ndarray
@@ -56,29 +56,29 @@ class Compensated:
 
 @dataclass(frozen=True)
 class _Axis:
-    """One accelerometer in use."""
+    """Compensator of one accelerometer, with the values of further covariates of its effects, by name."""
 
-    used: bc.Compensator  # its compensator
-    covariates: dict[str, Any]  # further covariates of effects, by name
+    compensator: bc.Compensator
+    covariates: dict[str, Any]
 
     def tilt(self, reading: np.ndarray, cross: np.ndarray) -> Any:
-        """Compensate readings at given tilts of the other axis, rad."""
-        at = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
-        compensated = self.used(**at, method="first order", warn=False)
-        if np.any(wrong := ~np.isfinite(compensated.value)):
-            row = int(np.argmax(wrong))
+        """Compensate readings, rad, at the tilts of the other axis, rad."""
+        inputs = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
+        compensated = self.compensator(**inputs, method="first order", warn=False)
+        if np.any(is_invalid := ~np.isfinite(compensated.value)):
+            row = int(np.argmax(is_invalid))
             raise bc.InputError(
-                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}° is no tilt with this calibration. Check "
-                "the unit (rad) of the readings"
+                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}° corresponds to no tilt with this "
+                "calibration: check that the readings are in rad"
             )
         return compensated
 
     def zero(self, cross: np.ndarray) -> Any:
-        """Compensate a reading at zero: the tilt is −S, whatever the scale factor."""
+        """Compensate readings of zero: the resulting tilt is −S, independent of the scale factor."""
         return self.tilt(0.0 * cross, cross)
 
 
-def _axis(
+def _make_axis(
     calibration: bc.Calibration, axis: str, device: str | None, covariates: dict[str, Any]
 ) -> _Axis:
     members = {"axis": axis}
@@ -97,57 +97,56 @@ def compensate(
     device: str | None = None,
     **covariates: Any,
 ) -> Compensated:
-    """Compensate readings of both axes.
+    """Compensate readings of both axes of an inclinometer.
 
     Args:
-        calibration: a fit of the inclinometer.
-        reading_x, reading_y: readings of the axes, rad.
-        law: "exact" or "document".
+        calibration: fit of the inclinometer.
+        reading_x, reading_y: readings of the two axes, rad.
+        law: "exact" or "document" (see the module's docstring).
         axes: labels of the two accelerometers in the calibration.
-        device: label of the inclinometer, if the calibration has several; an unknown label is a new one.
+        device: label of the inclinometer, if the calibration has several; an unknown label means a new device.
         covariates: further covariates of effects, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis or law, pairs that correspond to no tilt, or a missing covariate of an effect in
-            use.
+        InputError: unknown axis or law, a pair of readings that corresponds to no tilt, or a missing covariate.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
     if law not in ("exact", "document"):
         raise bc.InputError(f'law={law!r} is unknown: choose "exact" or "document"')
     rx, ry = np.broadcast_arrays(rx, ry)
     for axis, reading in zip(axes, (rx, ry), strict=True):
-        if np.any(wrong := ~(np.abs(reading) <= MOST)):
-            row = int(np.argmax(wrong))
+        if np.any(is_invalid := ~(np.abs(reading) <= MAX_READING_RAD)):
+            row = int(np.argmax(is_invalid))
             raise bc.InputError(
                 f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, more than a right angle: give "
                 "radians, such as np.deg2rad(readings)"
             )
-    of_x, of_y = (_axis(calibration, axis, device, covariates) for axis in axes)
+    axis_x, axis_y = (_make_axis(calibration, axis, device, covariates) for axis in axes)
     if law == "document":
-        x, y = of_x.zero(ry), of_y.zero(rx)
+        x, y = axis_x.zero(ry), axis_y.zero(rx)
         return Compensated(rx + x.value, ry + y.value, x.uncertainty, y.uncertainty, 1)
-    x, y, passes = _solve(of_x, of_y, rx, ry)
-    sd_x, sd_y = of_x.tilt(rx, y).uncertainty, of_y.tilt(ry, x).uncertainty
+    x, y, passes = _solve_tilts(axis_x, axis_y, rx, ry)
+    sd_x, sd_y = axis_x.tilt(rx, y).uncertainty, axis_y.tilt(ry, x).uncertainty
     return Compensated(x, y, sd_x, sd_y, passes)
 
 
-def _solve(
-    of_x: _Axis, of_y: _Axis, rx: np.ndarray, ry: np.ndarray
+def _solve_tilts(
+    axis_x: _Axis, axis_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return tilts at the posterior mean, rad, and the number of iterations.
+    """Solve for the tilts at the posterior mean, rad; return them and the number of iterations.
 
     Raises:
         InputError: the iteration does not converge.
     """
     x, y = rx, ry
-    for done in range(PASSES):
-        new_x, new_y = of_x.tilt(rx, y).value, of_y.tilt(ry, x).value
-        moved = max(np.max(np.abs(new_x - x)), np.max(np.abs(new_y - y)))
-        if moved < CLOSE:
-            return new_x, new_y, done + 1
-        share = 1.0 if done < WHOLE else 0.5
-        x, y = x + share * (new_x - x), y + share * (new_y - y)
+    for iteration in range(MAX_ITERATIONS):
+        new_x, new_y = axis_x.tilt(rx, y).value, axis_y.tilt(ry, x).value
+        max_change = max(np.max(np.abs(new_x - x)), np.max(np.abs(new_y - y)))
+        if max_change < TOLERANCE_RAD:
+            return new_x, new_y, iteration + 1
+        step_factor = 1.0 if iteration < FULL_STEP_ITERATIONS else 0.5
+        x, y = x + step_factor * (new_x - x), y + step_factor * (new_y - y)
     raise bc.InputError(
-        f"after {PASSES} iterations the tilts still change by {moved:.1e} rad: check that the readings are in rad "
-        "and that the calibration is of this inclinometer"
+        f"no convergence: after {MAX_ITERATIONS} iterations the tilts still change by {max_change:.1e} rad: check that "
+        "the readings are in rad and that the calibration is of this inclinometer"
     )

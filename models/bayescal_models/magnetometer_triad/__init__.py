@@ -4,11 +4,11 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, made_in_poses, three
+from bayescal_models.triad.columns import SESSION, pose_columns, triple
 
 COLUMNS = (
     *SESSION,
-    *three("output", "uT", "of axis {axis}, averaged in a pose", ("mag_{axis}", "m{axis}")),
+    *triple("output", "uT", "of axis {axis}, averaged in a pose", ("mag_{axis}", "m{axis}")),
     bc.Column("magnitude", "uT", "of the local field", required=False, low=1.0, high=1000.0),
     bc.Column(
         "magnitude_read",
@@ -16,8 +16,8 @@ COLUMNS = (
         "of it as the outputs read it, where it is not known",
         required=False,
     ),
-    *three("direction", "1", "of the field, along axis {axis}, where known", required=False),
-    *made_in_poses("uT"),
+    *triple("direction", "1", "of the field, along axis {axis}, where known", required=False),
+    *pose_columns("uT"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Plan of poses of a magnetometer triad: that of any triad, with the noise and field of a compass."""
+"""Plan of poses of a magnetometer triad: `triad.campaign` with noise and field of an electronic compass."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayescal_models.triad.campaign import Campaign as _Poses
 
 @dataclass(frozen=True)
 class Campaign(_Poses):
-    """Plan of 100 readings turned by hand, noise in µT, in a field of 50 µT."""
+    """Plan of 100 readings in random directions, noise 0.3 µT, in a field of 50 µT."""
 
     poses: int = 100
     noise: float = 0.3

@@ -23,21 +23,20 @@ from bayescal_models.catalogue import EffectTable
 from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.magnetometer_triad.campaign import Campaign
 from bayescal_models.magnetometer_triad.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, readings_of
-from bayescal_models.triad.campaign import TWO_SESSIONS
-from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, equation, slots
-from bayescal_models.triad.experiments import experiments
+from bayescal_models.simulated import ReferenceProblem, readings_simulator
+from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, axis_slots, output_function
+from bayescal_models.triad.experiments import list_pose_experiments
 from bayescal_models.triad.families import (
     constant,
-    frame_of_sensors,
-    of_run,
-    over_temperature,
-    with_time,
+    drift,
+    run_offset,
+    tempco,
+    triad_rotation,
 )
-from bayescal_models.triad.scatter import with_scatter
+from bayescal_models.triad.scatter import set_noise_prior
 
 # Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; the contribution of iron differs between axes.
-VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=output_function, common_scale=0.05)
 
 
 def _response(slots, r):
@@ -46,10 +45,10 @@ def _response(slots, r):
 
 IRON = "ours: hard and soft iron of a small vehicle"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
-FIELD = "ours: a battery's or a motor's field that changes"
-PLASTIC = "ours: 5 mrad in 50 °C"
+FIELD_DRIFT = "ours: variable field of a battery or motor"
+PACKAGE = "ours: 5 mrad in 50 °C"
 
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     IRON,
     baseline=(
         ("bias.constant", constant(BIAS), 50.0, "uT"),
@@ -57,37 +56,37 @@ EFFECTS = EffectTable.of(
         ("misalignment.constant", constant(UPPER), 100.0, "mrad"),
     ),
     candidates=(
-        ("bias.temperature", over_temperature(BIAS), 0.1, "uT/degC", TEMPCO),
-        ("scale.temperature", over_temperature(SCALE), 500.0, "ppm/degC", TEMPCO),
-        ("misalignment.temperature", over_temperature(UPPER), 0.1, "mrad/degC", PLASTIC),
-        ("bias.temperature_quadratic", over_temperature(BIAS, 2), 0.001, "uT/degC^2", TEMPCO),
-        ("misalignment.frame", frame_of_sensors(LOWER), 100.0, "mrad"),
-        ("bias.drift", with_time(BIAS), 1.0, "uT", FIELD),
-        ("bias.run", of_run(BIAS), 1.0, "uT", "ours: hard iron from one session to the next"),
+        ("bias.temperature", tempco(BIAS), 0.1, "uT/degC", TEMPCO),
+        ("scale.temperature", tempco(SCALE), 500.0, "ppm/degC", TEMPCO),
+        ("misalignment.temperature", tempco(UPPER), 0.1, "mrad/degC", PACKAGE),
+        ("bias.temperature_quadratic", tempco(BIAS, 2), 0.001, "uT/degC^2", TEMPCO),
+        ("misalignment.frame", triad_rotation(LOWER), 100.0, "mrad"),
+        ("bias.drift", drift(BIAS), 1.0, "uT", FIELD_DRIFT),
+        ("bias.run", run_offset(BIAS), 1.0, "uT", "ours: hard iron from one session to the next"),
     ),
 )
 
 
-def tailored(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """Return the instrument with a noise prior from the poses' stated uncertainties."""
-    return with_scatter(INSTRUMENT, readings, **settings)
+def tailor_to_readings(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
+    """Return the instrument with a noise prior about the stated uncertainties of these poses."""
+    return set_noise_prior(INSTRUMENT, readings, **settings)
 
 
 INSTRUMENT = bc.Instrument(
     name="magnetometer_triad",
     title="three magnetometers in a constant field: hard iron, soft iron",
     columns=COLUMNS,
-    slots=slots("uT", "field"),
+    slots=axis_slots("uT", "field"),
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.3)),
     simulator=simulated_columns,
-    experiments=experiments(50.0),
+    experiments=list_pose_experiments(50.0),
     vector=VECTOR,
-    tailor=tailored,
+    tailor=tailor_to_readings,
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)
 # 40 readings in unknown directions at 0.3 µT.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign(poses=40), Campaign(**TWO_SESSIONS))
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(poses=40))

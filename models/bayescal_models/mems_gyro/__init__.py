@@ -8,8 +8,8 @@ import bayescal as bc
 from bayescal_models.supply import SUPPLY
 
 SENSITIVITY = 0.83e-3  # V per °/s, source 1
-VOLTAGE_STEP = 0.1e-3 / SENSITIVITY  # °/s, rounding of the printed voltage, source 1
-THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C; good to 0.5 °C, taken as uniform; source 1
+VOLTAGE_STEP = 0.1e-3 / SENSITIVITY  # °/s, resolution of the printed voltage, source 1
+THERMOMETER_SD = 0.5 / math.sqrt(3)  # °C, standard uncertainty; limits ±0.5 °C, uniform; source 1
 
 COLUMNS = (
     bc.Column("run", None, "label of the run", required=False),

@@ -1,9 +1,9 @@
 """Self-contained NumPyro model of a gyroscope's bias over temperature, with a turn-on offset per run.
 
-It is the model that `bc.fit(equal(), readings)` fits, given as an example; the package does not import it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits. NUTS is run on it by
 
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
-    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **data(readings))
+    MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **model_arguments(readings))
 
 Rate output y of reading i in run j, °/s (source 1, the line; runs and sizes ours):
 
@@ -23,18 +23,18 @@ from bayescal_models.mems_gyro.model import INSTRUMENT
 
 
 def model(temperature, run, runs, T0, output=None) -> None:
-    """Define the model of temperatures °C (n,), runs 0 to runs − 1, T0 °C; output °/s (n,), or None to simulate."""
+    """Define the NumPyro model: temperature °C and run index (n,), number of runs, T0 °C; output °/s (n,) or None."""
     c0 = numpyro.sample("bias.constant", Normal(0.0, 50.0))  # °/s
     c1 = numpyro.sample("bias.temperature", Normal(0.0, 0.05))  # °/s/°C
-    s = numpyro.sample("bias.run.group_sd", HalfNormal(0.05))  # °/s, learned from the runs
+    s = numpyro.sample("bias.run.group_sd", HalfNormal(0.05))  # °/s, between runs
     with numpyro.plate("runs", runs):
         d = s * numpyro.sample("bias.run.standard", Normal(0.0, 1.0))
     noise = numpyro.sample("noise.white", HalfCauchy(0.1))  # °/s
     numpyro.sample("output", Normal(c0 + c1 * (temperature - T0) + d[run], noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     runs, run = readings.groups("run")
     temperature = readings["temperature"]
     T0 = np.round(temperature.mean())
@@ -47,6 +47,6 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-def equal() -> bc.Model:
-    """Return the same model as a sum of named effects."""
+def equivalent_model() -> bc.Model:
+    """Return the bayescal model, a sum of named effects, with the same posterior as `model`."""
     return INSTRUMENT.baseline() + "bias.run"

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal_models.simulated import Array, refuse
+from bayescal_models.simulated import Array, raise_if
 
-GRID, LOGGING_INTERVAL = 1.0, 5.0  # s, steps of the simulated test and of the logger
+STEP_S, LOGGING_INTERVAL_S = 1.0, 5.0  # s, steps of the simulated test and of the logger
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Plan of a stepped-chamber test of one gyro, and the world it is made in.
+    """Plan of a stepped-chamber test of one gyro, and properties of the simulated gyro.
 
-    The defaults follow source 1 (30…80 °C by 5 °C, 300 s a step, logged every 5 s) with two runs
-    more, and give 330 readings. Sizes are ours unless stated.
+    The defaults follow source 1 (30 … 80 °C in 5 °C steps of 300 s, logged every 5 s) with two additional runs:
+    330 readings. Values are ours unless a source is stated.
 
     Attributes:
         temperatures: chamber set points in the order of the first run, °C.
@@ -26,20 +26,20 @@ class Campaign:
         pause: time with the power off between runs, s; the chamber moves to the next start.
         chamber_time: first-order time constant of the chamber's air, s.
         chamber_ramp: largest rate of the chamber's set point, °C/min.
-        average: time averaged into one reading, s, a multiple of `LOGGING_INTERVAL`.
-        rate_input: rates of the turntable, °/s, one per step, cycled over all steps of all runs;
-            None leaves the gyro at rest, and the column out.
+        average: averaging time of a reading, s, a multiple of `LOGGING_INTERVAL_S`.
+        rate_input: rates of the turntable, °/s, one per step, cycled over all steps of all runs; None: the gyro
+            is at rest, and there is no column `rate_input`.
         noise: standard deviation of the white noise of one averaged reading, °/s.
         thermometer_noise: white error of the column `temperature`, °C (standard deviation).
         constant: zero-rate output at `T0`, °/s.
         slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
         T0: reference temperature of the simulated effects, °C.
-        nonlinearity: 1 gives the world's own laws for quadratic, cubic and drift, 0 exactly
-            their leading terms, numbers between or beyond a mixture.
-        lag_time: time constant of the die behind the ambient thermometer, s.
+        nonlinearity: weight of the higher-order terms in the laws of quadratic, cubic and drift: 1: physical law;
+            0: leading term only.
+        lag_time: time constant of the die's lag behind the ambient thermometer, s.
 
     Raises:
-        ValueError: times that do not divide one another.
+        ValueError: a time that is not a multiple of its divisor.
     """
 
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
@@ -60,23 +60,23 @@ class Campaign:
     lag_time: float = 300.0
 
     def __post_init__(self) -> None:
-        # Every time of the plan is a multiple of the next shorter one.
-        shorter = {"pause": GRID, "dwell": self.average, "average": LOGGING_INTERVAL}
-        for name, unit in shorter.items():
+        # Times of the plan, and the times that divide them.
+        divisors = {"pause": STEP_S, "dwell": self.average, "average": LOGGING_INTERVAL_S}
+        for name, divisor in divisors.items():
             time = getattr(self, name)
-            refuse(
-                abs(time / unit - round(time / unit)) > 1e-9,
-                f"Campaign({name}={time!r}): it has to be a multiple of {unit:g} s.",
+            raise_if(
+                abs(time / divisor - round(time / divisor)) > 1e-9,
+                f"Campaign({name}={time!r}): it has to be a multiple of {divisor:g} s.",
             )
 
     @property
     def run_duration(self) -> float:
-        """Return the logged time of one run, s."""
+        """Return the duration of one run, s."""
         return self.dwell * len(self.temperatures)
 
     @property
     def run_starts(self) -> Array:
-        """Return the power-on time of each run, s from the first."""
+        """Return the time from the first power-on to the power-on of each run, s, (runs,)."""
         return np.arange(self.runs) * (self.run_duration + self.pause)
 
     @property
@@ -85,6 +85,6 @@ class Campaign:
         return round(self.runs * self.run_duration / self.average)
 
     def set_points(self, run: int) -> tuple[float, ...]:
-        """Set points of a run (0 is the first) in the order they are gone through, °C."""
-        backwards = self.alternate and run % 2 == 1
-        return self.temperatures[::-1] if backwards else self.temperatures
+        """Return the set points of a run, counted from 0, in test order, °C."""
+        is_reversed = self.alternate and run % 2 == 1
+        return self.temperatures[::-1] if is_reversed else self.temperatures

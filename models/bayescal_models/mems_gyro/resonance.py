@@ -1,9 +1,9 @@
-"""The gyro's zero-rate output from the physics of its two resonances (source 1).
+"""Zero-rate output of a MEMS gyro from the physics of its two resonances (source 1).
 
 Drive mode x and sense mode y, per unit mass: `ẍ + b_d·ẋ + ω_d²·x = F(t)` and
-`ÿ + b_s·ẏ + ω_s²·y = −2Ω·ẋ`. Young's modulus falls with temperature,
-`E(T) = E0·(1 − K_ET·(T−T0))`, and takes both stiffnesses with it; a quadrature coupling then
-reaches the zero-rate output through the same resonance denominator `D(T)` as the rate does.
+`ÿ + b_s·ẏ + ω_s²·y = −2Ω·ẋ`. Young's modulus decreases with temperature,
+`E(T) = E0·(1 − K_ET·(T−T0))`, and with it both stiffnesses. A quadrature error contributes to the
+zero-rate output through the same resonance denominator `D(T)` as the rate.
 
 Source: source 1 (mode equations, modulus); the K_ET values, the ratio and Q are ours.
 """
@@ -21,10 +21,10 @@ def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, q
     `D = √[(r²(1−ε_s) − (1−ε_d))² + (1−ε_d)/Q²]`, `ε = K_ET·(T−T0)` for each mode.
 
     Args:
-        change: T − T0 of the structure, °C, any shape.
+        change: temperature change T − T0 of the structure, °C, any shape.
         k_drive, k_sense: K_ET of each mode, 1/°C.
-        ratio: r = ω_s0/ω_d0 at T0, without unit.
-        quality: Q = ω_d0/b_s at T0, without unit.
+        ratio: r = ω_s0/ω_d0 at T0, dimensionless.
+        quality: Q = ω_d0/b_s at T0, dimensionless.
 
     Source: source 1's mode equations, solved for the sense amplitude.
     """
@@ -32,12 +32,12 @@ def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, q
     return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
 
 
-def with_amplitude_held(change: Any, *modes: Any) -> Any:
-    """Return D(T0)/D(T) − 1, the zero rate's change per quadrature; arguments as of `resonance_denominator`."""
+def constant_amplitude_change(change: Any, *modes: Any) -> Any:
+    """Return D(T0)/D(T) − 1, the change of the zero-rate output per unit quadrature at constant drive amplitude."""
     return resonance_denominator(0.0, *modes) / resonance_denominator(change, *modes) - 1
 
 
-def with_force_held(change: Any, k_drive: Any, *modes: Any) -> Any:
-    """Return (1−ε_d)^−½·D(T0)/D(T) − 1: the drive amplitude grows as its mode softens."""
-    gain = 1 + with_amplitude_held(change, k_drive, *modes)
+def constant_force_change(change: Any, k_drive: Any, *modes: Any) -> Any:
+    """Return (1−ε_d)^−½·D(T0)/D(T) − 1, the same change at constant drive force: the amplitude grows."""
+    gain = 1 + constant_amplitude_change(change, k_drive, *modes)
     return gain / xp.sqrt(1 - k_drive * change) - 1

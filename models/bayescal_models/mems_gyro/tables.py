@@ -1,4 +1,4 @@
-"""File with the table of zero rate over temperature of source 1."""
+"""Path of the file with source 1's table of zero-rate output over temperature."""
 
 from pathlib import Path
 

@@ -3,7 +3,7 @@
 import lazy_loader
 
 import bayescal as bc
-from bayescal_models.local_gravity import ASSUMED
+from bayescal_models.local_gravity import ASSUMED_GRAVITY
 from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
@@ -16,9 +16,9 @@ COLUMNS = (
     bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
     bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
     bc.Column("output", "ug", "output, or V with the nominal scale"),
-    ASSUMED,
+    ASSUMED_GRAVITY,
 )
-VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
+VOLTS = 5e-4  # V/µg, nominal scale factor: 5 V at 10 mg, ours
 NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,10 +1,10 @@
-"""The plan of a test on the tilted table: positions, tilts, temperatures, runs; and what is true of the instrument.
+"""Plan of a test on the tilted table (positions, tilts, temperatures, runs), and the simulated instrument.
 
 Campaign()                                   instrument A as source 0 tested it: 12 positions at 0.45°
 replace(INSTRUMENT_A, positions=4)           four positions
 Campaign(tilts=(0.45 * DEGREE, -0.45 * DEGREE))    each cell at two tilts: separates γ2⊥ from the scale factor
-Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   the face inverted: separates γ1 from the bias
-fixed_point_heating()                        one position a run, temperature stepped
+Campaign(tilts=(0.45 * DEGREE, 179.55 * DEGREE))   with the face inverted: separates γ1 from the bias
+fixed_point_heating()                        one position per run, with temperature steps
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal_models.simulated import DEGREE, HOUR, refuse
+from bayescal_models.simulated import DEGREE, HOUR, raise_if
 
-GRID = 10.0  # s, integration step of the simulated test
-FULL_SCALE = 10e3  # µg, largest input
+STEP_S = 10.0  # s, integration step of the simulated test
+FULL_SCALE_UG = 10e3  # µg, largest input
 
 TRUTH_A: Mapping[str, float] = MappingProxyType(
     {
@@ -37,11 +37,11 @@ TRUTH_A: Mapping[str, float] = MappingProxyType(
         "tilt.setting": 0.4,
     }
 )
-"""Instrument A's true coefficients, ours, with the scatter between cells that source 0 saw (60 to 100 ppm)."""
+"""True coefficients of the simulated instrument A, ours; between cells they vary as in source 0 (60 to 100 ppm)."""
 
 
 class SetUp(NamedTuple):
-    """A tilt γ and a position θ, rad, that a run of fixed-point heating stays at."""
+    """Tilt γ and position θ of the table, rad, during a run of fixed-point heating."""
 
     tilt: float
     position: float
@@ -49,29 +49,28 @@ class SetUp(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """Plan of a test, the surroundings it is made in, and the instrument's own truth.
+    """Plan of a test on the tilted table, its environment, and the true coefficients of the instrument.
 
-    The defaults are source 0's test of instrument A, and give 180 readings: 12 positions × 5 temperatures × 3 runs.
-    What source 0 does not say is ours.
+    The defaults are source 0's test of instrument A: 12 positions × 5 temperatures × 3 runs = 180 readings.
+    Values that source 0 does not state are ours.
 
     Attributes:
-        tilts: γ of the face, rad; each cell goes through all positions at each.
-        positions: how many, equally spaced over a turn from θ = 0.
-        set_ups: tilt and position of each run, which then stays there (fixed-point heating) in place of `tilts`,
-            `positions` and `runs`.
-        repeats: readings at each position.
+        tilts: tilts γ of the face, rad; each cell has all positions at each tilt.
+        positions: number of positions θ, equally spaced over a turn from 0.
+        set_ups: fixed tilt and position of each run (fixed-point heating); replaces `tilts`, `positions` and `runs`.
+        repeats: number of readings at each position.
         temperatures: set points in the order of the first run, °C.
-        runs: number of repetitions of the series.
-        alternate: every second run goes through the set points backwards.
+        runs: number of repetitions of the series of set points.
+        alternate: whether every second run has the set points in reverse order.
         soak: time at a set point before the first reading, s.
-        ramp: pace of the chamber's set point, °C/min.
-        pause: between runs, power off, the chamber going to the next start, s.
-        noise: standard deviation of a reading, µg.
-        thermometer_noise: of an averaged temperature, °C.
-        chamber_wander: standard deviation of the chamber's temperature, °C (source 0: held to 0.1 °C).
-        laboratory: mean temperature of the laboratory, °C (source 0: 23 ± 1).
-        laboratory_wander: its standard deviation from hour to hour, °C.
-        laboratory_daily: amplitude of its daily course, °C.
+        ramp: rate of the chamber's set point, °C/min.
+        pause: time between runs with the power off, s; the chamber moves to the next start.
+        noise: standard deviation of the noise of a reading, µg.
+        thermometer_noise: standard deviation of the error of an averaged temperature, °C.
+        chamber_wander: standard deviation of the chamber's temperature, °C (source 0: stable to 0.1 °C).
+        laboratory: mean laboratory temperature, °C (source 0: 23 ± 1).
+        laboratory_wander: standard deviation of the laboratory temperature from hour to hour, °C.
+        laboratory_daily: amplitude of the daily variation of the laboratory temperature, °C.
         truth: true baseline coefficients, by name and in their units; for `.cell`, the standard deviation.
     """
 
@@ -94,31 +93,31 @@ class Campaign:
     truth: Mapping[str, float] = field(default_factory=lambda: TRUTH_A)
 
     def __post_init__(self) -> None:
-        """Refuse an input beyond full scale by a ValueError."""
+        """Raise a ValueError if the input exceeds full scale."""
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
-            needed = abs(1e6 * math.sin(tilt) * math.sin(position))
-            refuse(
-                needed > FULL_SCALE,
-                f"Campaign: a tilt of {tilt / DEGREE:g}° gives {needed / 1e3:.3g} mg, beyond the full scale of "
-                f"{FULL_SCALE / 1e3:g} mg: tilt less",
+            input_ug = abs(1e6 * math.sin(tilt) * math.sin(position))
+            raise_if(
+                input_ug > FULL_SCALE_UG,
+                f"Campaign: a tilt of {tilt / DEGREE:g}° gives {input_ug / 1e3:.3g} mg, more than the full scale of "
+                f"{FULL_SCALE_UG / 1e3:g} mg: reduce the tilt",
             )
 
     @property
     def T0(self) -> float:
-        """Return the mean set point rounded to 1 °C, about which the true polynomials are, °C."""
+        """Return the reference temperature of the true polynomials: the mean set point rounded to 1 °C, °C."""
         return float(round(sum(self.temperatures) / len(self.temperatures)))
 
 
 INSTRUMENT_A = Campaign()
-"""Range 10 mg, γ = 0.45° (7.9 mg), 12 positions, 20 to 40 °C by 5 °C, 1 h soak, three runs upwards (source 0)."""
+"""Test of source 0: 10 mg range, γ = 0.45° (7.9 mg), 12 positions, 20 to 40 °C in 5 °C steps, 1 h soak, three runs."""
 
 
 def fixed_point_heating(campaign: Campaign = INSTRUMENT_A, readings: int = 12) -> Campaign:
-    """Plan the older method: zero, near + and near − full scale, one position a run in temperature steps.
+    """Plan fixed-point heating, the older method: a run of temperature steps at each of 0, + and − full scale.
 
     Args:
-        campaign: whose tilt (the first), temperatures and truth are taken.
-        readings: at each temperature.
+        campaign: campaign with the tilt (the first of its tilts), temperatures and true coefficients.
+        readings: number of readings at each temperature.
     """
     tilt = campaign.tilts[0]
     set_ups = tuple(SetUp(tilt, angle * DEGREE) for angle in (0.0, 90.0, 270.0))

@@ -47,7 +47,7 @@ from bayescal_models.catalogue import (
     HOUR,
     MINUTE,
     EffectTable,
-    Maker,
+    Factory,
     centred,
     effect,
     family,
@@ -57,13 +57,13 @@ from bayescal_models.catalogue import (
 from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE
 from bayescal_models.ng_accelerometer.campaign import Campaign
 from bayescal_models.ng_accelerometer.simulator import simulated_columns
-from bayescal_models.simulated import DEGREE, experiments, readings_of
+from bayescal_models.simulated import DEGREE, list_experiments, readings_simulator
 
 G = 1e6  # µg
-HARMONICS = (2, 3)  # the first is a base tilt
-LOBES = tuple(f"{wave}{m}" for m in HARMONICS for wave in ("cos", "sin"))
-DEAD_BAND = 1.0  # °C: a chamber that holds its temperature wanders by 0.1 °C (source 0)
-TIDE = {  # constituents: period, h, and size in parts of that of M2
+HARMONICS = (2, 3)  # orders of rotation harmonics; the first is a base tilt
+HARMONIC_PARTS = tuple(f"{wave}{m}" for m in HARMONICS for wave in ("cos", "sin"))
+DEAD_BAND_DEGC = 1.0  # °C: a chamber that holds its temperature wanders by 0.1 °C (source 0)
+CONSTITUENTS = {  # of the tide: period, h, and amplitude relative to M2
     "M2": (12.4206012, 1.0),
     "S2": (12.0, 0.5),
     "N2": (12.6583475, 0.2),
@@ -71,7 +71,7 @@ TIDE = {  # constituents: period, h, and size in parts of that of M2
     "O1": (25.8193387, 0.4),
 }
 TILT = 0.45 * DEGREE
-OVER = 180 * DEGREE - TILT
+INVERTED_TILT = 180 * DEGREE - TILT
 
 
 class Accelerations(NamedTuple):
@@ -81,18 +81,18 @@ class Accelerations(NamedTuple):
     normal: Float[Any, "n"]
 
 
-def accelerations(
+def resolve_gravity(
     tilt: Float[Any, "n"],
     angle: Float[Any, "n"],
     fixture_tilt: Float[Any, "n"],
     parallel: Float[Any, "n"],
     perp: Float[Any, "n"],
 ) -> Accelerations:
-    """Return gravity in the axes of the accelerometer. All angles in rad.
+    """Return the specific force of gravity in the axes of the accelerometer, from angles in rad.
 
     Args:
         tilt: γ, tilt of the table's face.
-        angle: θ, rotation of the face, including the azimuth of the input axis.
+        angle: θ, rotation angle of the face, including the azimuth of the input axis.
         fixture_tilt: γ1, tilt of the input axis out of the face.
         parallel, perp: γ2∥ and γ2⊥, tilts of the base along θ = 0 and along θ = 90°.
     """
@@ -104,7 +104,7 @@ def accelerations(
 
 
 def _response(slots, r):
-    a, ap = accelerations(
+    a, ap = resolve_gravity(
         r["tilt"],
         r["position_angle"] + slots["rotation"],
         slots["fixture_tilt"],
@@ -122,87 +122,86 @@ def _response(slots, r):
     )
 
 
-def _in_use(a, slots, r):
-    """Return the output in use (without the table) by the acceleration along the input axis."""
+def _use_output(a, slots, r):
+    """Return the output, µg, of the instrument in use, without the table, for an acceleration `a`, µg."""
     mg = a / 1e3
-    bent = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
-    return slots["bias"] + (1 + slots["scale"]) * a + bent
+    nonlinear_terms = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
+    return slots["bias"] + (1 + slots["scale"]) * a + nonlinear_terms
 
 
-# Bases.
+# Basis functions.
 
 
-def turned(r: bc.Frame, share: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
-    """Return cos mθ and sin mθ, m = 2 and 3, times `share`."""
+def rotation_harmonics(r: bc.Frame, factor: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
+    """Return cos mθ and sin mθ of the table's rotation angle θ, m = 2 and 3, times `factor`."""
     angle = r["position_angle"]
     waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
-    return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(share), (-1, 1))
+    return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(factor), (-1, 1))
 
 
-def tides(r: bc.Frame) -> Float[Any, "n 20"]:
-    """Return cos and sin of every tidal constituent, for each component of the base tilt in turn."""
-    phase = [2 * xp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
+def tidal_waves(r: bc.Frame) -> Float[Any, "n 20"]:
+    """Return cosine and sine of every tidal constituent, for each of the two base tilt components in turn."""
+    phase = [2 * xp.pi * r["time"] / (period_h * HOUR) for period_h, _ in CONSTITUENTS.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
 
 
-def direction(r: bc.Frame) -> Float[Any, "n"]:
-    """Return the sign of the last change of temperature within the run, 0 before the first.
+def temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
+    """Return the sign of the last temperature change within the run that exceeded the dead band; 0 before the first.
 
-    A change exceeds the dead band relative to the last stable temperature: between readings at soaked temperature
-    points this is the sign of (this cell − previous cell).
+    For readings at soaked temperature points this is the sign of the temperature difference from the previous cell.
     """
-    temperature, first = r.record["temperature"][r.order], r.step < 0
+    temperature, is_run_start = r.record["temperature"][r.order], r.step < 0
 
     def advance(state, row):
-        stood, sign = state
-        now, begins = row
-        moved = xp.abs(now - stood) > DEAD_BAND
-        sign = xp.where(begins, 0.0, xp.where(moved, xp.sign(now - stood), sign))
-        return (xp.where(begins | moved, now, stood), sign), sign
+        reference, sign = state
+        value, is_first = row
+        has_changed = xp.abs(value - reference) > DEAD_BAND_DEGC
+        sign = xp.where(is_first, 0.0, xp.where(has_changed, xp.sign(value - reference), sign))
+        return (xp.where(is_first | has_changed, value, reference), sign), sign
 
     start = (temperature[0], xp.zeros(()))
-    return xp.placed(r.order, xp.scan(advance, start, (temperature, first)))
+    return xp.placed(r.order, xp.scan(advance, start, (temperature, is_run_start)))
 
 
 def _laboratory(r: bc.Frame) -> Float[Any, "n"]:
     return r.centred("lab_temperature")
 
 
-def _turned_by_temperature(r: bc.Frame) -> Float[Any, "n 4"]:
-    return turned(r, r.centred())
+def _harmonics_times_temperature(r: bc.Frame) -> Float[Any, "n 4"]:
+    return rotation_harmonics(r, r.centred())
 
 
-def _once_round(r: bc.Frame) -> Float[Any, "n 2"]:
+def _first_harmonic(r: bc.Frame) -> Float[Any, "n 2"]:
     return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
-# Families of this instrument.
+# Factories and effects of this instrument.
 
-SIDES = ("parallel", "perp")
+TILT_COMPONENTS = ("parallel", "perp")
 
 
-def _base(basis: Any, equation: str, *columns: str, **fields: Any) -> Maker:
-    """Build an effect on both components of the base tilt, included or excluded together."""
-    slots = [f"base_tilt_{side}" for side in SIDES]
-    return family(slots, basis, equation, *columns, parts=SIDES, **fields)
+def _base(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory:
+    """Make the factory of an effect on both components of the base tilt, included or excluded together."""
+    slots = [f"base_tilt_{component}" for component in TILT_COMPONENTS]
+    return family(slots, basis, equation, *columns, parts=TILT_COMPONENTS, **fields)
 
 
 def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """Return a cosine and a sine of each constituent and component, relative to the size of M2's."""
+    """Build the tidal effect: cosine and sine of each constituent and tilt component; `size` is that of M2."""
     return bc.Effect(
         name,
         "base_tilt_parallel",
-        basis=tides,
+        basis=tidal_waves,
         coefficients=tuple(
             bc.Coefficient(
                 unit,
-                bc.Normal(0.0, size * share),
-                part=f"{side},{constituent},{wave}",
-                slot=f"base_tilt_{side}",
+                bc.Normal(0.0, size * factor),
+                part=f"{component},{constituent},{wave}",
+                slot=f"base_tilt_{component}",
             )
-            for side in SIDES
-            for constituent, (_, share) in TIDE.items()
+            for component in TILT_COMPONENTS
+            for constituent, (_, factor) in CONSTITUENTS.items()
             for wave in ("cos", "sin")
         ),
         columns=("time",),
@@ -212,37 +211,40 @@ def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
     )
 
 
-# The standard deviation between cells is known to within one or two orders of magnitude.
-OF_CELLS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
-LEARNED: dict[str, Any] = {"per": "cell", "learned": bc.HalfCauchy, "varies": ()}
-CELL_EFFECT, BASE_CELL_EFFECT = effect(one, *OF_CELLS, **LEARNED), _base(one, *OF_CELLS, **LEARNED)
+# The standard deviation between cells is known a priori to within one or two orders of magnitude.
+CELL_TERMS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
+CELL_OPTIONS: dict[str, Any] = {"per": "cell", "group_sd_prior": bc.HalfCauchy, "varies": ()}
+CELL_EFFECT, BASE_CELL_EFFECT = (
+    effect(one, *CELL_TERMS, **CELL_OPTIONS),
+    _base(one, *CELL_TERMS, **CELL_OPTIONS),
+)
 SETTING = effect(one, "c, added to γ as γ2⊥ is", "tilt", slot="base_tilt_perp", varies=())
-LAG = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
-TURNED = effect(
-    direction,
-    f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
+LAG_EFFECT = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
+HYSTERESIS_EFFECT = effect(
+    temperature_direction,
+    f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND_DEGC:g} °C",
     *("time", "temperature"),
-    untestable=partial(catalogue.goes_one_way, "temperature", DEAD_BAND),
+    untestable=partial(catalogue.missing_reversal, "temperature", DEAD_BAND_DEGC),
     kind="hysteresis",
 )
-OF_RUNS = effect(
+RUN_TEMPCO = effect(
     centred,
     "d[run]·(T − T0),  d ~ N(0, s²)",
     *("run", "temperature"),
     per="run",
-    learned=bc.HalfNormal,
+    group_sd_prior=bc.HalfNormal,
     varies=("temperature",),
 )
-POSITION = effect(
-    _turned_by_temperature,
+POSITION_TEMPCO = effect(
+    _harmonics_times_temperature,
     "(T − T0)·Σ(c·cos mθ + s·sin mθ),  m = 2, 3",
     *("position_angle", "temperature"),
-    parts=LOBES,
+    parts=HARMONIC_PARTS,
 )
-LEVEL = _base(one, "c, one for each component", kind="constant")
-LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
-WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
-SETTLING = _base(
+BASE_CONSTANT = _base(one, "c, one for each component", kind="constant")
+BASE_LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
+BASE_TEMPCO = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
+BASE_DRIFT = _base(
     progress,
     "c·(t − t̄)/(tmax − tmin), one c for each component",
     "time",
@@ -250,25 +252,25 @@ SETTLING = _base(
     kind="drift",
 )
 K2, K3, KIP = (effect(one, symbol, "position_angle") for symbol in ("K2", "K3", "Kip"))
-WARM_KIP = effect(centred, "c·(T − T0)", "position_angle", "temperature")
-DIVIDING = effect(
-    _once_round,
+KIP_TEMPCO = effect(centred, "c·(T − T0)", "position_angle", "temperature")
+DIVIDING_ERROR = effect(
+    _first_harmonic,
     "c·cos θ + s·sin θ, dividing error of the table",
     "position_angle",
     parts=("cos", "sin"),
 )
 WOBBLE = effect(
-    turned,
+    rotation_harmonics,
     "Σ(c·cos mθ + s·sin mθ),  m = 2, 3, wobble of the spindle",
     "position_angle",
     slot="fixture_tilt",
-    parts=LOBES,
+    parts=HARMONIC_PARTS,
 )
-TWO_MINUTES = "source 0: within 2′, taken as 95 %"
-TIDES = "periods: the constituents' own; ±200 nrad in all: source 0; the shares ours"
-ONE_SECOND = "source 0: the table's angle is good to 1″"
+FIXTURE_SOURCE = "source 0: within 2′, taken as 95 %"
+TIDE_SOURCE = "periods: astronomical; ±200 nrad in total: source 0; relative amplitudes ours"
+ANGLE_SOURCE = "source 0: the table's angle is good to 1″"
 
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     "after source 0; size ours",
     baseline=(
         ("bias.constant", catalogue.constant, 5000.0, "ug"),
@@ -277,9 +279,9 @@ EFFECTS = EffectTable.of(
         ("scale.constant", catalogue.constant, 10000.0, "ppm"),
         ("scale.temperature", catalogue.linear, 1000.0, "ppm/degC"),
         ("scale.cell", CELL_EFFECT, 100.0, "ppm"),
-        ("fixture_tilt.constant", catalogue.constant, 291.0, "urad", TWO_MINUTES),
+        ("fixture_tilt.constant", catalogue.constant, 291.0, "urad", FIXTURE_SOURCE),
         ("fixture_tilt.cell", CELL_EFFECT, 5.0, "urad"),
-        ("base_tilt.constant", LEVEL, 1.0, "arcsec"),
+        ("base_tilt.constant", BASE_CONSTANT, 1.0, "arcsec"),
         ("base_tilt.cell", BASE_CELL_EFFECT, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),
@@ -293,24 +295,24 @@ EFFECTS = EffectTable.of(
         ("bias.warm_up", catalogue.warm_up(2 * MINUTE, 3 * HOUR), 10.0, "ug"),
         ("bias.run", catalogue.deviation, 10.0, "ug"),
         ("scale.run", catalogue.deviation, 100.0, "ppm"),
-        ("bias.thermal_lag", LAG, 10.0, "ug/degC"),
-        ("bias.hysteresis", TURNED, 10.0, "ug"),
+        ("bias.thermal_lag", LAG_EFFECT, 10.0, "ug/degC"),
+        ("bias.hysteresis", HYSTERESIS_EFFECT, 10.0, "ug"),
         ("fixture_tilt.temperature", catalogue.linear, 5.0, "urad/degC"),
         ("fixture_tilt.run", catalogue.deviation, 20.0, "urad"),
-        ("fixture_tilt.run_temperature", OF_RUNS, 2.0, "urad/degC"),
-        ("fixture_tilt.position", POSITION, 0.3, "urad/degC"),
-        ("base_tilt.lab_temperature", LABORATORY, 5.0, "urad/degC"),  # source 0: below 47
-        ("base_tilt.temperature", WARM_BASE, 1.0, "urad/degC"),
-        ("base_tilt.tide", _tide, 50.0, "nrad", TIDES),
-        ("base_tilt.drift", SETTLING, 5.0, "urad"),
+        ("fixture_tilt.run_temperature", RUN_TEMPCO, 2.0, "urad/degC"),
+        ("fixture_tilt.position", POSITION_TEMPCO, 0.3, "urad/degC"),
+        ("base_tilt.lab_temperature", BASE_LABORATORY, 5.0, "urad/degC"),  # source 0: below 47
+        ("base_tilt.temperature", BASE_TEMPCO, 1.0, "urad/degC"),
+        ("base_tilt.tide", _tide, 50.0, "nrad", TIDE_SOURCE),
+        ("base_tilt.drift", BASE_DRIFT, 5.0, "urad"),
         ("second_order", K2, 0.05, "ug/mg^2"),
         ("third_order", K3, 0.01, "ug/mg^3"),
         ("cross_coupling", KIP, 1e-4, "1/g"),
-        ("cross_coupling.temperature", WARM_KIP, 1e-5, "1/g/degC"),
-        ("rotation.harmonic", DIVIDING, 1.0, "arcsec", ONE_SECOND),
+        ("cross_coupling.temperature", KIP_TEMPCO, 1e-5, "1/g/degC"),
+        ("rotation.harmonic", DIVIDING_ERROR, 1.0, "arcsec", ANGLE_SOURCE),
         ("rotation.wobble", WOBBLE, 1.0, "arcsec"),
         # The lag may itself be slow.
-        *catalogue.recorded(
+        *catalogue.make_common_effects(
             *("bias", "ug"),
             size=20.0,
             span=10.0,
@@ -322,7 +324,7 @@ EFFECTS = EffectTable.of(
 THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
 
 
-def _quadratic() -> bc.Model:
+def _quadratic_model() -> bc.Model:
     return INSTRUMENT.baseline() + "bias.temperature_quadratic" + "scale.temperature_quadratic"
 
 
@@ -350,7 +352,7 @@ INSTRUMENT = bc.Instrument(
     nominal_scale=NOMINAL_SCALE,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
-        ("quadratic", _quadratic),
+        ("quadratic", _quadratic_model),
         ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
         ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         (
@@ -359,7 +361,7 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulator=simulated_columns,
-    experiments=experiments(
+    experiments=list_experiments(
         simulated_columns,
         {
             "the same again": Campaign(),
@@ -367,14 +369,14 @@ INSTRUMENT = bc.Instrument(
             "every second run downwards": Campaign(alternate=True),
             "each cell at two tilts, 0.45° and 0.30°": Campaign(tilts=(TILT, 0.30 * DEGREE)),
             "each cell at 0.45° and −0.45°": Campaign(tilts=(TILT, -TILT)),
-            "the face turned over in each cell": Campaign(tilts=(TILT, OVER)),
+            "the face turned over in each cell": Campaign(tilts=(TILT, INVERTED_TILT)),
             "24 positions": Campaign(positions=24),
             "three hours' soak": Campaign(soak=3 * HOUR),
             "ten days between runs": Campaign(pause=240 * HOUR),
             "the laboratory's temperature varied by 3 °C": Campaign(laboratory_daily=3.0),
         },
     ),
-    use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
+    use=bc.Use("acceleration", "ug", _use_output, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)

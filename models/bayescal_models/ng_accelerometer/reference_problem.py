@@ -1,6 +1,6 @@
-"""The reference problem, a small model and test on which intervals must cover and methods must agree.
+"""Reference problem: a small model and test for checks of interval coverage and of the agreement of methods.
 
-The model is the baseline with narrower priors, all proper, as for a recalibration.
+The model is the baseline with narrower, proper priors, as for a recalibration.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PRIORS = {
     "scale.constant": bc.Normal(1500.0, 2000.0),
     "scale.temperature": bc.Normal(60.0, 100.0),
 }
-SPREADS = {
+SD_PRIORS = {
     "bias.cell": bc.HalfNormal(5.0),
     "scale.cell": bc.HalfNormal(50.0),
     "fixture_tilt.cell": bc.HalfNormal(5.0),
@@ -28,8 +28,8 @@ CAMPAIGN = replace(INSTRUMENT_A, temperatures=(20.0, 30.0, 40.0), runs=2, pause=
 
 
 def model() -> bc.Model:
-    """Return the baseline, each prior proper and as narrow as a recalibration's."""
-    return bc.Model(INSTRUMENT, tuple(_narrowed(e) for e in INSTRUMENT.effects), NOISE)
+    """Return the baseline with proper priors that are as narrow as for a recalibration."""
+    return bc.Model(INSTRUMENT, tuple(_narrow_priors(e) for e in INSTRUMENT.effects), NOISE)
 
 
 def readings(seed: int = 0) -> bc.Measurements:
@@ -37,10 +37,10 @@ def readings(seed: int = 0) -> bc.Measurements:
     return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)
 
 
-def _narrowed(effect: bc.Effect) -> bc.Effect:
+def _narrow_priors(effect: bc.Effect) -> bc.Effect:
     coefficients = effect.coefficients
     if effect.name in PRIORS:
         coefficients = tuple(replace(c, prior=PRIORS[effect.name]) for c in coefficients)
-    if effect.name in SPREADS:
-        coefficients = tuple(replace(c, group_sd=SPREADS[effect.name]) for c in coefficients)
+    if effect.name in SD_PRIORS:
+        coefficients = tuple(replace(c, group_sd=SD_PRIORS[effect.name]) for c in coefficients)
     return replace(effect, coefficients=coefficients)

@@ -1,15 +1,15 @@
-"""Simulator of a test with hidden effects: one small physical law per effect.
+"""Simulator of tests on the tilted table with hidden effects: one physical law per effect.
 
-    made = simulate_arrays({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
-    made.columns["output"], made.world, made.contributions["second_order"]
+    test = simulate_arrays({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
+    test.columns["output"], test.conditions, test.contributions["second_order"]
 
-A law returns the contribution of one unit of the effect to its slot at each instant of the simulated test. None uses
-the columns of a candidate's basis (set points, the thermometer's record, the clock of the readings), and most have a
-slightly different form, so that a fitted model is an approximation, as with real readings. The geometry is computed by
-rotations of vectors, independently of the model's closed form.
+A law returns the contribution of one unit of an effect to its slot at each instant of the test. Laws use true
+conditions, not the columns of the model's basis functions (set points, measured temperature, reading times), and most
+differ slightly in form from the model, so that a fitted model is an approximation, as for real readings. The geometry
+is computed by rotations of vectors, independently of the model's closed form.
 
-An effect on the base tilt acts on both components with the size given; `name[parallel]` and `name[perp]` set one
-alone. The size of `base_tilt.tide` is each component's largest tilt of the month, nrad.
+An effect on the base tilt has the given size in both components; `name[parallel]` and `name[perp]` set one component.
+The size of `base_tilt.tide` is the monthly peak of each component, nrad.
 """
 
 from __future__ import annotations
@@ -22,175 +22,174 @@ import numpy as np
 
 from bayescal_models import simulated
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
-from bayescal_models.ng_accelerometer.world import World
-from bayescal_models.simulated import ARCSEC, DEGREE, Array, Simulated
+from bayescal_models.ng_accelerometer.world import Conditions
+from bayescal_models.simulated import ARCSEC, DEGREE, Array, SimulatedTest
 
 G = 1e6  # µg
-STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups", "supply")
-SATURATION = 40.0  # °C, scale on which a curved law deviates from its leading power
-UNEVEN = 0.002  # 1/°C, relative increase of the fixture's bending with temperature
-HIGHER = 0.1  # relative amplitude of the higher harmonics around a turn
-UNITS = {
+RANDOM_STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups", "supply")
+SATURATION_SCALE_DEGC = 40.0  # °C, temperature change at which higher powers of a law matter
+BENDING_TEMPCO = 0.002  # 1/°C, relative increase of the fixture's bending with temperature
+HARMONIC_AMPLITUDE = 0.1  # relative amplitude of the fourth and fifth rotation harmonics
+UNIT_FACTORS = {
     **dict.fromkeys(("ug", "ug/mg^2", "ug/mg^3", "1/g"), 1.0),
     **{"ppm": 1e-6, "urad": 1e-6, "nrad": 1e-9, "arcsec": ARCSEC, "deg": DEGREE},
 }
-BY_CELL = ("bias", "scale", "fixture_tilt", "base_tilt_parallel", "base_tilt_perp")
-BY_RUN = ("bias", "scale", "fixture_tilt", "fixture_tilt.temperature")
+CELL_QUANTITIES = ("bias", "scale", "fixture_tilt", "base_tilt_parallel", "base_tilt_perp")
+RUN_QUANTITIES = ("bias", "scale", "fixture_tilt", "fixture_tilt.temperature")
 
 
 class Law(NamedTuple):
-    """The slot that a law adds to, the unit of the effect, and the contribution of one unit at each instant."""
+    """Law of an effect: its slot, its unit, and the contribution of one unit of it at each instant, (n, m)."""
 
     slot: str
     unit: str
-    curve: Callable[[World], Array]
+    curve: Callable[[Conditions], Array]
 
-    def contribution(self, size: float, world: World) -> Array:
-        """Return the contribution in the slot's unit, (n, m)."""
-        return size * UNITS[self.unit] * self.curve(world)
+    def contribution(self, size: float, test: Conditions) -> Array:
+        """Return the contribution of an effect of this size, in the slot's unit, (n, m)."""
+        return size * UNIT_FACTORS[self.unit] * self.curve(test)
 
 
-def _warmer(w: World) -> Array:
+def _departure(w: Conditions) -> Array:
     return w.device - w.plan.T0
 
 
-def _square(w: World) -> Array:
-    """Return 2w²(cosh(ΔT/w) − 1): slightly more than ΔT²."""
-    return 2 * SATURATION**2 * (np.cosh(_warmer(w) / SATURATION) - 1)
+def _quadratic_law(w: Conditions) -> Array:
+    """Return 2w²(cosh(ΔT/w) − 1), slightly more than ΔT², with w = `SATURATION_SCALE_DEGC`, °C²."""
+    return 2 * SATURATION_SCALE_DEGC**2 * (np.cosh(_departure(w) / SATURATION_SCALE_DEGC) - 1)
 
 
-def _cube(w: World) -> Array:
-    """Return 6w³(sinh(ΔT/w) − ΔT/w): slightly more than ΔT³."""
-    ratio = _warmer(w) / SATURATION
-    return 6 * SATURATION**3 * (np.sinh(ratio) - ratio)
+def _cubic_law(w: Conditions) -> Array:
+    """Return 6w³(sinh(ΔT/w) − ΔT/w), slightly more than ΔT³, with w = `SATURATION_SCALE_DEGC`, °C³."""
+    ratio = _departure(w) / SATURATION_SCALE_DEGC
+    return 6 * SATURATION_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
 
 
-def _fixture(w: World) -> Array:
-    """Return the expansion of the fixture, whose coefficient grows slightly with temperature, °C."""
+def _fixture_expansion(w: Conditions) -> Array:
+    """Return the fixture's thermal expansion as an equivalent temperature change, °C; it is slightly nonlinear."""
     change = w.fixture - w.plan.T0
-    return change + UNEVEN * change**2
+    return change + BENDING_TEMPCO * change**2
 
 
-def _lobed(w: World) -> Array:
-    """Return two and three lobes around a turn, and higher ones."""
+def _rotation_harmonics(w: Conditions) -> Array:
+    """Return the second and third harmonics of the rotation angle, with weaker fourth and fifth ones."""
     waves = [wave(m * w.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
-    return sum(waves) + HIGHER * (np.cos(4 * w.angle) + np.sin(5 * w.angle))
+    return sum(waves) + HARMONIC_AMPLITUDE * (np.cos(4 * w.angle) + np.sin(5 * w.angle))
 
 
-def _settled(w: World) -> Array:
-    """Return a foundation's settlement: fast first, then slower; 1 over the test."""
-    return np.expm1(-2 * w.share) / np.expm1(-2.0)
+def _settlement(w: Conditions) -> Array:
+    """Return the settlement of a foundation, exponential in time, from 0 to 1 over the test."""
+    return np.expm1(-2 * w.elapsed_fraction) / np.expm1(-2.0)
 
 
-def _eccentric(w: World) -> Array:
-    """Return the reading error of an eccentrically mounted circle, relative to its amplitude."""
-    small = np.sqrt(2) * ARCSEC
+def _eccentricity_error(w: Conditions) -> Array:
+    """Return the angle error of an eccentrically mounted divided circle, relative to its amplitude."""
+    eccentricity = np.sqrt(2) * ARCSEC
     angle = w.angle + np.pi / 4
-    return np.arctan2(small * np.sin(angle), 1 + small * np.cos(angle)) / ARCSEC
+    return np.arctan2(eccentricity * np.sin(angle), 1 + eccentricity * np.cos(angle)) / ARCSEC
 
 
-def _surplus(w: World) -> Array:
-    """Return the supply's excess over its nominal voltage, V."""
-    return w.supply - simulated.SUPPLY
+def _supply_deviation(w: Conditions) -> Array:
+    """Return the supply voltage minus its nominal value, V."""
+    return w.supply - simulated.SUPPLY_V
 
 
-def _ones(w: World) -> Array:
+def _ones(w: Conditions) -> Array:
     return np.ones_like(w.time)
 
 
-def _scatter(
-    what: str, group: str, along: Callable[[World], Array] = _ones
-) -> Callable[[World], Array]:
-    """Return a law of one standard normal deviate per cell or run; the size multiplies it."""
+def _random_law(
+    name: str, group: str, factor: Callable[[Conditions], Array] = _ones
+) -> Callable[[Conditions], Array]:
+    """Return a law with a standard normal deviate per cell or run, times `factor`; the effect's size is its sd."""
 
-    def curve(w: World) -> Array:
-        return (w.by_cell[what] if group == "cell" else w.by_run[what]) * along(w)
+    def curve(w: Conditions) -> Array:
+        return (w.cell_deviates[name] if group == "cell" else w.run_deviates[name]) * factor(w)
 
     return curve
 
 
 _LAWS = {
     "bias.constant": Law("bias", "ug", _ones),
-    "bias.temperature": Law("bias", "ug", _warmer),
-    "bias.cell": Law("bias", "ug", _scatter("bias", "cell")),
+    "bias.temperature": Law("bias", "ug", _departure),
+    "bias.cell": Law("bias", "ug", _random_law("bias", "cell")),
     "scale.constant": Law("scale", "ppm", _ones),
-    "scale.temperature": Law("scale", "ppm", _warmer),
-    "scale.cell": Law("scale", "ppm", _scatter("scale", "cell")),
+    "scale.temperature": Law("scale", "ppm", _departure),
+    "scale.cell": Law("scale", "ppm", _random_law("scale", "cell")),
     "fixture_tilt.constant": Law("fixture_tilt", "urad", _ones),
-    "fixture_tilt.cell": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "cell")),
+    "fixture_tilt.cell": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "cell")),
     "rotation.constant": Law("rotation", "deg", _ones),
     "tilt.setting": Law("base_tilt_perp", "arcsec", _ones),
-    "bias.temperature_quadratic": Law("bias", "ug", _square),
-    "bias.temperature_cubic": Law("bias", "ug", _cube),
-    "scale.temperature_quadratic": Law("scale", "ppm", _square),
-    "scale.temperature_cubic": Law("scale", "ppm", _cube),
-    "bias.drift": Law("bias", "ug", lambda w: np.log2(1 + w.share)),  # ageing
-    "bias.warm_up": Law("bias", "ug", lambda w: w.warmth),
-    "bias.run": Law("bias", "ug", _scatter("bias", "run")),
-    "scale.run": Law("scale", "ppm", _scatter("scale", "run")),
-    "bias.rate": Law("bias", "ug", lambda w: w.heating),
+    "bias.temperature_quadratic": Law("bias", "ug", _quadratic_law),
+    "bias.temperature_cubic": Law("bias", "ug", _cubic_law),
+    "scale.temperature_quadratic": Law("scale", "ppm", _quadratic_law),
+    "scale.temperature_cubic": Law("scale", "ppm", _cubic_law),
+    "bias.drift": Law("bias", "ug", lambda w: np.log2(1 + w.elapsed_fraction)),  # ageing
+    "bias.warm_up": Law("bias", "ug", lambda w: w.warm_up_deficit),
+    "bias.run": Law("bias", "ug", _random_law("bias", "run")),
+    "scale.run": Law("scale", "ppm", _random_law("scale", "run")),
+    "bias.rate": Law("bias", "ug", lambda w: w.temperature_rate),
     "bias.thermal_lag": Law("bias", "ug", lambda w: w.element - w.device),
-    "bias.temperature_x_lag": Law("bias", "ug", lambda w: _warmer(w) * (w.element - w.device)),
-    "bias.supply": Law("bias", "ug", _surplus),
-    "bias.temperature_x_supply": Law("bias", "ug", lambda w: _warmer(w) * _surplus(w)),
+    "bias.temperature_x_lag": Law("bias", "ug", lambda w: _departure(w) * (w.element - w.device)),
+    "bias.supply": Law("bias", "ug", _supply_deviation),
+    "bias.temperature_x_supply": Law("bias", "ug", lambda w: _departure(w) * _supply_deviation(w)),
     "bias.hysteresis": Law("bias", "ug", lambda w: w.direction),
-    "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture),
-    "fixture_tilt.run": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "run")),
+    "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture_expansion),
+    "fixture_tilt.run": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "run")),
     "fixture_tilt.run_temperature": Law(
-        "fixture_tilt", "urad", _scatter("fixture_tilt.temperature", "run", _fixture)
+        "fixture_tilt", "urad", _random_law("fixture_tilt.temperature", "run", _fixture_expansion)
     ),
     "fixture_tilt.position": Law(
-        "fixture_tilt", "urad", lambda w: (w.fixture - w.plan.T0) * _lobed(w)
+        "fixture_tilt", "urad", lambda w: (w.fixture - w.plan.T0) * _rotation_harmonics(w)
     ),
     "second_order": Law("second_order", "ug/mg^2", _ones),
     "third_order": Law("third_order", "ug/mg^3", _ones),
     "cross_coupling": Law("cross_coupling", "1/g", _ones),
-    "cross_coupling.temperature": Law("cross_coupling", "1/g", _warmer),
-    "rotation.harmonic": Law("rotation", "arcsec", _eccentric),
-    "rotation.wobble": Law("fixture_tilt", "arcsec", lambda w: _lobed(w) + 0 * w.time),
+    "cross_coupling.temperature": Law("cross_coupling", "1/g", _departure),
+    "rotation.harmonic": Law("rotation", "arcsec", _eccentricity_error),
+    "rotation.wobble": Law("fixture_tilt", "arcsec", lambda w: _rotation_harmonics(w) + 0 * w.time),
 }
-# Of each component of the base tilt, parallel and perp.
-_OF_BASE = {
+# Unit and laws of the base tilt components parallel and perp.
+_BASE_TILT_LAWS = {
     "base_tilt.constant": ("arcsec", (_ones, _ones)),
     "base_tilt.lab_temperature": ("urad", 2 * (lambda w: w.foundation - w.plan.laboratory,)),
     "base_tilt.temperature": ("urad", 2 * (lambda w: w.base - w.plan.T0,)),
     "base_tilt.tide": ("nrad", (lambda w: w.tide[0], lambda w: w.tide[1])),
-    "base_tilt.drift": ("urad", (_settled, _settled)),
+    "base_tilt.drift": ("urad", (_settlement, _settlement)),
     "base_tilt.cell": (
         "urad",
-        (_scatter("base_tilt_parallel", "cell"), _scatter("base_tilt_perp", "cell")),
+        (_random_law("base_tilt_parallel", "cell"), _random_law("base_tilt_perp", "cell")),
     ),
 }
 
 
-def _all() -> dict[str, tuple[Law, ...]]:
+def _collect_laws() -> dict[str, tuple[Law, ...]]:
     laws = {name: (law,) for name, law in _LAWS.items()}
-    for name, (unit, curves) in _OF_BASE.items():
-        along, across = sides = tuple(
-            Law(f"base_tilt_{side}", unit, curve)
-            for side, curve in zip(("parallel", "perp"), curves, strict=True)
+    for name, (unit, curves) in _BASE_TILT_LAWS.items():
+        parallel, perp = both = tuple(
+            Law(f"base_tilt_{component}", unit, curve)
+            for component, curve in zip(("parallel", "perp"), curves, strict=True)
         )
-        laws |= {name: sides, f"{name}[parallel]": (along,), f"{name}[perp]": (across,)}
+        laws |= {name: both, f"{name}[parallel]": (parallel,), f"{name}[perp]": (perp,)}
     return laws
 
 
-LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_all())
-"""All effects of a simulated test, baseline and hidden, by canonical name."""
+LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_collect_laws())
+"""Laws of all effects of a simulated test, baseline and hidden, by canonical name."""
 
 
 def simulate_arrays(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign = INSTRUMENT_A
-) -> Simulated:
+) -> SimulatedTest:
     """Simulate a test with hidden effects.
 
-    The same seed gives the same noise, temperatures and scatter for any effects, so two simulations differ by the
-    effects alone. Contributions are those of every effect to its slot, in the slot's unit, (slot, (n, m))
-    for each component.
+    The same seed gives the same noise, temperatures and random deviations for any effects, so that two simulations
+    differ by the effects alone. Each contribution is a tuple of (slot, array (n, m) in the slot's unit).
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
-            above for the two components of the base tilt, and for the tide). The instrument's own line,
-            constants and scatter are included, as in `campaign.truth` unless given here.
+        effects: canonical name → true size, in the unit of the effect's coefficients, which all have this value (see
+            the module's docstring for base tilt and tide). Baseline effects have the sizes of `campaign.truth`
+            unless given here.
         seed: seed of the random-number generator.
         campaign: plan of the test.
 
@@ -198,45 +197,45 @@ def simulate_arrays(
         ValueError: an unknown effect, or a size that is not a finite number.
     """
     sizes = {**campaign.truth, **(effects or {})}
-    simulated.refuse_effects(sizes, LAWS, "a test of the ng accelerometer")
-    generators = simulated.generators(STREAMS, seed)
-    world = World(campaign, generators, BY_CELL, BY_RUN)
+    simulated.validate_effects(sizes, LAWS, "a test of the ng accelerometer")
+    generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
+    test = Conditions(campaign, generators, CELL_QUANTITIES, RUN_QUANTITIES)
     contributions = {
-        name: tuple((law.slot, law.contribution(size, world)) for law in LAWS[name])
+        name: tuple((law.slot, law.contribution(size, test)) for law in LAWS[name])
         for name, size in sizes.items()
     }
-    noise_free = respond(world, contributions).mean(axis=1)
+    noise_free = outputs(test, contributions).mean(axis=1)
     noise = campaign.noise * generators["noise"].standard_normal(len(noise_free))
-    scatter = generators["thermometer"].standard_normal((2, len(noise_free)))
+    errors = generators["thermometer"].standard_normal((2, len(noise_free)))
     columns = {
-        "run": np.array([str(k + 1) for k in world.run]),
-        "temperature_point": world.point,
-        "time": world.time.mean(axis=1),
-        "temperature": world.device.mean(axis=1) + campaign.thermometer_noise * scatter[0],
-        "lab_temperature": world.laboratory.mean(axis=1) + campaign.thermometer_noise * scatter[1],
-        "position_angle": world.angle[:, 0],
-        "tilt": world.tilt[:, 0],
+        "run": np.array([str(k + 1) for k in test.run]),
+        "temperature_point": test.point,
+        "time": test.time.mean(axis=1),
+        "temperature": test.device.mean(axis=1) + campaign.thermometer_noise * errors[0],
+        "lab_temperature": test.laboratory.mean(axis=1) + campaign.thermometer_noise * errors[1],
+        "position_angle": test.angle[:, 0],
+        "tilt": test.tilt[:, 0],
         "output": noise_free + noise,
     }
-    if simulated.supplied(sizes):
-        columns["supply_voltage"] = world.supply.mean(axis=1)
-    return Simulated(columns, world, contributions, noise_free)
+    if simulated.needs_supply_column(sizes):
+        columns["supply_voltage"] = test.supply.mean(axis=1)
+    return SimulatedTest(columns, test, contributions, noise_free)
 
 
-simulated_columns = simulated.columns_of(simulate_arrays)
+simulated_columns = simulated.column_simulator(simulate_arrays)
 
 
-def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:
-    """Return the output without noise at each instant, µg."""
+def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:
+    """Return the noise-free output at each instant, µg, (n, m)."""
     slots: dict[str, Array] = {}
     for name in contributions:
         for slot, part in contributions[name]:
             slots[slot] = slots.get(slot, 0.0) + part
-    zero = np.zeros_like(world.time)
+    zero = np.zeros_like(test.time)
     a, ap = gravity(
-        world.tilt + slots.get("base_tilt_perp", zero),
+        test.tilt + slots.get("base_tilt_perp", zero),
         slots.get("base_tilt_parallel", zero),
-        world.angle + slots.get("rotation", zero),
+        test.angle + slots.get("rotation", zero),
         slots.get("fixture_tilt", zero),
     )
     return (
@@ -249,27 +248,27 @@ def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], .
 
 
 def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple[Array, Array]:
-    """Return the acceleration along the input axis, µg, and the table's normal, g, by successive rotations.
+    """Compute the specific force along the input axis, µg, and the table's normal, g, by successive rotations.
 
-    Up, (0, 0, 1) in the laboratory, is rotated into the face by the tilt about e0 and by the base about e90; the
+    The vertical (0, 0, 1) is rotated into the frame of the face by the tilt about e0 and the base tilt about e90; the
     input axis is tilted by the fixture and then rotated with the table.
 
     Args:
-        tilt, parallel: of the face about e0 and of the base about e90, rad.
-        angle: of the table, rad.
-        fixture: of the input axis out of the face, rad.
+        tilt, parallel: tilt of the face about e0, and of the base about e90, rad.
+        angle: rotation angle of the table, rad.
+        fixture: tilt of the input axis out of the face, rad.
     """
     zero = np.zeros_like(angle + tilt)
-    up = _turn(_turn((zero, zero, zero + 1.0), 1, parallel), 0, -tilt)
-    axis = _turn(_turn((zero + 1.0, zero, zero), 1, -fixture), 2, angle)
+    up = _rotate(_rotate((zero, zero, zero + 1.0), 1, parallel), 0, -tilt)
+    axis = _rotate(_rotate((zero + 1.0, zero, zero), 1, -fixture), 2, angle)
     along = sum((u * s for u, s in zip(up, axis, strict=True)), start=zero)
     return G * along, up[2]
 
 
-def _turn(vector: tuple[Array, ...], about: int, by: Array) -> tuple[Array, ...]:
-    """Rotate a vector about an axis of the frame, counter-clockwise."""
-    first, second = (about + 1) % 3, (about + 2) % 3
-    turned = list(vector)
-    turned[first] = np.cos(by) * vector[first] - np.sin(by) * vector[second]
-    turned[second] = np.sin(by) * vector[first] + np.cos(by) * vector[second]
-    return tuple(turned)
+def _rotate(vector: tuple[Array, ...], axis_index: int, angle: Array) -> tuple[Array, ...]:
+    """Rotate a vector counter-clockwise about coordinate axis `axis_index` by `angle`, rad."""
+    first, second = (axis_index + 1) % 3, (axis_index + 2) % 3
+    rotated = list(vector)
+    rotated[first] = np.cos(angle) * vector[first] - np.sin(angle) * vector[second]
+    rotated[second] = np.sin(angle) * vector[first] + np.cos(angle) * vector[second]
+    return tuple(rotated)

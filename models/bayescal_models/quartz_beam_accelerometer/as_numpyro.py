@@ -1,8 +1,8 @@
 """Self-contained NumPyro model of a quartz resonant beam accelerometer with two thermometers, 15 columns (source 2).
 
-The model that `bc.fit(equal(), readings)` fits; `mems_gyro/as_numpyro.py` says how to run it.
+It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-With t1 at the beams' circuit, t2 in the head, both from T0, and δ = t1 − t2:
+t1 is the temperature of the circuit and t2 that of the head, both minus T0; δ = t1 − t2:
 
     output = b + (1 + κ)·a + e,     e ~ N(0, σ²)
     b, κ = Σ of  1, t1, t1², t1³,  1, t2, t2², t2³,  δ, δ², δ³,  dt1/dt, dt2/dt,  t2·dt2/dt, t2·δ
@@ -21,7 +21,7 @@ from numpyro.distributions import HalfCauchy, Normal
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer.model import two_thermometers
 
-SIZES = {  # prior standard deviations of the bias: µg, °C, min; in the order of the columns
+PRIOR_SDS = {  # prior standard deviations of the bias: µg, °C, min; in the order of the columns
     "constant_circuit": 2e4,
     "constant_head": 2e4,
     "gradient": 20.0,
@@ -38,33 +38,33 @@ SIZES = {  # prior standard deviations of the bias: µg, °C, min; in the order 
     "temperature_x_rate": 0.2,
     "temperature_x_gradient": 0.5,
 }
-TENTH = 0.1  # ratio of the scale factor's sizes, ppm, to these
-CONSTANT = {"bias": 2e4, "scale": 5e3}
+SCALE_SIZE_RATIO = 0.1  # prior sd of a scale factor coefficient, ppm, over that of the bias, µg
+CONSTANT_SDS = {"bias": 2e4, "scale": 5e3}
 
 
 def model(columns, acceleration, output=None) -> None:
-    """Define the model of fifteen columns (n, 15) in the order of `SIZES`, acceleration µg (n,), output µg or None."""
+    """Define the NumPyro model: columns (n, 15) ordered as `PRIOR_SDS`, acceleration µg (n,); output µg or None."""
 
-    def polynomial(slot: str) -> Any:
+    def sample_polynomial(slot: str) -> Any:
         total = 0.0
-        for i, (name, size) in enumerate(SIZES.items()):
+        for i, (name, size) in enumerate(PRIOR_SDS.items()):
             if name.startswith("constant"):
-                size = CONSTANT[slot]
+                size = CONSTANT_SDS[slot]
             elif slot == "scale":
-                size = TENTH * size
+                size = SCALE_SIZE_RATIO * size
             total += numpyro.sample(f"{slot}.{name}", Normal(0.0, size)) * columns[:, i]
         return total
 
-    bias, kappa = polynomial("bias"), 1e-6 * polynomial("scale")
+    bias, kappa = sample_polynomial("bias"), 1e-6 * sample_polynomial("scale")
     noise = numpyro.sample("noise.white", HalfCauchy(20.0))  # µg
     numpyro.sample("output", Normal(bias + (1 + kappa) * acceleration, noise), obs=output)
 
 
-def data(readings: bc.Measurements) -> dict[str, Any]:
-    """Return the readings as arguments of `model`."""
+def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
+    """Return the arguments of `model` for these readings."""
     raw = [readings[f"temperature_{place}"] for place in ("circuit", "head")]
     T0 = np.round(raw[1].mean())
-    (t1, t2), (rate1, rate2) = (t - T0 for t in raw), (_per_minute(readings, t) for t in raw)
+    (t1, t2), (rate1, rate2) = (t - T0 for t in raw), (_rate(readings, t) for t in raw)
     ones, d = np.ones_like(t1), t1 - t2
     columns = (ones, ones, d, d**2, t1, t1**2, t1**3, t2, t2**2, t2**3, d**3, rate1, rate2)
     return {
@@ -74,14 +74,14 @@ def data(readings: bc.Measurements) -> dict[str, Any]:
     }
 
 
-def _per_minute(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
-    """Return the slope from the preceding reading of a run and sweep; 0 in the first, °C/min."""
+def _rate(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
+    """Return the rate of change since the previous reading of the run, per minute; 0 at the first reading."""
     time, run = readings["time"], readings.groups("run")[1]
     order = np.lexsort((time, run))
     step, change = np.diff(time[order], prepend=np.nan), np.diff(values[order], prepend=np.nan)
-    new = np.diff(run[order], prepend=-1) != 0
-    slope = np.where(new, 0.0, 60.0 * change / np.where(new, 1.0, step))
+    is_first = np.diff(run[order], prepend=-1) != 0
+    slope = np.where(is_first, 0.0, 60.0 * change / np.where(is_first, 1.0, step))
     return slope[np.argsort(order)]
 
 
-equal = two_thermometers  # the same model as a sum of named effects
+equivalent_model = two_thermometers  # a sum of named effects with the same posterior

@@ -1,9 +1,9 @@
 """Plan of a test: soaked four-position tumbles, and continuous ramps at several attitudes.
 
     Campaign()                                    # both kinds, −40 … +70 °C
-    Campaign(attitudes=())                        # soaked points alone
-    Campaign(repeats=0, ramp_speeds=(1.0, 3.0))   # ramps alone, at two speeds
-    Campaign(device="beams")                      # a device whose truth is no polynomial
+    Campaign(attitudes=())                        # soaked points only
+    Campaign(repeats=0, ramp_speeds=(1.0, 3.0))   # ramps only, at two rates
+    Campaign(device="beams")                      # a device whose errors are no polynomials
 
 Source: source 2 (soak, four-position tumble, two repeats or more); ranges, times and sizes are ours.
 """
@@ -12,47 +12,46 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse_unknown
+from bayescal_models.simulated import validate_options
 
-GRID = 5.0
-"""Step on which temperatures are integrated, s."""
+STEP_S = 5.0
+"""Integration step of the temperatures, s."""
 
-POSITIONS = (0.0, 1.0, 0.0, -1.0)
+TUMBLE_G = (0.0, 1.0, 0.0, -1.0)
 """Accelerations of the four-position tumble, g (source 2)."""
 
-DEVICES = ("cubic", "beams")
+DEVICE_KINDS = ("cubic", "beams")
 NOISE_LAWS = ("white", "ornstein_uhlenbeck")
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Plan of a test, and the world it is made in. The defaults give 563 readings in five runs.
+    """Plan of a test and properties of the simulated device. The defaults give 563 readings in five runs.
 
-    Every run begins with power-on at room temperature, after a pause without power. A tumble run takes one
-    reading then (so that the record knows when power came), goes through the temperatures, soaks at each and
-    reads the four positions. A ramp run holds one attitude, reads all the time, and goes room → coldest →
-    hottest → room.
+    Every run begins with power-on at room temperature, after a pause without power. A tumble run has one reading
+    at power-on, which dates it, then a soak at each temperature and readings in four positions. A ramp run has
+    one attitude, readings at a constant interval, and temperatures room → coldest → hottest → room.
 
     Attributes:
         temperatures: soak temperatures in the order of the first run, °C; ramps span them.
-        repeats: tumble runs; every second one goes backwards.
+        repeats: number of tumble runs; every second one has the temperatures in reverse order.
         soak: time at each temperature before the tumble, s.
         attitudes: input accelerations of the ramp runs, g.
-        ramp_speeds: °C/min; each attitude is gone through at each speed.
-        hold: time at the start and at both ends of a ramp run, s.
-        interval: between readings of a ramp, s.
-        average: time averaged into one reading, s, at most `interval`.
+        ramp_speeds: temperature rates, °C/min; there is a ramp run for each attitude at each rate.
+        hold: time at the start and at both temperature extremes of a ramp run, s.
+        interval: time between readings of a ramp run, s.
+        average: averaging time of a reading, s, at most `interval`.
         pause: time without power between runs, s.
-        chamber_speed: of the chamber between soak temperatures, °C/min.
+        chamber_speed: temperature rate of the chamber between soak temperatures, °C/min.
         air_time: first-order time constant of the chamber's air, s.
-        device: "cubic", whose bias and scale factor follow the head's temperature by a cubic, so that the baseline
-            is right unless something is hidden; or "beams", two beams with their own lag, unlike in their
-            temperature coefficients, and a circuit: no polynomial.
-        noise: standard deviation of one reading, µg.
-        noise_law: "white", or "ornstein_uhlenbeck" (correlated noise of the same size beside it, time 300 s).
-        thermometer_noise: white error of both thermometers' readings, °C (standard deviation).
-        frequency_sum: record the sum of both beams' frequencies, Hz.
-        T0: temperature about which every law of the world is written, °C.
+        device: "cubic": bias and scale factor are cubic polynomials of the head's temperature, so that the baseline
+            is the true model unless effects are hidden; "beams": two beams with lags and different temperature
+            coefficients, and a circuit, whose errors are no polynomials.
+        noise: standard deviation of the white noise of a reading, µg.
+        noise_law: "white", or "ornstein_uhlenbeck": white plus correlated noise of the same size, time constant 300 s.
+        thermometer_noise: standard deviation of the white error of both thermometers, °C.
+        frequency_sum: whether the sum of both beams' frequencies is recorded, Hz.
+        T0: reference temperature of all simulated effects, °C.
 
     Raises:
         ValueError: an unknown device or noise law.
@@ -77,4 +76,4 @@ class Campaign:
     T0: float = 15.0
 
     def __post_init__(self) -> None:
-        refuse_unknown(self, device=DEVICES, noise_law=NOISE_LAWS)
+        validate_options(self, device=DEVICE_KINDS, noise_law=NOISE_LAWS)

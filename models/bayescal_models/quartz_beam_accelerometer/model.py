@@ -12,7 +12,7 @@ Both b and κ are, after source 2, sums of 15 columns (its `b_com = b0 − [ …
     c01 + c11·t1 + c21·t1² + c31·t1³ + c02 + c12·t2 + c22·t2² + c32·t2³ + cδ1·δt + cδ2·δt² + cδ3·δt³
         + ċ1·dt1/dt + ċ2·dt2/dt + c×rate·t2·dt2/dt + c×grad·t2·δt
 
-with t1 and t2 about one T0 (mean of t2, rounded, stored with the calibration as temperature_head_0). The
+with t1 and t2 relative to T0 (mean of t2, rounded, stored with the calibration as temperature_head_0). The
 columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad are not identified by any readings; all
 15 are kept, their priors determine these three, and every calibration reports them. On soaked points the rank is 4.
 
@@ -35,15 +35,15 @@ from typing import Any
 import bayescal as bc
 from bayescal import xp
 from bayescal_models import catalogue
-from bayescal_models.catalogue import MINUTE, SIGNS, EffectTable, Maker, effect, one
+from bayescal_models.catalogue import MINUTE, EffectTable, Factory, effect, one
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, experiments, readings_of
+from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
 
-FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
-FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
-SLIP = 1.0  # °C, half width of the backlash
+FREQUENCY_SUM_HZ = 80_000.0  # Hz at 15 °C, nominal; ours
+FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: converts the sum to a temperature
+PLAY_DEGC = 1.0  # °C, half width of the backlash
 
 
 def _response(slots, r):
@@ -51,189 +51,193 @@ def _response(slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * (PER_G * a) ** 2
 
 
-# Bases: t1 − T0, t2 − T0, their difference, the temperature indicated by the beams, °C; and backlash of a joint.
+# Basis functions, °C: t1 − T0, t2 − T0, their difference, the temperature from the frequency sum; and a backlash.
 
 
 def circuit(r: bc.Frame) -> Any:
-    """Return t1 − T0, °C."""
+    """Return the circuit's temperature change t1 − T0, °C, (n,)."""
     return r["temperature_circuit"] - r.reference["temperature_head_0"]
 
 
 def head(r: bc.Frame) -> Any:
-    """Return t2 − T0, °C."""
+    """Return the head's temperature change t2 − T0, °C, (n,)."""
     return r.centred("temperature_head")
 
 
 def gradient(r: bc.Frame) -> Any:
-    """Return δt = t1 − t2, °C."""
+    """Return the temperature difference of circuit and head, δt = t1 − t2, °C, (n,)."""
     return r["temperature_circuit"] - r["temperature_head"]
 
 
-def _indicated(r: bc.Frame) -> Any:
-    """Return the temperature indicated by the frequency sum, °C from nominal."""
-    return (r["frequency_sum"] - FREQUENCY_SUM) / FREQUENCY_TEMPCO
+def _indicated_temperature(r: bc.Frame) -> Any:
+    """Return the temperature change that the frequency sum indicates, °C."""
+    return (r["frequency_sum"] - FREQUENCY_SUM_HZ) / FREQUENCY_TEMPCO
 
 
-def _power(of: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
-    return of(r) ** order
+def _power(quantity: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
+    return quantity(r) ** order
 
 
-def _slope(column: str, r: bc.Frame) -> Any:
+def _temperature_rate(column: str, r: bc.Frame) -> Any:
     return r.rate(column)
 
 
-def _times_rate(of: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
-    return of(r) * r.rate(column)
+def _rate_basis(quantity: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
+    return quantity(r) * r.rate(column)
 
 
-def _times_gradient(of: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
-    return of(r) * gradient(r)
+def _gradient_basis(quantity: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
+    return quantity(r) * gradient(r)
 
 
-def _slipped(r: bc.Frame) -> Any:
-    """Return the backlash (play) operator (t2 − seat)/width, −1 … 1, reset in each run."""
+def _backlash(r: bc.Frame) -> Any:
+    """Return the play (backlash) operator (t2 − centre)/`PLAY_DEGC`, −1 … 1, reset at the start of each run."""
     temperature = r["temperature_head"][r.order]
-    begins = r.step < 0
+    is_run_start = r.step < 0
 
-    def advance(seat, row):
-        now, begin = row
-        seat = xp.where(begin, now, xp.clip(seat, now - SLIP, now + SLIP))
-        return seat, (now - seat) / SLIP
+    def advance(centre, row):
+        value, is_first = row
+        centre = xp.where(is_first, value, xp.clip(centre, value - PLAY_DEGC, value + PLAY_DEGC))
+        return centre, (value - centre) / PLAY_DEGC
 
-    return xp.placed(r.order, xp.scan(advance, temperature[0], (temperature, begins)))
-
-
-# Families of this instrument.
-
-POWERS = ("", "linear", "quadratic", "cubic", "quartic", "")
-T1, T2 = BOTH = ("temperature_circuit", "temperature_head")
-BySlot = dict[str, Maker]
+    return xp.placed(r.order, xp.scan(advance, temperature[0], (temperature, is_run_start)))
 
 
-def _either(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> BySlot:
-    """Return the factories of an effect on the bias and on the scale factor, which needs an acceleration."""
-    needed = {"bias": columns, "scale": (*columns, "acceleration")}
-    return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in needed.items()}
+# Factories and effects of this instrument.
+
+KINDS = ("", "linear", "quadratic", "cubic", "quartic", "")
+T1, T2 = T1_T2 = ("temperature_circuit", "temperature_head")
+Factories = dict[str, Factory]
 
 
-def _t1(n: int) -> BySlot:
-    return _either(
-        partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1, kind=POWERS[n]
+def _factories(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> Factories:
+    """Return the factories of one effect on bias and scale factor, by slot; the latter needs an acceleration."""
+    required = {"bias": columns, "scale": (*columns, "acceleration")}
+    return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in required.items()}
+
+
+def _circuit_power(n: int) -> Factories:
+    return _factories(
+        partial(_power, circuit, n), f"c·(t1 − T0){KINDS[n - 1]}", *T1_T2, along=T1, kind=KINDS[n]
     )
 
 
-def _t2(n: int) -> BySlot:
-    return _either(
-        partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2, kind=POWERS[n]
+def _head_power(n: int) -> Factories:
+    return _factories(
+        partial(_power, head, n), f"c·(t2 − T0){KINDS[n - 1]}", T2, along=T2, kind=KINDS[n]
     )
 
 
-def _difference(n: int) -> BySlot:
-    kind = POWERS[n] if n > 1 else ""  # its first column is no gradient
-    return _either(partial(_power, gradient, n), f"c·(t1 − t2){SIGNS[n - 1]}", *BOTH, kind=kind)
+def _gradient_power(n: int) -> Factories:
+    kind = KINDS[n] if n > 1 else ""  # for n = 1 the term is linear in δt
+    return _factories(partial(_power, gradient, n), f"c·(t1 − t2){KINDS[n - 1]}", *T1_T2, kind=kind)
 
 
-def _of_sum(n: int) -> BySlot:
-    nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
-    equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
-    return _either(
-        partial(_power, _indicated, n), equation, "frequency_sum", along=None, kind=POWERS[n]
+def _sum_power(n: int) -> Factories:
+    nominal_text = f"F0 = {FREQUENCY_SUM_HZ:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
+    equation = f"c·((F − F0)/F'){KINDS[n - 1]},  {nominal_text}"
+    return _factories(
+        partial(_power, _indicated_temperature, n),
+        equation,
+        "frequency_sum",
+        along=None,
+        kind=KINDS[n],
     )
 
 
-def _rate(column: str, sign: str) -> BySlot:
-    basis, along = partial(_slope, column), f"{column} rate"
-    return _either(basis, f"c·d{sign}/dt", "time", column, along=along, kind="rate")
+def _rate_effect(column: str, symbol: str) -> Factories:
+    basis, along = partial(_temperature_rate, column), f"{column} rate"
+    return _factories(basis, f"c·d{symbol}/dt", "time", column, along=along, kind="rate")
 
 
-def _by_rate(of: Callable[[bc.Frame], Any], column: str, sign: str) -> BySlot:
-    basis = partial(_times_rate, of, column)
-    return _either(basis, f"c·({sign} − T0)·d{sign}/dt", "time", *BOTH)
+def _rate_product(quantity: Callable[[bc.Frame], Any], column: str, symbol: str) -> Factories:
+    basis = partial(_rate_basis, quantity, column)
+    return _factories(basis, f"c·({symbol} − T0)·d{symbol}/dt", "time", *T1_T2)
 
 
-def _by_gradient(of: Callable[[bc.Frame], Any], sign: str) -> BySlot:
-    return _either(partial(_times_gradient, of), f"c·({sign} − T0)·(t1 − t2)", *BOTH)
+def _gradient_product(quantity: Callable[[bc.Frame], Any], symbol: str) -> Factories:
+    return _factories(partial(_gradient_basis, quantity), f"c·({symbol} − T0)·(t1 − t2)", *T1_T2)
 
 
-def _lagging(start: float, unit: str, **fields: Any) -> Maker:
+def _lag_effect(start: float, unit: str, **fields: Any) -> Factory:
     return catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit, column=T2, **fields)
 
 
-CONSTANT = _either(one, "c", along=None)
-SLIPPING = _either(
-    _slipped,
-    f"c·(t2 − s)/w,  s dragged along within ±w = {SLIP:g} °C: the direction of the last change",
+CONSTANT = _factories(one, "c", along=None)
+BACKLASH = _factories(
+    _backlash,
+    f"c·(t2 − s)/w,  s dragged along within ±w = {PLAY_DEGC:g} °C: the direction of the last change",
     *("time", T2),
-    untestable=partial(catalogue.goes_one_way, T2, SLIP),
+    untestable=partial(catalogue.missing_reversal, T2, PLAY_DEGC),
     along=None,
     kind="hysteresis",
 )
 
-# Rows of both slots: cause, family, size for the bias, µg, divisor of its unit, and the source if another. The sizes of
-# the scale factor are a tenth, ppm, except the constants.
-SHARE, OURS = 0.1, "ours"
+# Rows for both slots: name, factory, size for the bias in µg, divisor of the unit, source. Sizes for the scale factor,
+# in ppm, are a tenth of these, except the constants.
+SCALE_RATIO, OURS = 0.1, "ours"
 CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
 # The body of the head is common to both slots, and a form of the bias's lag.
-LAGGING = {"bias": _lagging(20.0, "ug"), "scale": _lagging(20.0 * SHARE, "ppm", bodies={})}
-OF_CIRCUIT = (
-    ("temperature_circuit", _t1(1), 50.0, "/degC"),
-    ("temperature_circuit_quadratic", _t1(2), 0.5, "/degC^2"),
-    ("temperature_circuit_cubic", _t1(3), 0.005, "/degC^3"),
-    ("temperature_circuit_quartic", _t1(4), 5e-5, "/degC^4"),
-    ("temperature_circuit_quintic", _t1(5), 5e-7, "/degC^5"),
+LAGS = {"bias": _lag_effect(20.0, "ug"), "scale": _lag_effect(20.0 * SCALE_RATIO, "ppm", bodies={})}
+CIRCUIT_ROWS = (
+    ("temperature_circuit", _circuit_power(1), 50.0, "/degC"),
+    ("temperature_circuit_quadratic", _circuit_power(2), 0.5, "/degC^2"),
+    ("temperature_circuit_cubic", _circuit_power(3), 0.005, "/degC^3"),
+    ("temperature_circuit_quartic", _circuit_power(4), 5e-5, "/degC^4"),
+    ("temperature_circuit_quintic", _circuit_power(5), 5e-7, "/degC^5"),
 )
-OF_HEAD = (
-    ("temperature_head", _t2(1), 50.0, "/degC"),
-    ("temperature_head_quadratic", _t2(2), 0.5, "/degC^2"),
-    ("temperature_head_cubic", _t2(3), 0.005, "/degC^3"),
+HEAD_ROWS = (
+    ("temperature_head", _head_power(1), 50.0, "/degC"),
+    ("temperature_head_quadratic", _head_power(2), 0.5, "/degC^2"),
+    ("temperature_head_cubic", _head_power(3), 0.005, "/degC^3"),
 )
-BETWEEN = (
-    ("gradient", _difference(1), 20.0, "/degC"),
-    ("gradient_quadratic", _difference(2), 1.0, "/degC^2"),
-    ("gradient_cubic", _difference(3), 0.1, "/degC^3"),
-    ("rate_circuit", _rate(T1, "t1"), 10.0, "/(degC/min)"),
-    ("rate_head", _rate(T2, "t2"), 10.0, "/(degC/min)"),
+GRADIENT_ROWS = (
+    ("gradient", _gradient_power(1), 20.0, "/degC"),
+    ("gradient_quadratic", _gradient_power(2), 1.0, "/degC^2"),
+    ("gradient_cubic", _gradient_power(3), 0.1, "/degC^3"),
+    ("rate_circuit", _rate_effect(T1, "t1"), 10.0, "/(degC/min)"),
+    ("rate_head", _rate_effect(T2, "t2"), 10.0, "/(degC/min)"),
 )
-PRODUCTS = (
-    ("temperature_x_rate", _by_rate(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
-    ("temperature_x_gradient", _by_gradient(head, "t2"), 0.5, "/degC^2"),
+PRODUCT_ROWS = (
+    ("temperature_x_rate", _rate_product(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient", _gradient_product(head, "t2"), 0.5, "/degC^2"),
 )
-PRODUCTS_OF_CIRCUIT = (  # the document does not say which thermometer t is
-    ("temperature_x_rate_circuit", _by_rate(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
-    ("temperature_x_gradient_circuit", _by_gradient(circuit, "t1"), 0.5, "/degC^2"),
+CIRCUIT_PRODUCTS = (  # source 2 does not say which thermometer t is
+    ("temperature_x_rate_circuit", _rate_product(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient_circuit", _gradient_product(circuit, "t1"), 0.5, "/degC^2"),
 )
-OTHERS = (
-    ("thermal_lag", LAGGING, 20.0, "/degC", OURS),
-    ("hysteresis", SLIPPING, 20.0, "", OURS),
+OTHER_ROWS = (
+    ("thermal_lag", LAGS, 20.0, "/degC", OURS),
+    ("hysteresis", BACKLASH, 20.0, "", OURS),
     ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", OURS),
     ("drift", catalogue.drift, 10.0, "", OURS),
     ("run", catalogue.deviation, 20.0, "", OURS),
     ("cell", catalogue.deviation, 5.0, "", OURS),
 )
-OF_SUM = (
-    ("frequency_sum", _of_sum(1), 50.0, "/degC"),
-    ("frequency_sum_quadratic", _of_sum(2), 0.5, "/degC^2"),
-    ("frequency_sum_cubic", _of_sum(3), 0.005, "/degC^3"),
+SUM_ROWS = (
+    ("frequency_sum", _sum_power(1), 50.0, "/degC"),
+    ("frequency_sum_quadratic", _sum_power(2), 0.5, "/degC^2"),
+    ("frequency_sum_cubic", _sum_power(3), 0.005, "/degC^3"),
 )
 K2 = effect(one, "K2·a²", "acceleration")
 
 
-def _both(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-    for slot, unit, share in (("bias", "ug", 1.0), ("scale", "ppm", SHARE)):
-        for cause, maker, size, per, *source in rows:
-            slot_size = size[slot] if isinstance(size, dict) else size * share
-            of_slot = maker[slot] if isinstance(maker, dict) else maker
-            yield f"{slot}.{cause}", of_slot, slot_size, unit + per, *source
+def _expand_to_slots(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    for slot, unit, ratio in (("bias", "ug", 1.0), ("scale", "ppm", SCALE_RATIO)):
+        for cause, factory, size, divisor, *source in rows:
+            slot_size = size[slot] if isinstance(size, dict) else size * ratio
+            slot_factory = factory[slot] if isinstance(factory, dict) else factory
+            yield f"{slot}.{cause}", slot_factory, slot_size, unit + divisor, *source
 
 
-EFFECTS = EffectTable.of(
+EFFECTS = EffectTable.from_rows(
     "source 2; size ours",
-    baseline=_both(("constant_head", CONSTANT, CONSTANTS, ""), *OF_HEAD),
+    baseline=_expand_to_slots(("constant_head", CONSTANT, CONSTANTS, ""), *HEAD_ROWS),
     candidates=(
-        *_both(*OF_CIRCUIT[:3], *BETWEEN, *PRODUCTS, *OTHERS),
+        *_expand_to_slots(*CIRCUIT_ROWS[:3], *GRADIENT_ROWS, *PRODUCT_ROWS, *OTHER_ROWS),
         ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size ours"),
-        # The document's products with a rate and a gradient are a lag that grows with temperature.
-        *catalogue.recorded(
+        # The products with rate and gradient of source 2 represent a lag that grows with temperature.
+        *catalogue.make_common_effects(
             *("bias", "ug"),
             size=400.0,
             span=50.0,
@@ -242,18 +246,18 @@ EFFECTS = EffectTable.of(
             causes=("supply", "temperature_x_supply"),
         ),
     ),
-    others=_both(
+    others=_expand_to_slots(
         ("constant_circuit", CONSTANT, CONSTANTS, ""),
-        *(*OF_CIRCUIT[3:], *PRODUCTS_OF_CIRCUIT, *OF_SUM),
+        *(*CIRCUIT_ROWS[3:], *CIRCUIT_PRODUCTS, *SUM_ROWS),
     ),
 )
 
 
-# Named models: the document's own, and its three prior methods.
+# Named models: that of source 2, and the three earlier methods that it describes.
 
 
-def _model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
-    """Build a model of these causes or rows, for bias and scale factor, added to a base model."""
+def _build_model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
+    """Add effects, given by cause or row, on both bias and scale factor to a base model (default: no effects)."""
     names = [cause if isinstance(cause, str) else cause[0] for cause in causes]
     model = base or bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
     for slot in ("bias", "scale"):
@@ -262,29 +266,29 @@ def _model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
 
 
 def of_circuit(order: int) -> bc.Model:
-    """Return bias and scale factor as polynomials of t1: the document's first prior method."""
-    return _model("constant_circuit", *OF_CIRCUIT[:order])
+    """Return the model with polynomials of t1 for bias and scale factor: the first earlier method in source 2."""
+    return _build_model("constant_circuit", *CIRCUIT_ROWS[:order])
 
 
 def with_rate() -> bc.Model:
-    """Return a cubic of t1, its rate and their product: the document's second prior method."""
-    return _model("rate_circuit", "temperature_x_rate_circuit", base=of_circuit(3))
+    """Return the model with a cubic of t1, its rate and their product: the second earlier method in source 2."""
+    return _build_model("rate_circuit", "temperature_x_rate_circuit", base=of_circuit(3))
 
 
 def of_frequency_sum(order: int = 3) -> bc.Model:
-    """Return polynomials of the temperature indicated by the frequency sum: the document's third prior method."""
-    return _model("constant_head", *OF_SUM[:order])
+    """Return the model with polynomials of the frequency sum's temperature: the third earlier method in source 2."""
+    return _build_model("constant_head", *SUM_ROWS[:order])
 
 
 def two_thermometers(crossed_by: str = "head") -> bc.Model:
-    """Return the document's model, 15 columns each for bias and scale factor, in its order; rank 12 in total.
+    """Return the model of source 2: 15 columns of rank 12 for each of bias and scale factor.
 
     Args:
-        crossed_by: which thermometer is t in t·dt/dt and t·δt, "head" or "circuit".
+        crossed_by: thermometer of t in the products t·dt/dt and t·δt, "head" or "circuit".
     """
-    products = PRODUCTS if crossed_by == "head" else PRODUCTS_OF_CIRCUIT
-    of_circuit_alone = ("constant_circuit", *OF_CIRCUIT[:3])
-    return _model(*of_circuit_alone, "constant_head", *OF_HEAD, *BETWEEN, *products)
+    products = PRODUCT_ROWS if crossed_by == "head" else CIRCUIT_PRODUCTS
+    circuit_causes = ("constant_circuit", *CIRCUIT_ROWS[:3])
+    return _build_model(*circuit_causes, "constant_head", *HEAD_ROWS, *GRADIENT_ROWS, *products)
 
 
 INSTRUMENT = bc.Instrument(
@@ -312,7 +316,7 @@ INSTRUMENT = bc.Instrument(
         ("two thermometers, t1 in the products", lambda: two_thermometers("circuit")),
     ),
     simulator=simulated_columns,
-    experiments=experiments(
+    experiments=list_experiments(
         simulated_columns,
         {
             "the same again": Campaign(),
@@ -330,10 +334,9 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
-simulate = readings_of(INSTRUMENT)
+simulate = readings_simulator(INSTRUMENT)
 # Two tumbles over five temperatures and a ramp at each of three attitudes, a reading every ten minutes.
 reference_problem = ReferenceProblem(
     INSTRUMENT,
     Campaign(temperatures=(-40.0, -10.0, 20.0, 45.0, 70.0), interval=600.0, soak=3600.0),
-    Campaign(),
 )

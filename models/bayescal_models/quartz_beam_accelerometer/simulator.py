@@ -1,13 +1,13 @@
-"""Simulator of a campaign with hidden effects: the device, and one physical law per cause.
+"""Simulator of campaigns with hidden effects: two devices, and one physical law per effect.
 
-Two devices. `cubic`: bias and scale factor follow the head's temperature by a cubic, exactly. `beams`: two quartz
-beams pulled and pushed by the proof mass, of frequency `F·(1 + α·ΔT + β·ΔT² + γ·ΔT³)` each, with slightly unlike
-coefficients and lags behind the head; the difference of their frequencies carries the bias, the sum is a
-thermometer. To it come the oscillator circuit's phase, the stress of an uneven temperature, which grows with
-temperature, and the softening of a glued joint. None of these is a polynomial in what the thermometers read.
+Device "cubic": bias and scale factor are cubic polynomials of the head's temperature. Device "beams": two quartz
+beams, one pulled and one pushed by the proof mass, with frequencies `F·(1 + α·ΔT + β·ΔT² + γ·ΔT³)` of slightly
+different coefficients and lags behind the head; their difference determines the bias, and their sum indicates the
+temperature. The phase of the oscillator circuit, the stress of temperature gradients, which grows with temperature,
+and the softening of a glued joint add to the bias. None of these is a polynomial of the measured temperatures.
 
-A law returns the contribution of one unit of the effect at each simulation step, to the bias (µg) or scale factor
-(ppm). Laws use the true temperatures and heat flows, not the columns of a fitted model's bases.
+A law returns the contribution of one unit of an effect to the bias (µg) or scale factor (ppm) at each simulation step.
+Laws use true temperatures and heat flows, not the columns of the fitted model's basis functions.
 
 Source: source 2 (differential beams, thermometers, dependence on gradient and rate); numbers ours.
 """
@@ -24,20 +24,22 @@ import numpy as np
 from bayescal_models import simulated
 from bayescal_models.quartz_beam_accelerometer import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.world import World
-from bayescal_models.simulated import Array
+from bayescal_models.quartz_beam_accelerometer.world import Conditions
+from bayescal_models.simulated import SUPPLY_V, Array
 
-BEAM_FREQUENCY = 40_000.0  # Hz, of one beam
-BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency: what makes the sum a thermometer
-POWERS = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadratic", "_cubic")))
-BEAM_TIME = 90.0  # s, of the beams behind the head's thermometer
-LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative
-KELVIN = 273.15
-EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
-LEAKAGE = 80.0  # °C, over which leakage currents increase by the factor e; ours
+BEAM_FREQUENCY_HZ = 40_000.0  # Hz, of one beam
+BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency; the sum indicates the temperature
+POWER_NAMES = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadratic", "_cubic")))
+BEAM_TAU_S = 90.0  # s, lag of the beams behind the head's thermometer
+LAG_MISMATCH = 0.005  # relative difference of the two beams' lags
+KELVIN_OFFSET = 273.15
+EINSTEIN_TEMPERATURE_K = (
+    400.0  # K, of the Einstein oscillators in the quadratic law of the circuit; ours
+)
+LEAKAGE_SCALE_DEGC = 80.0  # °C, temperature rise that multiplies leakage currents by e; ours
 BOW = 60.0  # °C, gradient at which a bowed plate stiffens; ours
-WANDER_TIME, LAG_TIME = 300.0, 600.0  # s, of correlated noise and of the hidden lag
-CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
+NOISE_TAU_S, LAG_TAU_S = 300.0, 600.0  # s, of correlated noise and of the hidden lag
+RANDOM_STREAMS = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
 CUBIC: Mapping[str, float] = MappingProxyType(
     {
@@ -51,145 +53,147 @@ CUBIC: Mapping[str, float] = MappingProxyType(
         "scale.temperature_head_cubic": 0.0004,
     }
 )
-"""Coefficients of the cubic device about T0: µg and ppm, per power of °C."""
+"""True coefficients of the cubic device, relative to T0: µg and ppm, per power of °C."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True values of the device at each reading (n,): bias in µg, relative scale factor in ppm, sum in Hz."""
+    """True values at each reading (n,): bias, µg; scale factor deviation, ppm; sum of the beams' frequencies, Hz."""
 
     bias: Array
     scale: Array
     frequency_sum: Array
 
 
-def truth(world: World, coefficients: Mapping[str, float]) -> Truth:
-    """Return bias, scale factor and frequency sum of the test's device.
+def device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
+    """Return the true bias, scale factor and frequency sum of the device in a test.
 
     Args:
+        test: conditions of the test.
         coefficients: coefficients of the cubic device; not used for "beams".
     """
-    if world.plan.device == "beams":
-        return _beams(world)
-    change = world.head - world.plan.T0
+    if test.plan.device == "beams":
+        return _beam_truth(test)
+    change = test.head - test.plan.T0
     bias, scale = (
-        np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWERS])
+        np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWER_NAMES])
         for slot in ("bias", "scale")
     )
-    both = _sum_of_frequencies(change, change)
-    return Truth(world.average(bias), world.average(scale), world.average(both))
+    frequency_sum = _frequency_sum(change, change)
+    return Truth(test.average(bias), test.average(scale), test.average(frequency_sum))
 
 
-def _relative(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
-    """Return the relative change of a beam's frequency."""
+def _relative_frequency(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
+    """Return the relative frequency change of a beam for a temperature change, °C."""
     return change * (tempco + change * (curvature + change * cubic))
 
 
-def _sum_of_frequencies(first: Array, second: Array) -> Array:
-    curvature = -0.02e-6  # 1/°C²: about quartz's
-    low, high = (_relative(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
-    return BEAM_FREQUENCY * (2.0 + (low + high))
+def _frequency_sum(first: Array, second: Array) -> Array:
+    curvature = -0.02e-6  # 1/°C², typical of quartz
+    low, high = (_relative_frequency(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
+    return BEAM_FREQUENCY_HZ * (2.0 + (low + high))
 
 
-def _beams(world: World) -> Truth:
-    beam, other = (world.body(world.head, BEAM_TIME * slower) for slower in (1, 1 + LAG_MISMATCH))
-    first, second = beam - world.plan.T0, other - world.plan.T0
-    per_ug = SCALE_FACTOR * 1e-6
-    unlike = (1.375e-7, 0.9e-9, 0.8e-11)  # 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³
+def _beam_truth(test: Conditions) -> Truth:
+    beam, other = (test.low_pass(test.head, BEAM_TAU_S * lag) for lag in (1, 1 + LAG_MISMATCH))
+    first, second = beam - test.plan.T0, other - test.plan.T0
+    hz_per_ug = SCALE_FACTOR * 1e-6
+    # Differences of the beams' coefficients, 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³.
+    differences = (1.375e-7, 0.9e-9, 0.8e-11)
     common = (BEAM_TEMPCO, -0.02e-6, 0.0)
-    pulled = _relative(first, *(c + u for c, u in zip(common, unlike, strict=True)))
-    pushed = _relative(second, *common)
-    uneven = world.uneven
-    stress = 10.0 * uneven * (1 + 0.01 * (world.head - world.plan.T0))
-    phase = 4.0 * (world.circuit - world.plan.T0)
+    pulled = _relative_frequency(first, *(c + u for c, u in zip(common, differences, strict=True)))
+    pushed = _relative_frequency(second, *common)
+    delta = test.delta
+    stress = 10.0 * delta * (1 + 0.01 * (test.head - test.plan.T0))
+    phase = 4.0 * (test.circuit - test.plan.T0)
     joint = 20.0 * np.tanh((beam - 50.0) / 20.0)
-    bias = 2500.0 + BEAM_FREQUENCY * (pulled - pushed) / per_ug + stress + phase + joint
+    bias = 2500.0 + BEAM_FREQUENCY_HZ * (pulled - pushed) / hz_per_ug + stress + phase + joint
     scale = (
         800.0
         + first * (6.0 + first * (0.04 + first * 0.0003))
-        + uneven * (1.0 + 0.01 * first)
-        - 0.2 * (world.circuit - world.plan.T0)  # the clock that counts the beats
+        + delta * (1.0 + 0.01 * first)
+        - 0.2 * (test.circuit - test.plan.T0)  # by the frequency counter's clock
     )
-    frequencies = _sum_of_frequencies(first, second)
-    return Truth(world.average(bias), world.average(scale), world.average(frequencies))
+    frequencies = _frequency_sum(first, second)
+    return Truth(test.average(bias), test.average(scale), test.average(frequencies))
 
 
-def _energy(change: Array, T0: float) -> Array:
-    """Return an Einstein oscillator's energy less its tangent at T0, curvature one: about ½·2·ΔT² = ΔT²."""
+def _einstein(change: Array, T0: float) -> Array:
+    """Return the energy of an Einstein oscillator minus its tangent at T0, scaled to ΔT² at small ΔT, °C²."""
 
-    def level(kelvin):
-        return 1.0 / np.expm1(EINSTEIN / kelvin)
+    def energy(kelvin):
+        return 1.0 / np.expm1(EINSTEIN_TEMPERATURE_K / kelvin)
 
-    at, step = T0 + KELVIN, 1.0
-    slope = (level(at + step) - level(at - step)) / (2 * step)
-    curvature = (level(at + step) - 2 * level(at) + level(at - step)) / step**2
-    return 2.0 * (level(at + change) - level(at) - slope * change) / curvature
-
-
-def _leakages(world: World) -> Array:
-    """Return two leakages, one growing with heat and one with cold, less their linear part."""
-    part = (world.circuit - world.plan.T0) / LEAKAGE
-    return 6.0 * LEAKAGE**3 * (np.sinh(part) - part)
+    at, step = T0 + KELVIN_OFFSET, 1.0
+    slope = (energy(at + step) - energy(at - step)) / (2 * step)
+    curvature = (energy(at + step) - 2 * energy(at) + energy(at - step)) / step**2
+    return 2.0 * (energy(at + change) - energy(at) - slope * change) / curvature
 
 
-LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
+def _leakage_difference(test: Conditions) -> Array:
+    """Return 6w³(sinh(ΔT/w) − ΔT/w), about ΔT³, w = `LEAKAGE_SCALE_DEGC`: difference of two leakage currents."""
+    ratio = (test.circuit - test.plan.T0) / LEAKAGE_SCALE_DEGC
+    return 6.0 * LEAKAGE_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
+
+
+LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
-        # a resistor of the drive circuit has a tempco
+        # tempco of a resistor in the drive circuit
         "temperature_circuit": lambda w: w.circuit - w.plan.T0,
-        "temperature_circuit_quadratic": lambda w: _energy(w.circuit - w.plan.T0, w.plan.T0),
-        "temperature_circuit_cubic": _leakages,
-        # heat flowing from circuit to head strains the mount
-        "gradient": lambda w: w.uneven,
-        # an unevenly warm plate bows, whichever side is warmer, and stiffens
-        "gradient_quadratic": lambda w: 2.0 * BOW**2 * (np.sqrt(1.0 + (w.uneven / BOW) ** 2) - 1.0),
-        "gradient_cubic": lambda w: w.uneven**3 / (1.0 + (w.uneven / BOW) ** 2),
-        # the heat that flows into the circuit board strains it: its true heating rate, °C/min
+        "temperature_circuit_quadratic": lambda w: _einstein(w.circuit - w.plan.T0, w.plan.T0),
+        "temperature_circuit_cubic": _leakage_difference,
+        # strain of the mount by heat flow from circuit to head
+        "gradient": lambda w: w.delta,
+        # bowing of a plate with a temperature gradient of either sign, which stiffens
+        "gradient_quadratic": lambda w: 2.0 * BOW**2 * (np.sqrt(1.0 + (w.delta / BOW) ** 2) - 1.0),
+        "gradient_cubic": lambda w: w.delta**3 / (1.0 + (w.delta / BOW) ** 2),
+        # strain of the circuit board by the heat flow into it: true temperature rate, °C/min
         "rate_circuit": lambda w: w.circuit_rate,
         "rate_head": lambda w: w.head_rate,
-        # strain by heat flow, through a mismatch of expansions that grows with temperature
+        # strain by heat flow, with a mismatch of thermal expansion that grows with temperature
         "temperature_x_rate": lambda w: (w.head - w.plan.T0) * w.head_rate,
-        "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.uneven,
-        # the resonators lag behind the head's thermometer
-        "thermal_lag": lambda w: w.body(w.head, LAG_TIME) - w.head,
-        "hysteresis": lambda w: simulated.sticking(w.head),
-        # the error of the oscillators decays with warm-up
-        "warm_up": lambda w: 1.0 - w.warmth,
-        # ageing, logarithmic in time, one over the whole test
+        "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.delta,
+        # lag of the resonators behind the head's thermometer
+        "thermal_lag": lambda w: w.low_pass(w.head, LAG_TAU_S) - w.head,
+        "hysteresis": lambda w: simulated.stick_slip_strain(w.head),
+        # error of the oscillators that decays during warm-up
+        "warm_up": lambda w: 1.0 - w.warm_up_fraction,
+        # ageing, logarithmic in time, 0 to 1 over the whole test
         "drift": lambda w: np.log2(1.0 + w.time / w.time[-1]),
     }
 )
-"""All causes that can be hidden in bias or scale factor, except random ones."""
+"""Laws of the deterministic effects on bias or scale factor, by name without the slot."""
 
-OF_BIAS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
+BIAS_LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
-        "bias.supply": lambda w: w.supply - simulated.SUPPLY,
-        "bias.temperature_x_supply": lambda w: (w.head - w.plan.T0) * (w.supply - simulated.SUPPLY),
+        "bias.supply": lambda w: w.supply - SUPPLY_V,
+        "bias.temperature_x_supply": lambda w: (w.head - w.plan.T0) * (w.supply - SUPPLY_V),
     }
 )
-"""Effects of the supply, on the bias only."""
+"""Laws of the effects of the supply voltage, on the bias only."""
 
-CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingProxyType(
+RANDOM: Mapping[str, Callable[[Conditions, Mapping[str, Array]], Array]] = MappingProxyType(
     {
         # turn-on repeatability
-        "run": lambda w, chance: chance["run"][w.run],
-        # the fixture settles anew at each soak
-        "cell": lambda w, chance: np.where(w.cell >= 0, chance["cell"][np.maximum(w.cell, 0)], 0.0),
+        "run": lambda w, draws: draws["run"][w.run],
+        # settling of the fixture at each soak
+        "cell": lambda w, draws: np.where(w.cell >= 0, draws["cell"][np.maximum(w.cell, 0)], 0.0),
     }
 )
-"""Random effects at each reading, in standard deviations."""
+"""Laws of random effects: standard normal deviate of each reading's run or cell, by name without the slot."""
 
 
 def simulated_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Simulate a campaign with hidden effects: columns by name, in the instrument's units.
+    """Simulate a campaign with hidden effects; return columns by name, in the instrument's units.
 
-    The same seed gives the same noise and the same turn-on offsets whatever the effects.
+    The same seed gives the same noise and turn-on offsets for any effects.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
-            deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
-            T0 = `campaign.T0`) may be replaced by name.
+        effects: canonical name → true size, in the unit of the effect's coefficient; for random effects (`*.run`,
+            `*.cell`) the standard deviation. The coefficients of the cubic device, relative to `campaign.T0`,
+            can be replaced by name.
         seed: seed of the random-number generator.
         campaign: plan of the test.
 
@@ -197,23 +201,23 @@ def simulated_columns(
         ValueError: an unknown effect, or a size that is not a finite number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    world, true = _true(World(campaign), effects, seed)
-    generators = simulated.generators(CHANCES, seed)
-    g = world.acceleration
+    test, true = _truth(Conditions(campaign), effects, seed)
+    generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
+    g = test.acceleration
     output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
-    output = output + _noise(world, generators)
+    output = output + _noise(test, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
     columns: dict[str, Any] = {
-        "run": np.array([str(k + 1) for k in world.run]),
-        "temperature_point": world.point,
-        "time": world.average(world.time),
-        "temperature_circuit": world.average(world.circuit) + error[0],
-        "temperature_head": world.average(world.head) + error[1],
+        "run": np.array([str(k + 1) for k in test.run]),
+        "temperature_point": test.point,
+        "time": test.average(test.time),
+        "temperature_circuit": test.average(test.circuit) + error[0],
+        "temperature_head": test.average(test.head) + error[1],
         "acceleration": 1e6 * g,
         "output": output,
     }
-    if simulated.supplied(effects):
-        columns["supply_voltage"] = world.average(world.supply)
+    if simulated.needs_supply_column(effects):
+        columns["supply_voltage"] = test.average(test.supply)
     if campaign.frequency_sum:
         jitter = 0.005 * generators["frequency"].standard_normal(g.size)  # Hz
         columns["frequency_sum"] = true.frequency_sum + jitter
@@ -223,54 +227,54 @@ def simulated_columns(
 def true_values(
     campaign: Campaign, effects: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> Truth:
-    """Return true bias, scale factor and frequency sum at each reading of `simulate`, without noise.
+    """Return the true bias, scale factor and frequency sum at each reading of a simulation, without noise.
 
     Args:
-        campaign, effects, seed: as given to `simulate`.
+        campaign, effects, seed: arguments of `simulate`.
 
     Raises:
         ValueError: as `simulate`.
     """
-    return _true(World(campaign), dict(effects or {}), seed)[1]
+    return _truth(Conditions(campaign), dict(effects or {}), seed)[1]
 
 
-def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
-    places = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
-    names = [*places, "second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
-    simulated.refuse_effects(effects, names, f"a {world.plan.device!r} device")
-    generators = simulated.generators(CHANCES, seed)
-    world.supply = simulated.wandering_supply(generators["supply"], world.time)
-    device = truth(world, {n: effects.get(n, v) for n, v in CUBIC.items()})
-    sums = {"bias": device.bias, "scale": device.scale}
-    chances = {slot: _chance(generators[slot], world) for slot in sums}
+def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[Conditions, Truth]:
+    targets = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *RANDOM)}
+    names = [*targets, "second_order", *BIAS_LAWS, *(CUBIC if test.plan.device == "cubic" else ())]
+    simulated.validate_effects(effects, names, f"a {test.plan.device!r} device")
+    generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
+    test.supply = simulated.simulate_supply(generators["supply"], test.time)
+    device = device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
+    totals = {"bias": device.bias, "scale": device.scale}
+    slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in totals}
     for name, size in effects.items():
-        slot, cause = places.get(name, ("bias", ""))
+        slot, cause = targets.get(name, ("bias", ""))
         if cause in LAWS:
-            sums[slot] = sums[slot] + size * world.average(LAWS[cause](world))
-        elif name in OF_BIAS:
-            sums[slot] = sums[slot] + size * world.average(OF_BIAS[name](world))
-        elif cause in CHANCE:
-            sums[slot] = sums[slot] + size * CHANCE[cause](world, chances[slot])
-    return world, Truth(sums["bias"], sums["scale"], device.frequency_sum)
+            totals[slot] = totals[slot] + size * test.average(LAWS[cause](test))
+        elif name in BIAS_LAWS:
+            totals[slot] = totals[slot] + size * test.average(BIAS_LAWS[name](test))
+        elif cause in RANDOM:
+            totals[slot] = totals[slot] + size * RANDOM[cause](test, slot_draws[slot])
+    return test, Truth(totals["bias"], totals["scale"], device.frequency_sum)
 
 
-def _chance(generator: np.random.Generator, world: World) -> dict[str, Array]:
-    """Draw standard normal numbers of one slot: one per run, one per cell, constant through it."""
-    runs, cells = int(world.run.max()) + 1, int(world.cell.max()) + 1
+def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> dict[str, Array]:
+    """Draw the standard normal deviates of one slot: "run" → (runs,), "cell" → (cells,)."""
+    runs, cells = int(test.run.max()) + 1, int(test.cell.max()) + 1
     return {n: generator.standard_normal(k) for n, k in (("run", runs), ("cell", max(cells, 1)))}
 
 
-def _noise(world: World, generators: Mapping[str, np.random.Generator]) -> Array:
+def _noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> Array:
     """Draw the noise of each reading, µg."""
-    white = world.plan.noise * generators["noise"].standard_normal(world.run.size)
-    if world.plan.noise_law == "white":
+    white = test.plan.noise * generators["noise"].standard_normal(test.run.size)
+    if test.plan.noise_law == "white":
         return white
-    # An Ornstein–Uhlenbeck record of unit variance at the readings' times, anew in each run.
-    step = np.diff(world.average(world.time), prepend=-np.inf)
-    step[np.diff(world.run, prepend=-1) != 0] = np.inf
-    decay = np.exp(-step / WANDER_TIME)
-    kicks = np.sqrt(1.0 - decay**2) * generators["wander"].standard_normal(world.run.size)
-    slow, now = np.empty(world.run.size), 0.0
-    for i, kick in enumerate(kicks):
-        slow[i] = now = decay[i] * now + kick
-    return white + world.plan.noise * slow
+    # Ornstein–Uhlenbeck noise of unit variance at the times of the readings, independent between runs.
+    step = np.diff(test.average(test.time), prepend=-np.inf)
+    step[np.diff(test.run, prepend=-1) != 0] = np.inf
+    decay = np.exp(-step / NOISE_TAU_S)
+    increments = np.sqrt(1.0 - decay**2) * generators["wander"].standard_normal(test.run.size)
+    wander, state = np.empty(test.run.size), 0.0
+    for i, increment in enumerate(increments):
+        wander[i] = state = decay[i] * state + increment
+    return white + test.plan.noise * wander

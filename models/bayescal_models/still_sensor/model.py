@@ -38,23 +38,23 @@ from bayescal_models.catalogue import MINUTE
 from bayescal_models.still_sensor import COLUMNS
 from bayescal_models.still_sensor.simulator import simulated_columns
 
-SETTINGS = {"unit", "size", "constant", "span", "pace"}
-LEAST_TEMPERATURE_RANGE = 0.1  # °C, stability of a good chamber: no effect is seen in less
+SETTING_NAMES = {"unit", "size", "constant", "span", "pace"}
+MIN_TEMPERATURE_RANGE_DEGC = 0.1  # stability of a good chamber; less identifies no effect
 
 
-def _at_rest(slots, r):
+def _response(slots, r):
     return slots["bias"]
 
 
-def _in_use(true, slots, r):
-    return slots["bias"] + true
+def _use_output(true_input, slots, r):
+    return slots["bias"] + true_input
 
 
-OF_RECORD = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
-OF_RANGE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
+CONSTANT_SOURCE = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
+SIZE_SOURCE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
 
 
-@cache  # the same settings are the same instrument
+@cache  # equal settings give the same instrument object
 def instrument(
     unit: str = "1",
     *,
@@ -63,14 +63,14 @@ def instrument(
     span: float = 1.0,
     pace: float = 1.0,
 ) -> bc.Instrument:
-    """Build a sensor at rest with these plausible sizes.
+    """Build the instrument for a sensor at rest with these plausible sizes.
 
     Args:
         unit: unit of the output, such as "ug", "deg/s" or "V".
         size: plausible change of the output over the record, in `unit`.
-        constant: prior standard deviation of its constant, in `unit`; 10·size if not given.
-        span: half the range of the temperature, °C; 0 if it does not change, or was not recorded.
-        pace: plausible rate of the temperature, °C/min.
+        constant: prior standard deviation of the output's constant, in `unit`; by default 10·size.
+        span: half the temperature range, °C; 0 if it is constant or was not recorded.
+        pace: plausible temperature rate, °C/min.
 
     Raises:
         InputError: a size is not positive, or the unit is unknown.
@@ -80,16 +80,16 @@ def instrument(
     for name, value in settings.items():
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
-    line, *candidates = catalogue.recorded(
-        "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=OF_RANGE
+    line, *candidates = catalogue.make_common_effects(
+        "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=SIZE_SOURCE
     )
-    constant_effect = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
+    constant_effect = catalogue.constant("bias.constant", constant, unit, CONSTANT_SOURCE)
     sensor = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
-        response=_at_rest,
+        response=_response,
         effects=(constant_effect, line) if span else (constant_effect,),
         candidates=(*([] if span else [line]), *candidates),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
@@ -99,15 +99,15 @@ def instrument(
             ("cubic", lambda: sensor.baseline() + candidates[:2]),
         ),
         simulator=simulated_columns,
-        use=bc.Use("input", unit, equation=_in_use),
+        use=bc.Use("input", unit, equation=_use_output),
         source="ours",
         settings=(("unit", unit), *settings.items()),
     )
     return sensor
 
 
-def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
-    """Build a sensor at rest in the unit of these readings, with plausible sizes estimated from them.
+def tailor_to_readings(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
+    """Build the instrument for these readings, in their unit, with plausible sizes estimated from them.
 
     Args:
         readings: readings of any channel.
@@ -116,41 +116,41 @@ def tailored(readings: bc.Measurements, **settings: Any) -> bc.Instrument:
     Raises:
         InputError: the output does not change, or its square overflows, so that no size can be estimated.
     """
-    if set(settings) == SETTINGS:
+    if set(settings) == SETTING_NAMES:
         return instrument(**settings)
     output = readings["output"]
-    middle = float(np.median(output))
+    median = float(np.median(output))
     low, high = np.quantile(output, [0.005, 0.995])
     size = settings.get("size") or 0.5 * float(high - low) or 0.5 * float(np.ptp(output))
-    if not 1e-150 < size < 1e150:  # whose squares are finite
+    if not 1e-150 < size < 1e150:  # its square is finite
         column = next((s.output for s in readings.sources if s.output), "output")
-        about = f"{middle:g} within ±{size:.3g}" if size > 0 else f"{middle:g} throughout"
-        text = f"{readings.file}, column {column!r}: is {about}, so that no size can be estimated"
+        extent = f"{median:g} within ±{size:.3g}" if size > 0 else f"{median:g} throughout"
+        text = f"{readings.file}, column {column!r}: is {extent}, so that no size can be estimated"
         raise bc.InputError(f"{text}: choose another channel")
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
     sizes = {
         "unit": readings.unit("output"),
         "size": size,
-        "constant": float(np.hypot(middle, 10 * size)),
-        "span": span if span >= 0.5 * LEAST_TEMPERATURE_RANGE else 0.0,
-        "pace": _pace(readings) if span else 1.0,
+        "constant": float(np.hypot(median, 10 * size)),
+        "span": span if span >= 0.5 * MIN_TEMPERATURE_RANGE_DEGC else 0.0,
+        "pace": _mean_temperature_rate(readings) if span else 1.0,
     }
     return instrument(**{**sizes, **settings})
 
 
-def _pace(readings: bc.Measurements) -> float:
-    """Return the mean of |dT/dt| from minute to minute within runs, °C/min."""
+def _mean_temperature_rate(readings: bc.Measurements) -> float:
+    """Return the mean absolute temperature change from minute to minute within runs, °C/min."""
     _, codes = readings.groups("run")
-    moved, minutes = 0.0, 0
+    total_change, minutes = 0.0, 0
     for run in np.unique(codes):
         time, temperature = readings["time"][codes == run], readings["temperature"][codes == run]
         grid = np.arange(time[0], time[-1], MINUTE)
-        moved += float(np.abs(np.diff(np.interp(grid, time, temperature))).sum())
+        total_change += float(np.abs(np.diff(np.interp(grid, time, temperature))).sum())
         minutes += max(grid.size - 1, 0)
-    return moved / minutes if moved > 0 else 1.0
+    return total_change / minutes if total_change > 0 else 1.0
 
 
-INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailored, settings=())
+INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailor_to_readings, settings=())
 
 
 @wraps(simulated_columns)

@@ -1,12 +1,12 @@
-"""The reference problem of a record on ramps, as described in `bayescal_models`."""
+"""Reference problem of the sensor at rest: a record on temperature ramps (see `bayescal_models`)."""
 
 from __future__ import annotations
 
 import bayescal as bc
 from bayescal_models.still_sensor.model import instrument, simulate
 
-# Sizes as of a plausible accelerometer on ramps, declared here so that no record has a say in them; made once,
-# because an instrument made anew has programs of its own. µg, µg, °C, °C/min.
+# Plausible sizes for an accelerometer on ramps, independent of the readings: µg, µg, °C, °C/min. Built once, because a
+# new instrument object would be compiled again.
 SENSOR = instrument("ug", size=1000.0, constant=5000.0, span=40.0, pace=3.0)
 
 
@@ -16,5 +16,5 @@ def model() -> bc.Model:
 
 
 def readings(seed: int = 0) -> bc.Measurements:
-    """Simulate 82 readings, µg: two runs of ramps, one reading a minute, with a line only."""
+    """Simulate 82 readings, µg: two runs of ramps, one reading per minute, baseline effects only."""
     return simulate(seed=seed, runs=2, interval=60)

@@ -1,1 +1,1 @@
-"""Common parts of three-axis instruments: the equation, its slots, effects on several axes, and poses."""
+"""Common parts of three-axis instruments: model equation, slots, effects on several axes, simulated poses."""

@@ -1,4 +1,4 @@
-"""Columns of three-axis instruments: of a session, of three components, and of computed readings."""
+"""Column declarations of three-axis instruments: session, three components, and readings computed from outputs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import bayescal as bc
 
 AXES = "xyz"
 OUTPUTS = tuple(f"output_{a}" for a in AXES)
-TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
-PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
-SQUARED = tuple(f"squared_{a}" for a in AXES)
-AROUND = tuple(f"around_{k}" for k in "123")
+MEAN_RATE = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
+MEAN_FORCE = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
+MEAN_SQUARED_RATE = tuple(f"squared_{a}" for a in AXES)
+EARTH_RATE = tuple(f"around_{k}" for k in "123")
 SESSION = (
     bc.Column("run", None, "label of the session", required=False),
     bc.Column("time", "s", "one origin over all runs", required=False),
@@ -19,59 +19,59 @@ SESSION = (
 )
 
 
-def three(
-    name: str, unit: str, words: str, also: tuple[str, ...] = (), **options: Any
+def triple(
+    name: str, unit: str, description: str, aliases: tuple[str, ...] = (), **options: Any
 ) -> tuple[bc.Column, ...]:
-    """Declare a column for each component.
+    """Declare one column per axis x, y, z.
 
     Args:
-        name: name before the axis, as in `output_x`.
-        unit: unit of all three.
-        words: description, with `{axis}` for the axis.
-        also: other names, likewise.
+        name: column name without the axis, such as "output" for `output_x`.
+        unit: unit of the three columns.
+        description: description, with `{axis}` for the axis.
+        aliases: other column names in files, with `{axis}` for the axis.
         options: options of `bc.Column`.
     """
     return tuple(
         bc.Column(
             f"{name}_{a}",
             unit,
-            words.format(axis=a),
-            also=tuple(other.format(axis=a) for other in also),
+            description.format(axis=a),
+            also=tuple(alias.format(axis=a) for alias in aliases),
             **options,
         )
         for a in AXES
     )
 
 
-def derived(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
-    """Declare the columns of readings computed from the three outputs."""
+def derived_columns(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
+    """Declare the columns of readings computed from three outputs, with these descriptions."""
     return (
-        *three("across", "1", across, required=False),
+        *triple("across", "1", across, required=False),
         bc.Column("axis", None, axis, required=False),
         bc.Column("output", unit, output, required=False),
     )
 
 
-def declare_move_columns(unit: str) -> tuple[bc.Column, ...]:
-    """Declare the basis columns of an output averaged over a move between poses, along an axis fixed in the sensor."""
+def move_columns(unit: str) -> tuple[bc.Column, ...]:
+    """Declare basis columns for outputs averaged over a rotation between poses, along an axis fixed in the sensor."""
     return (
         *(
             bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)
-            for n in TURNED
+            for n in MEAN_RATE
         ),
         *(
             bc.Column(n, "g", f"force along {n[-1]}, by component {n[-2]}", required=False)
-            for n in PULLED
+            for n in MEAN_FORCE
         ),
         *(
             bc.Column(n, f"({unit})^2", f"rate squared, by component {n[-1]}", required=False)
-            for n in SQUARED
+            for n in MEAN_SQUARED_RATE
         ),
-        *(bc.Column(n, "1", "of the Earth's rotation", required=False) for n in AROUND),
+        *(bc.Column(n, "1", "of the Earth's rotation", required=False) for n in EARTH_RATE),
     )
 
 
-def made_in_poses(unit: str) -> tuple[bc.Column, ...]:
+def pose_columns(unit: str) -> tuple[bc.Column, ...]:
     """Declare the columns of poses: direction uncertainty, and magnitude or projections of the outputs."""
     return (
         bc.Column(
@@ -82,7 +82,7 @@ def made_in_poses(unit: str) -> tuple[bc.Column, ...]:
             low=0.0,
             high=1.0,
         ),
-        *derived(
+        *derived_columns(
             unit,
             "of a reading that is a projection",
             "which reading of a pose it is",

@@ -1,9 +1,9 @@
-"""Outputs of three axes, each a polynomial of the input.
+"""Model equation of three axes: each output y_a is a polynomial of the input f = (f_x, f_y, f_z).
 
     y_a = f_a + b_a + Σ_j G_aj·f_j + Q_a·f_a² + Σ_{i<j} C_aij·f_i·f_j + R_a·f_a³
 
-b is the bias, the diagonal of G the deviations of the scale factors, the others misalignments (IEEE Std 1293-2018,
-model equation: K0, K1, the angles of the input axis, K2, the cross-coupling coefficients and K3).
+b is the bias; G has the scale factor deviations on its diagonal and the misalignments off it; Q, C and R are the
+second-order, cross-coupling and third-order coefficients (IEEE Std 1293-2018: K0, K1, angles, K2, cross-coupling, K3).
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ SCALE = tuple(f"scale_{a}" for a in AXES)
 # Angles of the first axis toward the second.
 UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
-FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
+FIRST_ORDER = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)
 CUBE = tuple(f"cube_{a}" for a in AXES)
 CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
-def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
-    """Return the slots of three axes whose outputs are in `unit`; `acts` describes the input."""
+def axis_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
+    """Return the bias, scale factor and misalignment slots of three axes; `unit` is that of the outputs."""
     return (
-        *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {acts}") for name in BIAS),
+        *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {input_name}") for name in BIAS),
         *(
             bc.Slot(name, "1", f"deviation of the scale factor of axis {name[-1]}")
             for name in SCALE
@@ -41,8 +41,8 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def higher_order(unit: str) -> tuple[bc.Slot, ...]:
-    """Return the slots of second- and third-order terms."""
+def higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
+    """Return the slots of second- and third-order terms; `unit` is that of the input and outputs."""
     return (
         *(
             bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
@@ -59,19 +59,19 @@ def higher_order(unit: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def equation(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
-    """Return the three outputs (n, 3), output unit, as a function of the input (n, 3); with higher orders if given."""
+def output_function(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
+    """Return the function from inputs (n, 3) to outputs (n, 3), in the output unit; `values` are those of the slots."""
 
-    def stacked(names: Sequence[str]) -> Any:
+    def stack_slots(names: Sequence[str]) -> Any:
         return xp.stack([values[name] for name in names], axis=-1).reshape(r.size, 3, -1)
 
-    bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
-    square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in values else None
-    cross = stacked(CROSS) if CROSS[0] in values else None
-    cube = stacked(CUBE)[:, :, 0] if CUBE[0] in values else None
+    bias, first_order = stack_slots(BIAS)[:, :, 0], stack_slots(FIRST_ORDER)
+    square = stack_slots(SQUARE)[:, :, 0] if SQUARE[0] in values else None
+    cross = stack_slots(CROSS) if CROSS[0] in values else None
+    cube = stack_slots(CUBE)[:, :, 0] if CUBE[0] in values else None
 
     def outputs(force: Any) -> Any:
-        total = force + bias + xp.sum(first * force[:, None, :], axis=-1)
+        total = force + bias + xp.sum(first_order * force[:, None, :], axis=-1)
         if square is not None:
             total = total + square * force**2
         if cube is not None:

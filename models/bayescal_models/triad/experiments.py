@@ -1,4 +1,4 @@
-"""Feasible campaigns of three axes: directions along the axes, at 45° between two and along the diagonals."""
+"""Feasible experiments for three axes: inputs along the axes, halfway between two axes and along the diagonals."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from typing import Any
 import numpy as np
 
 DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if any(d)])
-THERMAL = (-20.0, 25.0, 70.0)  # °C
-INTERVAL = 20.0  # s, between readings
+SOAK_DEGC = (-20.0, 25.0, 70.0)  # °C
+READING_INTERVAL_S = 20.0  # s, between readings
 
 
-def _spread(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Return columns of so many readings at each temperature."""
+def _plan_columns(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]:
+    """Return the run, time and temperature columns of `count` readings at each temperature."""
     rows = count * len(temperatures)
     return {
         "run": np.full(rows, "planned"),
-        "time": INTERVAL * np.arange(rows),
+        "time": READING_INTERVAL_S * np.arange(rows),
         "temperature": np.repeat(temperatures, count),
     }
 
 
-def poses(size: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Return columns of a pose in each direction, of an input of magnitude `size`, at each temperature."""
-    columns = _spread(len(DIRECTIONS), temperatures) | {"magnitude": size}
+def poses(magnitude: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
+    """Return the columns of one pose in each of `DIRECTIONS` at each temperature, with an input of this magnitude."""
+    columns = _plan_columns(len(DIRECTIONS), temperatures) | {"magnitude": magnitude}
     units = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None]
-    outputs = np.tile(size * units, (len(temperatures), 1))
+    outputs = np.tile(magnitude * units, (len(temperatures), 1))
     return columns | {f"output_{a}": outputs[:, i] for i, a in enumerate("xyz")}
 
 
 def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Return columns of a rate each way, each axis up and down, at each temperature."""
+    """Return the columns of rotation at ±`rate`, °/s, with each axis up and down, at each temperature."""
     axis = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 2, axis=0)
-    columns = _spread(len(axis), temperatures)
+    columns = _plan_columns(len(axis), temperatures)
     axis = np.tile(axis, (len(temperatures), 1))
     columns |= {"rate": np.tile([rate, -rate], len(axis) // 2)}
     for i, a in enumerate("xyz"):
@@ -43,15 +43,15 @@ def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
     return columns
 
 
-def experiments(size: float) -> tuple[tuple[str, Any], ...]:
-    """Return the experiments of poses, by name."""
+def list_pose_experiments(magnitude: float) -> tuple[tuple[str, Any], ...]:
+    """Return (description, columns) of the pose experiments, for an input of magnitude `magnitude`."""
     return (
-        ("26 directions at 25 °C", partial(poses, size, (25.0,))),
-        ("26 directions at −20, 25 and 70 °C", partial(poses, size, THERMAL)),
+        ("26 directions at 25 °C", partial(poses, magnitude, (25.0,))),
+        ("26 directions at −20, 25 and 70 °C", partial(poses, magnitude, SOAK_DEGC)),
     )
 
 
-RATES = (
+RATE_EXPERIMENTS = (
     ("100 °/s each way, each axis up and down, 25 °C", partial(rates, 100.0, (25.0,))),
-    ("100 °/s each way, each axis up and down, −20, 25, 70 °C", partial(rates, 100.0, THERMAL)),
+    ("100 °/s each way, each axis up and down, −20, 25, 70 °C", partial(rates, 100.0, SOAK_DEGC)),
 )

@@ -1,6 +1,6 @@
-"""Families of three axes: one effect on several slots, a coefficient for each axis or pair of axes.
+"""Effects on several slots of a triad, with one coefficient for each axis or pair of axes.
 
-They are those of the catalogue; a lag has one time constant for all slots (dies that lag behind the thermometer).
+They are effects of the catalogue; a thermal lag has one time constant for all slots (dies lag behind the thermometer).
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ from typing import Any
 
 import bayescal as bc
 from bayescal import xp
-from bayescal_models.catalogue import Maker, effect, family, one, progress
+from bayescal_models.catalogue import Factory, effect, family, one, progress
 
 
-def constant(slots: Sequence[str], equation: str = "c") -> Maker:
-    """Build a constant for each slot."""
+def constant(slots: Sequence[str], equation: str = "c") -> Factory:
+    """Make the factory of a constant for each slot."""
     return family(slots, one, equation, kind="constant")
 
 
-def over_temperature(slots: Sequence[str], order: int = 1) -> Maker:
-    """Build c·(T − T0) for each slot, or a power of it."""
-    sign, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
-    basis = partial(_departure, order)
-    return family(slots, basis, f"c·(T − T0){sign}", "temperature", kind=kind)
+def tempco(slots: Sequence[str], order: int = 1) -> Factory:
+    """Make the factory of c·(T − T0)^order for each slot."""
+    exponent, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
+    basis = partial(_departure_power, order)
+    return family(slots, basis, f"c·(T − T0){exponent}", "temperature", kind=kind)
 
 
-def with_time(slots: Sequence[str]) -> Maker:
-    """Build c·(t − t̄)/(tmax − tmin) for each slot."""
+def drift(slots: Sequence[str]) -> Factory:
+    """Make the factory of a drift c·(t − t̄)/(tmax − tmin) for each slot."""
     return family(slots, progress, "c·progress", "time", varies=("time",), kind="drift")
 
 
-def of_run(slots: Sequence[str]) -> Maker:
-    """Build a deviation of each slot in each run, with learned standard deviation."""
-    fields: dict[str, Any] = {"per": "run", "learned": bc.HalfNormal, "varies": ()}
+def run_offset(slots: Sequence[str]) -> Factory:
+    """Make the factory of a random deviation of each slot in each run; its standard deviation is estimated."""
+    fields: dict[str, Any] = {"per": "run", "group_sd_prior": bc.HalfNormal, "varies": ()}
     return family(slots, one, "d[run],  d ~ N(0, s²)", "run", **fields)
 
 
-def behind(slots: Sequence[str]) -> Maker:
-    """Build c·(T̃ − T) for each slot, with one time constant."""
+def thermal_lag(slots: Sequence[str]) -> Factory:
+    """Make the factory of a thermal lag c·(T̃ − T) for each slot, with a common time constant τ."""
     return effect(
-        partial(_behind, len(slots)),
+        partial(_lag_columns, len(slots)),
         "c·(T̃ − T),  τ·dT̃/dt = T − T̃",
         *("time", "temperature"),
         parts=[slot.partition("_")[2] for slot in slots],
@@ -50,16 +50,16 @@ def behind(slots: Sequence[str]) -> Maker:
     )
 
 
-def _departure(order: int, r: bc.Frame) -> Any:
+def _departure_power(order: int, r: bc.Frame) -> Any:
     return r.centred("temperature") ** order
 
 
-def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
+def _lag_columns(count: int, r: bc.Frame, tau: Any) -> Any:
     return xp.broadcast_to(r.lag(tau)[..., None], (r.size, count))
 
 
-def unknown_directions(readings: bc.Measurements) -> str | None:
-    """Return the reason why a rotation of the triad is not identified; None if it is."""
+def explain_unknown_rotation(readings: bc.Measurements) -> str | None:
+    """Return why readings do not identify a rotation of the triad in its body; None if they do."""
     return (
         None
         if readings.has("across_x")
@@ -67,6 +67,6 @@ def unknown_directions(readings: bc.Measurements) -> str | None:
     )
 
 
-def frame_of_sensors(slots: Sequence[str]) -> Maker:
-    """Build a rotation of the triad in the body, unidentified by poses of unknown direction."""
-    return family(slots, one, "c", untestable=unknown_directions)
+def triad_rotation(slots: Sequence[str]) -> Factory:
+    """Make the factory of a rotation of the triad in its body; poses of unknown direction do not identify it."""
+    return family(slots, one, "c", untestable=explain_unknown_rotation)

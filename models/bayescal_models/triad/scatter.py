@@ -1,8 +1,8 @@
-"""Prior of the scatter of poses, equal to the noise observed at rest.
+"""Prior of the noise between poses, taken from the noise within the poses.
 
-Six positions near the axes determine six coefficients but not the noise, which its prior then determines. Without a
-stated uncertainty that prior covers one or two orders of magnitude, and a bias known to 0.2 mg is reported as ±3 mg.
-Blocks at rest show the sensor's noise; variations between poses (temperature, drift) are of the same order.
+Six positions near the axes determine six coefficients but not the noise, so the posterior of the noise is its prior.
+With a prior over one or two orders of magnitude a bias known to 0.2 mg would be reported as ±3 mg. The noise at rest
+within a pose is known from its samples; variations between poses (temperature, drift) are of the same order.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ import numpy as np
 
 import bayescal as bc
 
-# Columns: uncertainty of a pose's reading, and kind of reading.
-UNCERTAINTY, WHICH = "output_uncertainty", "axis"
-LOG_SD = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95 %, so that readings soon decide
+# Column names: uncertainty of a pose's reading, and kind of reading.
+UNCERTAINTY_COLUMN, KIND = "output_uncertainty", "axis"
+NOISE_LOG_SD = (
+    1.0  # standard deviation of the logarithm: 95 % within a factor of 7; few readings outweigh it
+)
 
 
-def with_scatter(
+def set_noise_prior(
     instrument: bc.Instrument, readings: bc.Measurements | None, scatter: float | None = None
 ) -> bc.Instrument:
-    """Return the instrument with a noise prior as large as the poses' stated uncertainties, if all state one.
+    """Return the instrument with a noise prior about the poses' stated uncertainties; unchanged if one is missing.
 
     Args:
         instrument: three-axis instrument.
@@ -29,17 +31,17 @@ def with_scatter(
         scatter: prior median, in the outputs' unit; None: root mean square of the poses' stated uncertainties.
     """
     if scatter is None:
-        stated = _stated(readings)
-        if not len(stated) or not np.all(stated > 0):
+        uncertainties = _stated_uncertainties(readings)
+        if not len(uncertainties) or not np.all(uncertainties > 0):
             return instrument
-        scatter = float(f"{np.sqrt(np.mean(stated**2)):.3g}")
-    noise = bc.White(bc.LogNormal(scatter, LOG_SD))
+        scatter = float(f"{np.sqrt(np.mean(uncertainties**2)):.3g}")
+    noise = bc.White(bc.LogNormal(scatter, NOISE_LOG_SD))
     return replace(instrument, noise=noise, tailor=None, settings=(("scatter", scatter),))
 
 
-def _stated(readings: bc.Measurements | None) -> np.ndarray:
-    """Return the stated uncertainties of magnitude readings; projections include the direction's uncertainty."""
-    if readings is None or not readings.has(UNCERTAINTY):
+def _stated_uncertainties(readings: bc.Measurements | None) -> np.ndarray:
+    """Return the stated uncertainties of magnitudes; those of projections include the direction's uncertainty."""
+    if readings is None or not readings.has(UNCERTAINTY_COLUMN):
         return np.zeros(0)
-    along = readings[WHICH] == "magnitude" if readings.has(WHICH) else slice(None)
-    return readings[UNCERTAINTY][along]
+    is_magnitude = readings[KIND] == "magnitude" if readings.has(KIND) else slice(None)
+    return readings[UNCERTAINTY_COLUMN][is_magnitude]

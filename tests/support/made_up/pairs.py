@@ -6,13 +6,13 @@ import numpy as np
 
 import bayescal as bc
 from bayescal_models import differential_pair as dp
-from bayescal_models.differential_pair.simulator import Truth, columns_and_truth
+from bayescal_models.differential_pair.simulator import Truth, simulate_batch
 
 SMALL = dp.Campaign(samples=20)
 
 
 def simulated_batch(plan: dp.Campaign, seed: int, **hidden: float) -> tuple[Truth, bc.Measurements]:
-    columns, truth = columns_and_truth(hidden, seed=seed, campaign=plan)
+    columns, truth = simulate_batch(hidden, seed=seed, campaign=plan)
     return truth, bc.Measurements.from_arrays(dp.INSTRUMENT, **columns)
 
 

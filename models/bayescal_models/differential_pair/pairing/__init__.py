@@ -1,1 +1,1 @@
-"""Choice of the two devices of a pair, with probabilities, and the measurement by that pair."""
+"""Selection of the two devices of a differential pair, with probabilities, and measurement with the pair."""

@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 import bayescal as bc
 from bayescal_models.differential_pair.environment import (
     DEPARTURE,
-    DEPARTURE_SHARE,
+    DEPARTURE_SHARE_NAME,
     DISTURBANCE,
     ORDERS,
-    SENSITIVITY,
+    SENSITIVITY_NAME,
     SHARED,
     SHARED_ORDERS,
+    legendre_polynomials,
     order_names,
-    polynomials,
 )
 
 Array = NDArray[np.float64]
 
-MEASURABLE = ("scale.device", SHARED.name, DEPARTURE.name, "environment.temperature", "bias.device")
+EFFECTS = ("scale.device", SHARED.name, DEPARTURE.name, "environment.temperature", "bias.device")
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Joint draws of every device, outer ones first.
+    """Joint posterior draws (d) of all K devices, outer ones first, at T times.
 
     Attributes:
         names: names of the devices, (K,).
@@ -39,13 +39,13 @@ class Devices:
         sensitivity: λd, (d, K).
         shared: u(t), µg, (d, T).
         environment: λd·u + v, µg, (d, K, T).
-        departure: rms of a device's own departure over a record, µg, (d,).
-        bias: µg, (d, K).
-        noise: standard deviation of one reading, µg, (d,).
-        commanded: a(t), µg, (T,).
+        departure: rms of a device's departure v over a record, µg, (d,).
+        bias: bias of each device, µg, (d, K).
+        noise: standard deviation of the noise of a reading, µg, (d,).
+        commanded: commanded acceleration a(t), µg, (T,).
         records: outputs, µg, (K, T).
-        known: records without environment and noise, posterior mean, µg, (K, T).
-        others: effects of the model that the equation of a pair does not contain.
+        known: fitted outputs without environment, posterior mean, µg, (K, T).
+        others: names of the model's effects that the equation of a pair does not contain.
     """
 
     names: tuple[str, ...]
@@ -65,11 +65,11 @@ class Devices:
 
     @property
     def sign(self) -> Array:
-        """Return +1 for outer devices, −1 for inner ones, (K,)."""
+        """Return the sign of each device's input axis: +1 outer, −1 inner, (K,)."""
         return np.where(np.arange(len(self.names)) < self.outer, 1.0, -1.0)
 
-    def place(self, name: str, outer: bool) -> int:
-        """Return the index of a device by name.
+    def device_index(self, name: str, outer: bool) -> int:
+        """Return the index of a device, given its name and whether it is outer.
 
         Raises:
             InputError: the group has no device of that name.
@@ -90,24 +90,24 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     """
     if SHARED.name not in calibration.model.names:
         raise bc.InputError(
-            f"the model has no {SHARED.name!r} (it has: {', '.join(calibration.model.names)}): pairs are chosen "
-            "by that effect. Fit the instrument's baseline"
+            f"the model has no {SHARED.name!r} (it has: {', '.join(calibration.model.names)}), which the "
+            "selection of pairs needs: fit the instrument's baseline"
         )
     names = [str(n) for n in calibration.tree["posterior"].to_dataset() if "reading" not in str(n)]
     samples = {n: calibration.samples(n) for n in names}
-    samples |= {n: np.full(len(samples[SENSITIVITY]), v) for n, v in calibration.model.fixed}
+    samples |= {n: np.full(len(samples[SENSITIVITY_NAME]), v) for n, v in calibration.model.fixed}
     readings, reference = calibration.readings, cast("dict[str, float]", calibration.reference)
-    table = _table(readings)
-    sensitivity = np.asarray(samples[SENSITIVITY])[:, table.order]
+    table = _arrange_records(readings)
+    sensitivity = np.asarray(samples[SENSITIVITY_NAME])[:, table.order]
     progress = (table.time - reference["time_mean"]) / reference["time_span"]
-    basis = np.stack(polynomials(progress, SHARED_ORDERS))
-    parts = np.stack([samples[n] for n in order_names(SHARED)], axis=1)[:, :, None] * basis
-    u, fine = parts[:, :ORDERS].sum(axis=1)[:, None], parts[:, ORDERS:].sum(axis=1)[:, None]
+    basis = np.stack(legendre_polynomials(progress, SHARED_ORDERS))
+    terms = np.stack([samples[n] for n in order_names(SHARED)], axis=1)[:, :, None] * basis
+    u, higher = terms[:, :ORDERS].sum(axis=1)[:, None], terms[:, ORDERS:].sum(axis=1)[:, None]
     if "environment.temperature" in samples:
-        warmth = readings["temperature"][table.rows] - reference["T0"]
-        u = u + np.asarray(samples["environment.temperature"])[:, None, None] * warmth
+        temperature_change = readings["temperature"][table.rows] - reference["T0"]
+        u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
     departures, departure = _departures(samples, table, basis)
-    environment = sensitivity[:, :, None] * u + fine + departures
+    environment = sensitivity[:, :, None] * u + higher + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
@@ -116,7 +116,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
         table.time,
         scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order],
         sensitivity=sensitivity,
-        shared=(u + fine).mean(axis=1),
+        shared=(u + higher).mean(axis=1),
         environment=environment,
         departure=departure,
         bias=np.asarray(samples.get("bias.device", zero))[..., table.order],
@@ -124,23 +124,23 @@ def devices_of(calibration: bc.Calibration) -> Devices:
         commanded=readings["acceleration"][table.rows].mean(axis=0),
         records=readings["output"][table.rows],
         known=fitted[table.rows] - environment.mean(axis=0),
-        others=tuple(n for n in calibration.model.names if n not in MEASURABLE),
+        others=tuple(n for n in calibration.model.names if n not in EFFECTS),
     )
 
 
-def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tuple[Array, Array]:
-    """Return each device's v(t), µg, (d, K, T), and its rms over a record, µg, (d,); zero without departures."""
-    if DEPARTURE_SHARE not in samples:
-        zero = np.zeros(len(samples[SENSITIVITY]))
+def _departures(samples: Mapping[str, Array], table: _Records, basis: Array) -> tuple[Array, Array]:
+    """Return each device's departure v(t), µg, (d, K, T), and its rms, µg, (d,); zeros if the model has none."""
+    if DEPARTURE_SHARE_NAME not in samples:
+        zero = np.zeros(len(samples[SENSITIVITY_NAME]))
         return zero[:, None, None], zero
-    share = np.asarray(samples[DEPARTURE_SHARE])
+    share = np.asarray(samples[DEPARTURE_SHARE_NAME])
     orders = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE)], axis=-1)
     return orders @ basis[:ORDERS], share * DISTURBANCE
 
 
 @dataclass(frozen=True)
-class _Table:
-    """Records of K devices at T common times: names, outer ones first; rows of readings (K, T); index in the draws."""
+class _Records:
+    """Index of K records at T common times, outer devices first: rows of readings (K, T); index in the draws (K,)."""
 
     names: tuple[str, ...]
     outer: int
@@ -149,21 +149,21 @@ class _Table:
     order: NDArray[np.int64]
 
 
-def _table(readings: bc.Measurements) -> _Table:
-    """Arrange one record per device, over the same times.
+def _arrange_records(readings: bc.Measurements) -> _Records:
+    """Arrange the readings as one record per device at common times.
 
     Raises:
-        InputError: the times of a device differ, or groups are missing.
+        InputError: devices have different times, a group is missing, or there are several runs.
     """
     names, codes = readings.groups("device")
     groups, runs = readings["group"], readings.groups("run")[0]
-    of_device = [np.unique(groups[codes == i]).tolist() for i in range(len(names))]
-    if len(runs) > 1 or set(map(len, of_device)) != {1} or len(np.unique(groups)) < 2:
+    sides_by_device = [np.unique(groups[codes == i]).tolist() for i in range(len(names))]
+    if len(runs) > 1 or set(map(len, sides_by_device)) != {1} or len(np.unique(groups)) < 2:
         raise bc.InputError(
-            f"{readings.file}, column 'group': pairs are of one outer and one inner device, each in one place, in one "
-            f"run; here are {len(runs)} runs and {dict(zip(names, of_device, strict=True))}"
+            f"{readings.file}, column 'group': a pair is one outer and one inner device, each in one group, in one "
+            f"run; these readings have {len(runs)} runs and {dict(zip(names, sides_by_device, strict=True))}"
         )
-    sides = {i: side for i, (side,) in enumerate(of_device)}
+    sides = {i: side for i, (side,) in enumerate(sides_by_device)}
     order = np.array(sorted(sides, key=lambda i: sides[i] == "inner"))
     rows = [np.flatnonzero(codes == i) for i in order]
     rows = [r[np.argsort(readings["time"][r], kind="stable")] for r in rows]
@@ -176,4 +176,4 @@ def _table(readings: bc.Measurements) -> _Table:
                 "reading: interpolate the records to common times"
             )
     outer = sum(side == "outer" for side in sides.values())
-    return _Table(tuple(names[i] for i in order), outer, time, np.stack(rows), order=order)
+    return _Records(tuple(names[i] for i in order), outer, time, np.stack(rows), order=order)

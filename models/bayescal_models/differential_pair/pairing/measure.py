@@ -3,10 +3,10 @@
     a = [a10 − λbd·a20 − Σλ1w·w1 + λbd·Σλ2w·w2]/(λ1 + λbd·λ2)
 
     devices = dp.devices_of(calibration)
-    found = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
+    result = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
 
-λbd is the calibrated ratio, the posterior median. The residual environment is part of the uncertainty: the next record
-has another u and other departures, of the same sizes.
+λbd is the calibrated environment ratio, the posterior median. The uncertainty includes the residual environment of a
+new record, whose u and departures are assumed to have the same rms.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Acceleration over time with its uncertainty.
+class PairMeasurement:
+    """Acceleration measured by a differential pair, with its uncertainty.
 
     Attributes:
-        acceleration: acceleration along the arm, outward, µg.
+        acceleration: outward acceleration along the arm, µg, (n,).
         sd: standard uncertainty of each reading, µg: of scale and bias, of the residual environment of differencing
-            (rms over a record), and of the noise of the two readings.
-        ratio: λbd used.
+            (rms over a record), and of the noise of the two outputs.
+        ratio: environment ratio λbd that was used.
     """
 
     acceleration: Array
@@ -39,30 +39,30 @@ class Measured:
 
 
 def measure(
-    found: bc.Calibration | Devices,
+    batch: bc.Calibration | Devices,
     outer: str,
     inner: str,
     outer_output: ArrayLike,
     inner_output: ArrayLike,
-) -> Measured:
+) -> PairMeasurement:
     """Compute the acceleration from the outputs of a calibrated pair.
 
     Args:
-        found: a calibration of a batch, or its devices.
-        outer, inner: names of the two devices.
-        outer_output, inner_output: their outputs at the same times, µg.
+        batch: calibration of a batch, or its devices.
+        outer, inner: names of the outer and the inner device.
+        outer_output, inner_output: outputs of the two devices at the same times, µg, (n,).
 
     Raises:
-        InputError: no such devices, outputs of unequal length, or a model with effects that the equation
-            above does not contain.
+        InputError: unknown device names, outputs of unequal length, or a model with effects that the equation
+            in the module's docstring does not contain.
     """
-    devices = found if isinstance(found, Devices) else devices_of(found)
+    devices = batch if isinstance(batch, Devices) else devices_of(batch)
     if devices.others:
         raise bc.InputError(
-            f"the model has {', '.join(devices.others)}, which depend on the acceleration or on time, and "
-            "the pair's equation does not contain them: correct the outputs first, and calibrate the baseline"
+            f"the model has {', '.join(devices.others)}, which the pair's equation does not contain: "
+            "correct the outputs for these effects first, and calibrate the baseline"
         )
-    i, j = devices.place(outer, outer=True), devices.place(inner, outer=False)
+    i, j = devices.device_index(outer, outer=True), devices.device_index(inner, outer=False)
     y1, y2 = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
     if y1.shape != y2.shape or y1.ndim != 1:
         raise bc.InputError(
@@ -74,8 +74,8 @@ def measure(
     divisor = devices.scale[:, i] + ratio * devices.scale[:, j]
     bias = devices.bias[:, i] - ratio * devices.bias[:, j]
     draws = ((y1 - ratio * y2)[None, :] - bias[:, None]) / divisor[:, None]
-    size = np.mean(devices.shared**2, axis=1)  # of u, in a record like this one
+    size = np.mean(devices.shared**2, axis=1)  # mean square of u over a record
     residual = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
     residual = residual + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
     variance = draws.var(axis=0) + np.mean(residual / divisor**2)
-    return Measured(draws.mean(axis=0), np.sqrt(variance), ratio)
+    return PairMeasurement(draws.mean(axis=0), np.sqrt(variance), ratio)

@@ -1,4 +1,4 @@
-"""Table of all pairs with probabilities, the best pair and the best set."""
+"""Table of all pairs with probabilities, the best pair and the best set of disjoint pairs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ Array = NDArray[np.float64]
 
 UNIT = "ug"
 WIDTH = 110  # characters per line of a remark
-PRINTED_PAIRS = 12  # pairs in the table
-VARIES = 0.01  # relative change above which the commanded acceleration is not constant
+PRINTED_PAIRS = 12  # pairs in the printed table
+MIN_RELATIVE_VARIATION = (
+    0.01  # relative change above which the commanded acceleration is not constant
+)
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,8 @@ class Ratio:
     Attributes:
         median, low, high: posterior median, and limits of the 95 % credible interval.
         sd: robust posterior standard deviation, (q84 − q16)/2, since a ratio may have no variance.
-        document: the estimator of source 3, step 2.
-        document_reliable: whether its denominator Σu differs significantly from zero.
+        document: estimate by the sums of source 3, step 2.
+        document_reliable: whether the denominator of this estimate, Σu, differs significantly from zero.
     """
 
     median: float
@@ -42,17 +44,17 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Pair:
-    """An outer and an inner device.
+    """Criteria of one pair of an outer and an inner device.
 
     Attributes:
         outer, inner: names of the devices.
         probability_residual: probability that the pair has the smallest residual.
-        probability_ratio_variance: probability of the smallest variance of ratios, commanded part removed.
-        probability_ratio_variance_raw: the same on raw records.
+        probability_ratio_variance: probability of the smallest ratio variance, commanded acceleration removed.
+        probability_ratio_variance_raw: probability of the smallest ratio variance on raw records.
         expected_residual: posterior mean of the residual, µg.
         expected_loss: expected excess of the residual over that of the best pair, µg.
-        ratio_variance, ratio_variance_raw: variances of ratios computed from the records (document).
-        orders_near_zero: orders whose denominator, the inner device's coefficient, is near zero.
+        ratio_variance, ratio_variance_raw: ratio variances computed from the records (source 3).
+        orders_near_zero: polynomial orders whose denominator, the inner device's coefficient, is near zero.
         environment_ratio: environment ratio λbd.
     """
 
@@ -98,8 +100,8 @@ class PairTable:
         pairs: all pairs, the best first by the criterion.
         best: names of the outer and the inner device of the best pair.
         matching: the best set of disjoint pairs.
-        criterion: name of the criterion.
-        remarks: remarks on this choice, one sentence each.
+        criterion: name of the ranking criterion.
+        remarks: remarks on the ranking, one sentence each.
     """
 
     pairs: tuple[Pair, ...]
@@ -109,7 +111,7 @@ class PairTable:
     remarks: tuple[str, ...]
 
     def of(self, outer: str, inner: str) -> Pair:
-        """Return a pair by its names.
+        """Return the pair of these two devices.
 
         Raises:
             InputError: there is no such pair.
@@ -135,9 +137,9 @@ class PairTable:
         ratio = best.environment_ratio
         cells = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:PRINTED_PAIRS]]
         lines = str(plain_table([*_CELLS], cells, left=2)).splitlines()
-        hidden = len(self.pairs) - PRINTED_PAIRS
-        if hidden > 0:
-            lines.append(f"… and {hidden} more")
+        omitted_count = len(self.pairs) - PRINTED_PAIRS
+        if omitted_count > 0:
+            lines.append(f"… and {omitted_count} more")
         lines += [
             "",
             "Residual and loss in µg. Probability of P(best): the smallest residual; P(ratios): the smallest variance",
@@ -155,38 +157,38 @@ class PairTable:
 
 
 def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
-    """Return remarks on a choice of pairs, one sentence each.
+    """Return remarks on the reliability of a ranking of pairs, one sentence each.
 
     Args:
         pairs: all pairs, the best first.
         commanded: commanded acceleration, µg, (T,).
     """
     sentences, best = [], pairs[0]
-    physical = min(pairs, key=lambda p: p.expected_residual)
-    ratios = max(pairs, key=lambda p: p.probability_ratio_variance)
-    raw = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
-    if physical.names != ratios.names:
+    residual_pair = min(pairs, key=lambda p: p.expected_residual)
+    ratio_pair = max(pairs, key=lambda p: p.probability_ratio_variance)
+    raw_pair = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
+    if residual_pair.names != ratio_pair.names:
         sentences.append(
-            f"The criteria disagree. Smallest residual: {physical} ({physical.expected_residual:.0f} µg, "
-            f"probability {physical.probability_residual:.2f}). Smallest variance of ratios, most probably: "
-            f"{ratios} ({ratios.expected_residual:.0f} µg, expected loss {ratios.expected_loss:.0f} µg). "
+            f"The criteria disagree. Smallest residual: {residual_pair} ({residual_pair.expected_residual:.0f} µg, "
+            f"probability {residual_pair.probability_residual:.2f}). Smallest variance of ratios, most probably: "
+            f"{ratio_pair} ({ratio_pair.expected_residual:.0f} µg, expected loss {ratio_pair.expected_loss:.0f} µg). "
             "The variance of ratios gives every order of the polynomial equal weight, even where the "
             "environment contributes little."
         )
-    near = sorted({(p.inner, n) for p in pairs for n in p.orders_near_zero})
-    if near:
-        what = ", ".join(f"order {n} of {name}" for name, n in near[:4])
-        others = f" and {len(near) - 4} more" if len(near) > 4 else ""
+    near_zero = sorted({(p.inner, n) for p in pairs for n in p.orders_near_zero})
+    if near_zero:
+        terms = ", ".join(f"order {n} of {name}" for name, n in near_zero[:4])
+        remainder = f" and {len(near_zero) - 4} more" if len(near_zero) > 4 else ""
         sentences.append(
-            f"Denominators near zero: {what}{others}. Such a ratio is heavy-tailed, without a finite mean, and "
+            f"Denominators near zero: {terms}{remainder}. Such a ratio is heavy-tailed, without a finite mean, and "
             "dominates the variance of ratios by its noise; the residual does not depend on it."
         )
     sentences.append(
         "On raw records (P(raw)) the commanded acceleration dominates every order, so that the variance of ratios "
         "favours insensitive pairs, whether they match or not: here "
-        f"{raw} ({raw.expected_residual:.0f} µg)."
+        f"{raw_pair} ({raw_pair.expected_residual:.0f} µg)."
     )
-    if np.ptp(commanded) <= VARIES * np.abs(commanded).max():
+    if np.ptp(commanded) <= MIN_RELATIVE_VARIATION * np.abs(commanded).max():
         sentences.append(
             "At constant acceleration a device's scale factor and the constant part of its environment are confounded: "
             "record steps."

@@ -1,9 +1,9 @@
 """Selection of the outer and inner device of a differential pair, with probabilities (source 3, step 1).
 
-Each joint draw of the calibration has a best pair under each criterion; the fraction of draws in which a pair is best
-is its probability. The expected loss of a pair is the mean excess of its residual over that of the best pair,
-in µg, because the ratio criterion has no finite mean. The best set of disjoint pairs comes from
-the assignment problem (scipy.optimize.linear_sum_assignment).
+In each joint posterior draw one pair is best under a criterion; the fraction of draws in which a pair is best is its
+probability. The expected loss of a pair is the mean excess of its residual over that of the draw's best pair, µg (the
+ratio variance has no finite mean). The best set of disjoint pairs solves the assignment problem
+(scipy.optimize.linear_sum_assignment).
 """
 
 from __future__ import annotations
@@ -23,91 +23,92 @@ from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 Array = NDArray[np.float64]
-SURE = 3.0  # standard deviations from zero below which a ratio's denominator counts as near zero
+NEAR_ZERO_SDS = (
+    3.0  # standard deviations from zero below which a ratio's denominator counts as near zero
+)
 
 
-def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> PairTable:
+def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> PairTable:
     """Evaluate and rank all pairs.
 
     Args:
-        found: a calibration of a batch, or its devices.
-        criterion: criterion of the ranking: "residual", "ratio-variance" (with the commanded part removed), or
-            "ratio-variance-raw" (of the records, as in source 3).
+        batch: calibration of a batch, or its devices.
+        criterion: ranking criterion: "residual", "ratio-variance" (commanded acceleration removed), or
+            "ratio-variance-raw" (on raw records, as in source 3).
 
     Raises:
         InputError: the readings cannot be paired, or an unknown criterion.
     """
     if criterion not in CRITERIA:
         raise bc.InputError(f"criterion {criterion!r} is not one of {', '.join(CRITERIA)}")
-    devices = found if isinstance(found, Devices) else devices_of(found)
-    figures = judge(devices)
-    places = np.ndindex(figures.residual.shape[1:])
-    ranked = sorted((_pair(devices, figures, *at) for at in places), key=partial(_rank, criterion))
+    devices = batch if isinstance(batch, Devices) else devices_of(batch)
+    scores = evaluate_pairs(devices)
+    indices = np.ndindex(scores.residual.shape[1:])
+    ranked = sorted((_pair(devices, scores, *at) for at in indices), key=partial(_rank, criterion))
     return PairTable(
         tuple(ranked),
         ranked[0].names,
-        _matching(devices, figures, criterion),
+        _match_pairs(devices, scores, criterion),
         criterion,
         remarks=remarks(ranked, devices.commanded),
     )
 
 
-class Figures(NamedTuple):
-    """Values of the criteria for all pairs."""
+class Scores(NamedTuple):
+    """Criteria of all pairs: fields of `Pair` and of `Ratio` by name, (outer, inner)."""
 
-    # of_pair, of_ratio: fields of `Pair` and of `Ratio` by name, (outer, inner)
-    of_pair: dict[str, Array]
-    of_ratio: dict[str, Array]
-    residual: Array  # draws, µg, (d, outer, inner)
+    pair_fields: dict[str, Array]
+    ratio_fields: dict[str, Array]
+    residual: Array  # posterior draws, µg, (d, outer, inner)
     near_zero: Array  # whether the denominator of an order is near zero, (inner, 4)
 
 
-def judge(devices: Devices) -> Figures:
-    """Evaluate every pair under every criterion, draw by draw."""
+def evaluate_pairs(devices: Devices) -> Scores:
+    """Evaluate the criteria of all pairs in every posterior draw, and summarise them."""
     outer, time = devices.outer, devices.time
     ratios = devices.sensitivity[:, :outer, None] / devices.sensitivity[:, None, outer:]
     median = np.median(ratios, axis=0)
-    residual = criteria.residual(devices.environment, devices.scale, median)
-    of_environment = criteria.polynomial(time, devices.environment)
-    deviation = devices.scale - devices.scale.mean(axis=0)  # of the commanded part, draw by draw
-    of_known = criteria.polynomial(time, devices.known)
-    of_commanded = criteria.polynomial(time, devices.commanded)
-    raw = of_known + (devices.sign * deviation)[..., None] * of_commanded + of_environment
-    removed = devices.records - devices.known
-    of_pair = {
-        "probability_residual": _share_best(residual),
+    residual = criteria.residual_rms(devices.environment, devices.scale, median)
+    env = criteria.fit_polynomial(time, devices.environment)
+    scale_deviation = devices.scale - devices.scale.mean(axis=0)  # between draws
+    known = criteria.fit_polynomial(time, devices.known)
+    commanded = criteria.fit_polynomial(time, devices.commanded)
+    raw = known + (devices.sign * scale_deviation)[..., None] * commanded + env
+    env_records = devices.records - devices.known
+    pair_fields = {
+        "probability_residual": _fraction_best(residual),
         "expected_residual": residual.mean(axis=0),
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
     for name, draws, records in (
-        ("ratio_variance", of_environment, removed),
+        ("ratio_variance", env, env_records),
         ("ratio_variance_raw", raw, devices.records),
     ):
-        of_pair[f"probability_{name}"] = _share_best(criteria.ratio_variance(draws, outer))
-        of_pair[name] = criteria.ratio_variance(criteria.polynomial(time, records), outer)
+        pair_fields[f"probability_{name}"] = _fraction_best(criteria.ratio_variance(draws, outer))
+        pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
     low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
-    near = _near_zero(devices.environment[:, outer:].mean(axis=-1))
-    of_ratio = {
+    near_zero_sum = _near_zero(devices.environment[:, outer:].mean(axis=-1))
+    ratio_fields = {
         "median": median,
         "low": low,
         "high": high,
         "sd": 0.5 * (upper - lower),
-        "document": criteria.document_ratio(removed, outer),
-        "document_reliable": np.broadcast_to(np.logical_not(near), median.shape),
+        "document": criteria.document_ratio(env_records, outer),
+        "document_reliable": np.broadcast_to(np.logical_not(near_zero_sum), median.shape),
     }
-    return Figures(of_pair, of_ratio, residual, near_zero=_near_zero(of_environment[:, outer:]))
+    return Scores(pair_fields, ratio_fields, residual, near_zero=_near_zero(env[:, outer:]))
 
 
 def _near_zero(draws: Array) -> Array:
-    """Return whether denominators are near zero, from their draws (d, …)."""
-    return np.abs(draws.mean(axis=0)) < SURE * draws.std(axis=0)
+    """Return whether quantities are near zero relative to their sd, from draws (d, …)."""
+    return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
 
-def _share_best(values: Array) -> Array:
+def _fraction_best(values: Array) -> Array:
     """Return the fraction of draws in which each pair has the smallest value, (outer, inner)."""
     count, *shape = values.shape
-    least = np.argmin(values.reshape(count, -1), axis=1)
-    return np.bincount(least, minlength=math.prod(shape)).reshape(shape) / count
+    best_index = np.argmin(values.reshape(count, -1), axis=1)
+    return np.bincount(best_index, minlength=math.prod(shape)).reshape(shape) / count
 
 
 def _rank(criterion: str, pair: Pair) -> tuple[float, float]:
@@ -117,22 +118,22 @@ def _rank(criterion: str, pair: Pair) -> tuple[float, float]:
     return (-getattr(pair, f"probability_{name}"), getattr(pair, name))
 
 
-def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
+def _pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
     return Pair(
         devices.names[i],
         devices.names[devices.outer + j],
-        **{name: float(values[i, j]) for name, values in figures.of_pair.items()},
-        orders_near_zero=tuple(np.flatnonzero(figures.near_zero[j]).tolist()),
+        **{name: float(values[i, j]) for name, values in scores.pair_fields.items()},
+        orders_near_zero=tuple(np.flatnonzero(scores.near_zero[j]).tolist()),
         environment_ratio=Ratio(
-            **{name: values[i, j].item() for name, values in figures.of_ratio.items()}
+            **{name: values[i, j].item() for name, values in scores.ratio_fields.items()}
         ),
     )
 
 
-def _matching(devices: Devices, figures: Figures, criterion: str) -> tuple[tuple[str, str], ...]:
-    """Find the disjoint pairs with the smallest total residual, or the largest total probability."""
-    share = figures.of_pair[f"probability_{criterion.replace('-', '_')}"]
-    cost = figures.of_pair["expected_residual"] if criterion == "residual" else -share
+def _match_pairs(devices: Devices, scores: Scores, criterion: str) -> tuple[tuple[str, str], ...]:
+    """Find the set of disjoint pairs with the smallest total residual, or the largest total probability."""
+    probability = scores.pair_fields[f"probability_{criterion.replace('-', '_')}"]
+    cost = scores.pair_fields["expected_residual"] if criterion == "residual" else -probability
     rows, columns = linear_sum_assignment(cost)
-    chosen = sorted(zip(rows, columns, strict=True), key=lambda at: cost[at])
-    return tuple((devices.names[i], devices.names[devices.outer + j]) for i, j in chosen)
+    matched = sorted(zip(rows, columns, strict=True), key=lambda at: cost[at])
+    return tuple((devices.names[i], devices.names[devices.outer + j]) for i, j in matched)
