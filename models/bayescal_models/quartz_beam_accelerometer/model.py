@@ -35,7 +35,7 @@ from typing import Any
 import bayescal as bc
 from bayescal import xp
 from bayescal_models import catalogue
-from bayescal_models.catalogue import MINUTE, EffectTable, Factory, effect, one
+from bayescal_models.catalogue import MINUTE, POWERS, EffectTable, Factory, effect, one
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
@@ -118,24 +118,26 @@ def _factories(basis: Callable[..., Any], equation: str, *columns: str, **fields
 
 def _circuit_power(n: int) -> Factories:
     return _factories(
-        partial(_power, circuit, n), f"c·(t1 − T0){KINDS[n - 1]}", *T1_T2, along=T1, kind=KINDS[n]
+        partial(_power, circuit, n), f"c·(t1 − T0){POWERS[n - 1]}", *T1_T2, along=T1, kind=KINDS[n]
     )
 
 
 def _head_power(n: int) -> Factories:
     return _factories(
-        partial(_power, head, n), f"c·(t2 − T0){KINDS[n - 1]}", T2, along=T2, kind=KINDS[n]
+        partial(_power, head, n), f"c·(t2 − T0){POWERS[n - 1]}", T2, along=T2, kind=KINDS[n]
     )
 
 
 def _gradient_power(n: int) -> Factories:
     kind = KINDS[n] if n > 1 else ""  # for n = 1 the term is linear in δt
-    return _factories(partial(_power, gradient, n), f"c·(t1 − t2){KINDS[n - 1]}", *T1_T2, kind=kind)
+    return _factories(
+        partial(_power, gradient, n), f"c·(t1 − t2){POWERS[n - 1]}", *T1_T2, kind=kind
+    )
 
 
 def _sum_power(n: int) -> Factories:
     nominal_text = f"F0 = {FREQUENCY_SUM_HZ:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
-    equation = f"c·((F − F0)/F'){KINDS[n - 1]},  {nominal_text}"
+    equation = f"c·((F − F0)/F'){POWERS[n - 1]},  {nominal_text}"
     return _factories(
         partial(_power, _indicated_temperature, n),
         equation,
