@@ -216,8 +216,6 @@ def readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measuremen
 class ReferenceProblem(NamedTuple):
     """Reference problem: the instrument's baseline model, unchanged, on readings of a small simulated campaign.
 
-    It tests the coverage of intervals and the agreement of methods (see `bayescal_models`).
-
     Attributes:
         instrument: instrument of the problem.
         campaign: plan of its readings.

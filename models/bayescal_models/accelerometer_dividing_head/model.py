@@ -15,9 +15,7 @@ Slots: `bias` = K0, µg; `scale` = κ; `zero` = ψ, rad; `second_order` = K2 and
 separate them from K0, κ and ψ, four do not. A dividing error of one period per turn is an exact alias of K2 and Kip for
 any number of positions: both are reported; a head of known error, or an inverted device, separates them.
 
-Baseline: `bias.constant`, `bias.temperature`, `scale.constant`, `scale.temperature`, `zero.constant`. Candidates:
-`second_order.constant`, `third_order.constant` and `cross_coupling.constant`; `zero.temperature`, a fixture tilt
-that depends on temperature; `zero.run`, a new mounting; `zero.harmonic`, the head's dividing error.
+`zero.temperature` is a fixture tilt that depends on temperature, `zero.harmonic` the head's dividing error.
 
 Noise: white, of unknown size.
 """

@@ -9,8 +9,6 @@ known to `pose_uncertainty` (a dividing head, a robot):
 is that of the sensor z, and its y axis lies in the plane of the sensors y and z: three misalignments (x toward y, x
 toward z, y toward z) in place of six. `misalignment.frame` has the other three, which need known directions.
 
-The coefficients of an effect on several axes are included or excluded together.
-
 **What poses determine.** Nine coefficients need nine poses or more that do not all lie on a quadric other than the
 sphere: six positions determine bias and scale but no misalignment; poses in a plane leave the axis normal to it free;
 poses within 10° of level determine the bias of z less its scale and little else. Undetermined coefficients keep

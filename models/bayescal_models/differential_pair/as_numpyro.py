@@ -1,7 +1,5 @@
 """Self-contained NumPyro model of accelerometers in two opposed groups on a centrifuge, in a shared environment.
 
-Each device has a scale factor, a sensitivity to the shared environment, and an individual departure from it.
-
 It is the model that `bc.fit(equivalent_model(), readings)` fits. NUTS is run on it by
 
     nuts = NUTS(bc.non_centred(model, CENTRED), dense_mass=True, target_accept_prob=0.95)

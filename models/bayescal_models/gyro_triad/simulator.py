@@ -58,9 +58,8 @@ def simulated_columns(
     true_axes = up + np.cross(errors, up)
     departure, omega = (temperature - REFERENCE)[:, None], rate[:, None] * true_axes
     progress = (time - time[len(time) // 2]) / max(time[-1] - time[0], 1.0)
-    bias = axis_bias(
-        sizes, temperature, progress, die_lag(temperature, run, interval), run_deviates[run]
-    )
+    lag = die_lag(temperature, run, interval)
+    bias = axis_bias(sizes, temperature, progress, lag, run_deviates[run])
     bias = bias + true_axes @ sizes["bias.g_sensitivity"].reshape(3, 3).T
     scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * departure)
     angles = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * departure)

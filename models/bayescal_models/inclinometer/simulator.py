@@ -15,6 +15,7 @@ import numpy as np
 from bayescal_models import simulated
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle, sensed_sine
+from bayescal_models.simulated import SUPPLY_V
 
 MEAN_TEMPERATURE_DEGC = 20.0  # °C
 RANDOM_STREAMS = ("noise", "run", "table", "thermometer", "device", "supply")
@@ -128,7 +129,7 @@ def _verification(plan: Campaign, prefix: str):
         yield labels, (cross, tilt, ones, infinite)
 
 
-class _EffectSum(NamedTuple):
+class _Terms(NamedTuple):
     """Contributions to the terms of the measurement equation: angles in arcsec, κ in ppm."""
 
     zero: Any = 0.0
@@ -138,38 +139,38 @@ class _EffectSum(NamedTuple):
     rig: Any = 0.0
 
 
-def _zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float], _EffectSum]:
-    return lambda w, size: _EffectSum(zero=w.share * size * law(w))
+def _zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float], _Terms]:
+    return lambda test, size: _Terms(zero=test.share * size * law(test))
 
 
-def _electrical_law(w: Conditions, size: float) -> _EffectSum:
+def _electrical_law(test: Conditions, size: float) -> _Terms:
     """Return the contributions of an electrical zero: it is moved from the mechanical to the electrical zero."""
-    return _EffectSum(zero=-w.share * size, electrical=w.share * size)
+    return _Terms(zero=-test.share * size, electrical=test.share * size)
 
 
-def _spindle_wobble(w: Conditions) -> np.ndarray:
+def _spindle_wobble(test: Conditions) -> np.ndarray:
     """Return the wobble of the spindle axis: first and second harmonics, sines and cosines of amplitude 1."""
-    return np.sqrt(2.0) * (np.cos(w.cross - np.pi / 4) + np.cos(2 * w.cross - np.pi / 4))
+    return np.sqrt(2.0) * (np.cos(test.cross - np.pi / 4) + np.cos(2 * test.cross - np.pi / 4))
 
 
-_LAWS: dict[str, Callable[[Conditions, float], _EffectSum]] = {
-    "zero.placement_quadratic": _zero_law(lambda w: np.rad2deg(w.placement) ** 2),
-    "zero.projection": _zero_law(lambda w: np.cos(w.placement) + np.sin(w.placement)),
-    "zero.temperature": _zero_law(lambda w: w.hinge),
-    "zero.temperature_quadratic": _zero_law(lambda w: w.hinge**2),
-    "zero.warm_up": _zero_law(lambda w: w.warm_up_deficit),
-    "zero.supply": _zero_law(lambda w: w.supply - simulated.SUPPLY_V),
-    "zero.temperature_x_supply": _zero_law(lambda w: w.hinge * (w.supply - simulated.SUPPLY_V)),
-    "zero.hysteresis": _zero_law(lambda w: w.sweep_direction),
-    "zero.cross_axis": lambda w, size: _EffectSum(cross_axis=w.share * size * np.sin(w.cross)),
+_LAWS: dict[str, Callable[[Conditions, float], _Terms]] = {
+    "zero.placement_quadratic": _zero_law(lambda test: np.rad2deg(test.placement) ** 2),
+    "zero.projection": _zero_law(lambda test: np.cos(test.placement) + np.sin(test.placement)),
+    "zero.temperature": _zero_law(lambda test: test.hinge),
+    "zero.temperature_quadratic": _zero_law(lambda test: test.hinge**2),
+    "zero.warm_up": _zero_law(lambda test: test.warm_up_deficit),
+    "zero.supply": _zero_law(lambda test: test.supply - SUPPLY_V),
+    "zero.temperature_x_supply": _zero_law(lambda test: test.hinge * (test.supply - SUPPLY_V)),
+    "zero.hysteresis": _zero_law(lambda test: test.sweep_direction),
+    "zero.cross_axis": lambda test, size: _Terms(cross_axis=test.share * size * np.sin(test.cross)),
     "zero.electrical_tilt": _electrical_law,
     "zero.exact_placement": _zero_law(
-        lambda w: np.rad2deg(exact_placement_angle(w.tilt, w.cross, np) - w.cross)
+        lambda test: np.rad2deg(exact_placement_angle(test.tilt, test.cross, np) - test.cross)
     ),
-    "scale.constant": lambda w, size: _EffectSum(scale=w.share * size),
-    "dividing.wobble": lambda w, size: _EffectSum(rig=size * _spindle_wobble(w)),
-    "dividing.face": lambda w, size: _EffectSum(rig=size),
-    "base_tilt.drift": lambda w, size: _EffectSum(rig=size * w.settlement),
+    "scale.constant": lambda test, size: _Terms(scale=test.share * size),
+    "dividing.wobble": lambda test, size: _Terms(rig=size * _spindle_wobble(test)),
+    "dividing.face": lambda test, size: _Terms(rig=size),
+    "base_tilt.drift": lambda test, size: _Terms(rig=size * test.settlement),
 }
 
 
@@ -218,10 +219,10 @@ def _output(test: Conditions, effects: Mapping[str, float]) -> np.ndarray:
     """Return the noise-free output of each reading, arcsec."""
     accelerometer = test.accelerometer
     mechanical = accelerometer.mechanical(test.placement) + test.mounting_deviation
-    total = _EffectSum(mechanical, accelerometer.electrical, accelerometer.scale)
+    total = _Terms(mechanical, accelerometer.electrical, accelerometer.scale)
     for name, size in effects.items():
         parts = zip(total, _LAWS[name](test, size), strict=True)
-        total = _EffectSum(*(subtotal + term for subtotal, term in parts))
+        total = _Terms(*(subtotal + term for subtotal, term in parts))
     tilt = test.tilt + ARCSEC * total.rig
     sine = sensed_sine(
         np.sin(tilt),

@@ -25,8 +25,6 @@ def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, q
         k_drive, k_sense: K_ET of each mode, 1/°C.
         ratio: r = ω_s0/ω_d0 at T0, dimensionless.
         quality: Q = ω_d0/b_s at T0, dimensionless.
-
-    Source: source 1's mode equations, solved for the sense amplitude.
     """
     drive, sense = 1 - k_drive * change, 1 - k_sense * change
     return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 
 from bayescal_models import simulated
 from bayescal_models.mems_gyro.campaign import LOGGING_INTERVAL_S, STEP_S, Campaign
-from bayescal_models.simulated import Array, SimulatedTest, TimeGrid, correlated_noise, raise_if
+from bayescal_models.simulated import (
+    SUPPLY_V,
+    Array,
+    SimulatedTest,
+    TimeGrid,
+    correlated_noise,
+    raise_if,
+)
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 VARSHNI_TEMPERATURE_K = 500.0  # characteristic temperature of silicon in Varshni's law; ours
@@ -69,6 +76,15 @@ class Conditions(TimeGrid):
         self.samples = points.reshape(-1, round(plan.average / LOGGING_INTERVAL_S))
         self.run = self._run[self.samples[:, 0]]
 
+    @property
+    def departure(self) -> Array:
+        """Return the temperature change T − T0 of the air, °C."""
+        return self.ambient - self.plan.T0
+
+    def lag(self, time_constant: float) -> Array:
+        """Return the temperature of a first-order body minus that of the air, °C; time constant in s."""
+        return self.low_pass(self.ambient, time_constant) - self.ambient
+
     @cached_property
     def package(self) -> Array:
         """Return the package temperature, °C."""
@@ -106,37 +122,37 @@ def _chamber_set_point(plan: Campaign, time: Array) -> Array:
 # functions, so that a fitted model is an approximation, as for real readings.
 
 
-def _quadratic_law(w: Conditions) -> Array:
+def _quadratic_law(test: Conditions) -> Array:
     """Return Varshni's modulus `E = E0 − s/(e^(Θ/T)−1)` minus its tangent at T0, scaled to about ΔT², °C².
 
     Source: Y. P. Varshni, Phys. Rev. B 2 (1970) 3952.
     """
-    theta, kelvin = VARSHNI_TEMPERATURE_K, w.plan.T0 + 273.15
-    departure = w.ambient - w.plan.T0
+    theta, kelvin = VARSHNI_TEMPERATURE_K, test.plan.T0 + 273.15
+    departure = test.departure
     e = np.exp(theta / kelvin)
     at_T0 = 1.0 / (e - 1.0)
     slope = theta / kelvin**2 * e / (e - 1.0) ** 2
     curvature = slope * (theta / kelvin**2 * (e + 1.0) / (e - 1.0) - 2.0 / kelvin) / 2.0
     softening = 1.0 / np.expm1(theta / (kelvin + departure)) - at_T0 - slope * departure
-    return _mix_terms(w, departure**2, softening / curvature)
+    return _mix_terms(test, departure**2, softening / curvature)
 
 
-def _cubic_law(w: Conditions) -> Array:
+def _cubic_law(test: Conditions) -> Array:
     """Return the residual of a tanh compensation of a linear error, scaled to slightly less than ΔT³, °C³."""
-    departure = w.ambient - w.plan.T0
+    departure = test.departure
     remainder = 3.0 * SATURATION**3 * (departure / SATURATION - np.tanh(departure / SATURATION))
-    return _mix_terms(w, departure**3, remainder)
+    return _mix_terms(test, departure**3, remainder)
 
 
-def _drift_law(w: Conditions) -> Array:
+def _drift_law(test: Conditions) -> Array:
     """Return ageing that is logarithmic in time, from 0 to 1 over the whole test."""
-    elapsed_fraction = w.time / w.time[-1]
-    return _mix_terms(w, elapsed_fraction, np.log2(1.0 + elapsed_fraction))
+    elapsed_fraction = test.time / test.time[-1]
+    return _mix_terms(test, elapsed_fraction, np.log2(1.0 + elapsed_fraction))
 
 
-def _mix_terms(w: Conditions, leading: Array, law: Array) -> Array:
+def _mix_terms(test: Conditions, leading: Array, law: Array) -> Array:
     """Return the leading term of a law plus `plan.nonlinearity` times its higher-order terms."""
-    return leading + w.plan.nonlinearity * (law - leading)
+    return leading + test.plan.nonlinearity * (law - leading)
 
 
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
@@ -144,31 +160,27 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "bias.temperature_quadratic": _quadratic_law,
         "bias.temperature_cubic": _cubic_law,
         # stress by heat flow into the package: its true temperature rate, °C/min
-        "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / PACKAGE_TAU_S,
+        "bias.rate": lambda test: 60.0 * (test.ambient - test.package) / PACKAGE_TAU_S,
         # lag of the die behind the ambient thermometer
-        "bias.thermal_lag": lambda w: w.low_pass(w.ambient, w.plan.lag_time) - w.ambient,
-        "bias.thermal_lag_slow": lambda w: w.low_pass(w.ambient, SLOW_TAU_S) - w.ambient,
+        "bias.thermal_lag": lambda test: test.lag(test.plan.lag_time),
+        "bias.thermal_lag_slow": lambda test: test.lag(SLOW_TAU_S),
         # stress between package and die by a glue that softens with temperature
-        "bias.temperature_x_lag": lambda w: (
-            (w.ambient - w.plan.T0) * (w.low_pass(w.ambient, w.plan.lag_time) - w.ambient)
-        ),
-        "bias.hysteresis": lambda w: simulated.stick_slip_strain(w.ambient),
-        "bias.supply": lambda w: w.supply - simulated.SUPPLY_V,
-        "bias.temperature_x_supply": lambda w: (
-            (w.ambient - w.plan.T0) * (w.supply - simulated.SUPPLY_V)
-        ),
+        "bias.temperature_x_lag": lambda test: test.departure * test.lag(test.plan.lag_time),
+        "bias.hysteresis": lambda test: simulated.stick_slip_strain(test.ambient),
+        "bias.supply": lambda test: test.supply - SUPPLY_V,
+        "bias.temperature_x_supply": lambda test: test.departure * (test.supply - SUPPLY_V),
         # linear tempco of the 1.2 V reference on the board
-        "bias.reference_voltage": lambda w: w.board - w.plan.T0,
+        "bias.reference_voltage": lambda test: test.board - test.plan.T0,
         # error of the electronics that decays during self-heating
-        "bias.warm_up": lambda w: 1.0 - w.low_pass(w.powered.astype(float), WARM_UP_S, start=0.0),
+        "bias.warm_up": lambda test: 1.0 - test.low_pass(1.0 * test.powered, WARM_UP_S, start=0.0),
         "bias.drift": _drift_law,
         # turn-on repeatability: an offset at each power-on, of standard deviation 1
-        "bias.run": lambda w: w.turn_on,
+        "bias.run": lambda test: test.turn_on,
         # scale factor that depends on the package temperature: κ(T_package)·Ω, zero at rest
-        "scale.temperature": lambda w: 1e-6 * (w.package - w.plan.T0) * w.rate,
-        "scale.constant": lambda w: 1e-6 * w.rate,
+        "scale.temperature": lambda test: 1e-6 * (test.package - test.plan.T0) * test.rate,
+        "scale.constant": lambda test: 1e-6 * test.rate,
         # leakage that grows with relative humidity, relative to 45 %, in °/s/%; not in the catalogue
-        "unlisted.humidity": lambda w: w.humidity - 45.0,
+        "unlisted.humidity": lambda test: test.humidity - 45.0,
     }
 )
 """Laws of all effects that can be hidden, by canonical name."""

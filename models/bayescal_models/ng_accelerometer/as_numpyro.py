@@ -1,7 +1,5 @@
 """Self-contained NumPyro model of a ng accelerometer on a tilted, turning table, over temperature.
 
-Bias and scale factor are linear in temperature; the tilts of fixture and base, with the tide, are latent.
-
 It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
 The face of the table is tilted by γ and rotated to θ; the specific force along the input axis is a = g·u·s (source 0):

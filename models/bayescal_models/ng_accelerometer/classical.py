@@ -47,8 +47,8 @@ def _estimate_cell(readings: bc.Measurements, positions: int | None) -> tuple[fl
     is_uniform = count >= 4 and np.allclose(turns[index], np.arange(count) / count, atol=1e-5)
     if not is_uniform or np.ptp(tilt) > 1e-6:
         raise ValueError(
-            f"classical_estimates: positions {np.degrees(angle).round(3).tolist()}°; at least 4 at one tilt, equally "
-            "spaced over a turn from 0°, are needed"
+            "classical_estimates needs at least 4 positions at one tilt, equally spaced over a turn from 0°; a cell "
+            f"has the positions {np.degrees(angle).round(3).tolist()}°"
         )
     max_input = G * np.sin(tilt[0])
     if count == 4:

@@ -20,15 +20,16 @@ Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_par
 to θ, rad. A *cell* is a run × temperature point.
 
 An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of
-`base_tilt.constant[perp]`; both are kept as two causes with a budget line each, which together contribute
+`base_tilt.constant[perp]`; both are kept, with a line each in the uncertainty budget, and together contribute
 √2·617 ppm to the uncertainty of the scale factor at 0.45°. Further aliases in a cell: bias with the fixture tilt,
-scale factor with γ2⊥ and with Kip, γ2∥ with δ. Only priors, time, laboratory temperature or other set-ups part them.
+scale factor with γ2⊥ and with Kip, γ2∥ with `rotation`. Only priors, changes with time or laboratory temperature, or
+other set-ups separate them.
 
-`base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` nearly one of b0: adding them raises
-the uncertainty of those tempcos to that of the priors, which more readings of the same kind do not reduce.
+`base_tilt.temperature[perp]` is an exact alias of `scale.temperature`, `fixture_tilt.temperature` nearly one of
+`bias.temperature`: with them the uncertainty of these tempcos is that of their priors, for any number of readings.
 
-`temperature`, °C: `temperature.reading`, the thermometer's own error (2 mK, ours; errors in variables). At 44 µg/°C
-it is half the noise of a reading, and the slope of a line fitted without it is biased towards zero.
+`temperature.reading`: error of the thermometer (2 mK, ours; errors in variables). At 44 µg/°C it contributes half the
+noise of a reading; without it the slope of a fitted line is biased towards zero.
 
 Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the sensor alone).
 """
@@ -77,7 +78,7 @@ INVERTED_TILT = 180 * DEGREE - TILT
 class Accelerations(NamedTuple):
     """Specific force on the accelerometer: along the input axis, µg, and along the table's normal, g."""
 
-    along: Float[Any, "n"]
+    input_axis: Float[Any, "n"]
     normal: Float[Any, "n"]
 
 

@@ -1,7 +1,4 @@
-"""Reference problem: a small model and test for checks of interval coverage and of the agreement of methods.
-
-The model is the baseline with narrower, proper priors, as for a recalibration.
-"""
+"""Reference problem: a small model and test for checks of interval coverage and of the agreement of methods."""
 
 from __future__ import annotations
 

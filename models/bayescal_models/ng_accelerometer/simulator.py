@@ -50,52 +50,52 @@ class Law(NamedTuple):
         return size * UNIT_FACTORS[self.unit] * self.curve(test)
 
 
-def _departure(w: Conditions) -> Array:
-    return w.device - w.plan.T0
+def _change(test: Conditions) -> Array:
+    return test.device - test.plan.T0
 
 
-def _quadratic_law(w: Conditions) -> Array:
+def _quadratic_law(test: Conditions) -> Array:
     """Return 2w²(cosh(ΔT/w) − 1), slightly more than ΔT², with w = `SATURATION_SCALE_DEGC`, °C²."""
-    return 2 * SATURATION_SCALE_DEGC**2 * (np.cosh(_departure(w) / SATURATION_SCALE_DEGC) - 1)
+    return 2 * SATURATION_SCALE_DEGC**2 * (np.cosh(_change(test) / SATURATION_SCALE_DEGC) - 1)
 
 
-def _cubic_law(w: Conditions) -> Array:
+def _cubic_law(test: Conditions) -> Array:
     """Return 6w³(sinh(ΔT/w) − ΔT/w), slightly more than ΔT³, with w = `SATURATION_SCALE_DEGC`, °C³."""
-    ratio = _departure(w) / SATURATION_SCALE_DEGC
+    ratio = _change(test) / SATURATION_SCALE_DEGC
     return 6 * SATURATION_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
 
 
-def _fixture_expansion(w: Conditions) -> Array:
+def _fixture_expansion(test: Conditions) -> Array:
     """Return the fixture's thermal expansion as an equivalent temperature change, °C; it is slightly nonlinear."""
-    change = w.fixture - w.plan.T0
+    change = test.fixture - test.plan.T0
     return change + BENDING_TEMPCO * change**2
 
 
-def _rotation_harmonics(w: Conditions) -> Array:
+def _harmonics(test: Conditions) -> Array:
     """Return the second and third harmonics of the rotation angle, with weaker fourth and fifth ones."""
-    waves = [wave(m * w.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
-    return sum(waves) + HARMONIC_AMPLITUDE * (np.cos(4 * w.angle) + np.sin(5 * w.angle))
+    waves = [wave(m * test.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
+    return sum(waves) + HARMONIC_AMPLITUDE * (np.cos(4 * test.angle) + np.sin(5 * test.angle))
 
 
-def _settlement(w: Conditions) -> Array:
+def _settlement(test: Conditions) -> Array:
     """Return the settlement of a foundation, exponential in time, from 0 to 1 over the test."""
-    return np.expm1(-2 * w.elapsed_fraction) / np.expm1(-2.0)
+    return np.expm1(-2 * test.elapsed_fraction) / np.expm1(-2.0)
 
 
-def _eccentricity_error(w: Conditions) -> Array:
+def _eccentricity_error(test: Conditions) -> Array:
     """Return the angle error of an eccentrically mounted divided circle, relative to its amplitude."""
     eccentricity = np.sqrt(2) * ARCSEC
-    angle = w.angle + np.pi / 4
+    angle = test.angle + np.pi / 4
     return np.arctan2(eccentricity * np.sin(angle), 1 + eccentricity * np.cos(angle)) / ARCSEC
 
 
-def _supply_deviation(w: Conditions) -> Array:
+def _overvoltage(test: Conditions) -> Array:
     """Return the supply voltage minus its nominal value, V."""
-    return w.supply - simulated.SUPPLY_V
+    return test.supply - simulated.SUPPLY_V
 
 
-def _ones(w: Conditions) -> Array:
-    return np.ones_like(w.time)
+def _ones(test: Conditions) -> Array:
+    return np.ones_like(test.time)
 
 
 def _random_law(
@@ -103,18 +103,19 @@ def _random_law(
 ) -> Callable[[Conditions], Array]:
     """Return a law with a standard normal deviate per cell or run, times `factor`; the effect's size is its sd."""
 
-    def curve(w: Conditions) -> Array:
-        return (w.cell_deviates[name] if group == "cell" else w.run_deviates[name]) * factor(w)
+    def curve(test: Conditions) -> Array:
+        deviates = test.cell_deviates if group == "cell" else test.run_deviates
+        return deviates[name] * factor(test)
 
     return curve
 
 
 _LAWS = {
     "bias.constant": Law("bias", "ug", _ones),
-    "bias.temperature": Law("bias", "ug", _departure),
+    "bias.temperature": Law("bias", "ug", _change),
     "bias.cell": Law("bias", "ug", _random_law("bias", "cell")),
     "scale.constant": Law("scale", "ppm", _ones),
-    "scale.temperature": Law("scale", "ppm", _departure),
+    "scale.temperature": Law("scale", "ppm", _change),
     "scale.cell": Law("scale", "ppm", _random_law("scale", "cell")),
     "fixture_tilt.constant": Law("fixture_tilt", "urad", _ones),
     "fixture_tilt.cell": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "cell")),
@@ -124,37 +125,42 @@ _LAWS = {
     "bias.temperature_cubic": Law("bias", "ug", _cubic_law),
     "scale.temperature_quadratic": Law("scale", "ppm", _quadratic_law),
     "scale.temperature_cubic": Law("scale", "ppm", _cubic_law),
-    "bias.drift": Law("bias", "ug", lambda w: np.log2(1 + w.elapsed_fraction)),  # ageing
-    "bias.warm_up": Law("bias", "ug", lambda w: w.warm_up_deficit),
+    "bias.drift": Law("bias", "ug", lambda test: np.log2(1 + test.elapsed_fraction)),  # ageing
+    "bias.warm_up": Law("bias", "ug", lambda test: test.warm_up_deficit),
     "bias.run": Law("bias", "ug", _random_law("bias", "run")),
     "scale.run": Law("scale", "ppm", _random_law("scale", "run")),
-    "bias.rate": Law("bias", "ug", lambda w: w.temperature_rate),
-    "bias.thermal_lag": Law("bias", "ug", lambda w: w.element - w.device),
-    "bias.temperature_x_lag": Law("bias", "ug", lambda w: _departure(w) * (w.element - w.device)),
-    "bias.supply": Law("bias", "ug", _supply_deviation),
-    "bias.temperature_x_supply": Law("bias", "ug", lambda w: _departure(w) * _supply_deviation(w)),
-    "bias.hysteresis": Law("bias", "ug", lambda w: w.direction),
+    "bias.rate": Law("bias", "ug", lambda test: test.temperature_rate),
+    "bias.thermal_lag": Law("bias", "ug", lambda test: test.element - test.device),
+    "bias.temperature_x_lag": Law(
+        "bias", "ug", lambda test: _change(test) * (test.element - test.device)
+    ),
+    "bias.supply": Law("bias", "ug", _overvoltage),
+    "bias.temperature_x_supply": Law("bias", "ug", lambda test: _change(test) * _overvoltage(test)),
+    "bias.hysteresis": Law("bias", "ug", lambda test: test.direction),
     "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture_expansion),
     "fixture_tilt.run": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "run")),
     "fixture_tilt.run_temperature": Law(
         "fixture_tilt", "urad", _random_law("fixture_tilt.temperature", "run", _fixture_expansion)
     ),
     "fixture_tilt.position": Law(
-        "fixture_tilt", "urad", lambda w: (w.fixture - w.plan.T0) * _rotation_harmonics(w)
+        "fixture_tilt", "urad", lambda test: (test.fixture - test.plan.T0) * _harmonics(test)
     ),
     "second_order": Law("second_order", "ug/mg^2", _ones),
     "third_order": Law("third_order", "ug/mg^3", _ones),
     "cross_coupling": Law("cross_coupling", "1/g", _ones),
-    "cross_coupling.temperature": Law("cross_coupling", "1/g", _departure),
+    "cross_coupling.temperature": Law("cross_coupling", "1/g", _change),
     "rotation.harmonic": Law("rotation", "arcsec", _eccentricity_error),
-    "rotation.wobble": Law("fixture_tilt", "arcsec", lambda w: _rotation_harmonics(w) + 0 * w.time),
+    "rotation.wobble": Law("fixture_tilt", "arcsec", lambda test: _harmonics(test) + 0 * test.time),
 }
 # Unit and laws of the base tilt components parallel and perp.
 _BASE_TILT_LAWS = {
     "base_tilt.constant": ("arcsec", (_ones, _ones)),
-    "base_tilt.lab_temperature": ("urad", 2 * (lambda w: w.foundation - w.plan.laboratory,)),
-    "base_tilt.temperature": ("urad", 2 * (lambda w: w.base - w.plan.T0,)),
-    "base_tilt.tide": ("nrad", (lambda w: w.tide[0], lambda w: w.tide[1])),
+    "base_tilt.lab_temperature": (
+        "urad",
+        2 * (lambda test: test.foundation - test.plan.laboratory,),
+    ),
+    "base_tilt.temperature": ("urad", 2 * (lambda test: test.base - test.plan.T0,)),
+    "base_tilt.tide": ("nrad", (lambda test: test.tide[0], lambda test: test.tide[1])),
     "base_tilt.drift": ("urad", (_settlement, _settlement)),
     "base_tilt.cell": (
         "urad",

@@ -118,13 +118,13 @@ def _beam_truth(test: Conditions) -> Truth:
     return Truth(test.average(bias), test.average(scale), test.average(frequencies))
 
 
-def _einstein(change: Array, T0: float) -> Array:
+def _einstein(test: Conditions) -> Array:
     """Return the energy of an Einstein oscillator minus its tangent at T0, scaled to ΔT² at small ΔT, °C²."""
 
     def energy(kelvin):
         return 1.0 / np.expm1(EINSTEIN_TEMPERATURE_K / kelvin)
 
-    at, step = T0 + KELVIN_OFFSET, 1.0
+    at, step, change = test.plan.T0 + KELVIN_OFFSET, 1.0, test.circuit - test.plan.T0
     slope = (energy(at + step) - energy(at - step)) / (2 * step)
     curvature = (energy(at + step) - 2 * energy(at) + energy(at - step)) / step**2
     return 2.0 * (energy(at + change) - energy(at) - slope * change) / curvature
@@ -139,35 +139,39 @@ def _leakage_difference(test: Conditions) -> Array:
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
         # tempco of a resistor in the drive circuit
-        "temperature_circuit": lambda w: w.circuit - w.plan.T0,
-        "temperature_circuit_quadratic": lambda w: _einstein(w.circuit - w.plan.T0, w.plan.T0),
+        "temperature_circuit": lambda test: test.circuit - test.plan.T0,
+        "temperature_circuit_quadratic": _einstein,
         "temperature_circuit_cubic": _leakage_difference,
         # strain of the mount by heat flow from circuit to head
-        "gradient": lambda w: w.delta,
+        "gradient": lambda test: test.delta,
         # bowing of a plate with a temperature gradient of either sign, which stiffens
-        "gradient_quadratic": lambda w: 2.0 * BOW**2 * (np.sqrt(1.0 + (w.delta / BOW) ** 2) - 1.0),
-        "gradient_cubic": lambda w: w.delta**3 / (1.0 + (w.delta / BOW) ** 2),
+        "gradient_quadratic": lambda test: (
+            2.0 * BOW**2 * (np.sqrt(1.0 + (test.delta / BOW) ** 2) - 1.0)
+        ),
+        "gradient_cubic": lambda test: test.delta**3 / (1.0 + (test.delta / BOW) ** 2),
         # strain of the circuit board by the heat flow into it: true temperature rate, °C/min
-        "rate_circuit": lambda w: w.circuit_rate,
-        "rate_head": lambda w: w.head_rate,
+        "rate_circuit": lambda test: test.circuit_rate,
+        "rate_head": lambda test: test.head_rate,
         # strain by heat flow, with a mismatch of thermal expansion that grows with temperature
-        "temperature_x_rate": lambda w: (w.head - w.plan.T0) * w.head_rate,
-        "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.delta,
+        "temperature_x_rate": lambda test: (test.head - test.plan.T0) * test.head_rate,
+        "temperature_x_gradient": lambda test: (test.head - test.plan.T0) * test.delta,
         # lag of the resonators behind the head's thermometer
-        "thermal_lag": lambda w: w.low_pass(w.head, LAG_TAU_S) - w.head,
-        "hysteresis": lambda w: simulated.stick_slip_strain(w.head),
+        "thermal_lag": lambda test: test.low_pass(test.head, LAG_TAU_S) - test.head,
+        "hysteresis": lambda test: simulated.stick_slip_strain(test.head),
         # error of the oscillators that decays during warm-up
-        "warm_up": lambda w: 1.0 - w.warm_up_fraction,
+        "warm_up": lambda test: 1.0 - test.warm_up_fraction,
         # ageing, logarithmic in time, 0 to 1 over the whole test
-        "drift": lambda w: np.log2(1.0 + w.time / w.time[-1]),
+        "drift": lambda test: np.log2(1.0 + test.time / test.time[-1]),
     }
 )
 """Laws of the deterministic effects on bias or scale factor, by name without the slot."""
 
 BIAS_LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
-        "bias.supply": lambda w: w.supply - SUPPLY_V,
-        "bias.temperature_x_supply": lambda w: (w.head - w.plan.T0) * (w.supply - SUPPLY_V),
+        "bias.supply": lambda test: test.supply - SUPPLY_V,
+        "bias.temperature_x_supply": lambda test: (
+            (test.head - test.plan.T0) * (test.supply - SUPPLY_V)
+        ),
     }
 )
 """Laws of the effects of the supply voltage, on the bias only."""
@@ -175,9 +179,11 @@ BIAS_LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
 RANDOM: Mapping[str, Callable[[Conditions, Mapping[str, Array]], Array]] = MappingProxyType(
     {
         # turn-on repeatability
-        "run": lambda w, draws: draws["run"][w.run],
+        "run": lambda test, draws: draws["run"][test.run],
         # settling of the fixture at each soak
-        "cell": lambda w, draws: np.where(w.cell >= 0, draws["cell"][np.maximum(w.cell, 0)], 0.0),
+        "cell": lambda test, draws: np.where(
+            test.cell >= 0, draws["cell"][np.maximum(test.cell, 0)], 0.0
+        ),
     }
 )
 """Laws of random effects: standard normal deviate of each reading's run or cell, by name without the slot."""
@@ -227,14 +233,7 @@ def simulated_columns(
 def true_values(
     campaign: Campaign, effects: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> Truth:
-    """Return the true bias, scale factor and frequency sum at each reading of a simulation, without noise.
-
-    Args:
-        campaign, effects, seed: arguments of `simulate`.
-
-    Raises:
-        ValueError: as `simulate`.
-    """
+    """Return true bias, scale factor and frequency sum at each reading of `simulate` with the same arguments."""
     return _truth(Conditions(campaign), dict(effects or {}), seed)[1]
 
 

@@ -73,22 +73,21 @@ class Conditions:
 
 
 _LAWS: dict[str, Callable[[Conditions], np.ndarray]] = {
-    "bias.constant": lambda w: np.ones_like(w.run_time),
-    "bias.temperature": lambda w: w.departure,
-    "bias.temperature_quadratic": lambda w: w.departure**2,
-    "bias.temperature_cubic": lambda w: w.departure**3,
-    "bias.temperature_quartic": lambda w: w.departure**4,
-    "bias.rate": lambda w: w.rate,
-    "bias.thermal_lag": lambda w: w.lag,
-    "bias.thermal_lag_slow": lambda w: w.low_pass(w.ambient, SLOW_TAU_S) - w.ambient,
-    "bias.temperature_x_lag": lambda w: w.departure * w.lag,
-    # sign of the temperature rate, with a lag
-    "bias.hysteresis": lambda w: w.low_pass(np.sign(w.rate), REVERSAL_TAU_S),
-    "bias.warm_up": lambda w: np.exp(-w.run_time / WARM_UP_S),
-    "bias.drift": lambda w: w.progress,
-    "bias.run": lambda w: w.turn_on,
-    "bias.supply": lambda w: w.supply - SUPPLY_V,
-    "bias.temperature_x_supply": lambda w: w.departure * (w.supply - SUPPLY_V),
+    "bias.constant": lambda test: np.ones_like(test.run_time),
+    "bias.temperature": lambda test: test.departure,
+    "bias.temperature_quadratic": lambda test: test.departure**2,
+    "bias.temperature_cubic": lambda test: test.departure**3,
+    "bias.temperature_quartic": lambda test: test.departure**4,
+    "bias.rate": lambda test: test.rate,
+    "bias.thermal_lag": lambda test: test.lag,
+    "bias.thermal_lag_slow": lambda test: test.low_pass(test.ambient, SLOW_TAU_S) - test.ambient,
+    "bias.temperature_x_lag": lambda test: test.departure * test.lag,
+    "bias.hysteresis": lambda test: test.low_pass(np.sign(test.rate), REVERSAL_TAU_S),
+    "bias.warm_up": lambda test: np.exp(-test.run_time / WARM_UP_S),
+    "bias.drift": lambda test: test.progress,
+    "bias.run": lambda test: test.turn_on,
+    "bias.supply": lambda test: test.supply - SUPPLY_V,
+    "bias.temperature_x_supply": lambda test: test.departure * (test.supply - SUPPLY_V),
 }
 
 
