@@ -35,10 +35,8 @@ def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
 def test_it_is_the_density_of_the_framework(instrument: str) -> None:
     """Differences between any two points, so that what is constant does not count."""
     module, readings = written_out(instrument)
-    own, program = (
-        module.model_arguments(readings),
-        bc.numpyro_program(module.equivalent_model(), readings),
-    )
+    own = module.model_arguments(readings)
+    program = bc.numpyro_program(module.equivalent_model(), readings)
     with jax.enable_x64(True):
         seeded = handlers.seed(module.model, 0)
         sites = handlers.trace(seeded).get_trace(**{**own, "output": None})

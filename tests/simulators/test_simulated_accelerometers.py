@@ -74,8 +74,9 @@ PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
 
 def test_groups_scatter_by_the_stated_spread() -> None:
     plan = replace(PLAN, runs=60, temperatures=(20.0, 40.0), pause=0.0, soak=600.0)
-    world = simulate_arrays(seed=5, campaign=plan).conditions
-    for draws, codes in ((world.cell_deviates["bias"], world.cell), (world.run_deviates["scale"], world.run)):
+    made = simulate_arrays(seed=5, campaign=plan).conditions
+    by_cell, by_run = made.cell_deviates["bias"], made.run_deviates["scale"]
+    for draws, codes in ((by_cell, made.cell), (by_run, made.run)):
         own = np.array([draws[codes == k, 0] for k in np.unique(codes)])
         assert (np.ptp(own, axis=1) == 0).all()
         assert own[:, 0].std() == pytest.approx(1.0, abs=0.25)
