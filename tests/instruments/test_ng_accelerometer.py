@@ -55,9 +55,8 @@ def test_small_angles_are_the_document_s() -> None:
     tilt = 0.45 * DEGREE
     angle = rng.uniform(0, 2 * np.pi, 50)
     fixture, parallel, perp = 1e-5 * rng.standard_normal((3, 50))
-    exact = resolve_gravity(
-        jnp.asarray(tilt), jnp.asarray(angle), fixture, parallel, perp
-    ).input_axis
+    angles = (jnp.asarray(tilt), jnp.asarray(angle), fixture, parallel, perp)
+    exact = resolve_gravity(*angles).input_axis
     small = 1e6 * (
         np.sin(tilt) * np.sin(angle)
         + fixture * np.cos(tilt)

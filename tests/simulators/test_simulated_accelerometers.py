@@ -66,9 +66,6 @@ def test_correlated_noise_is_as_large_as_the_white() -> None:
     assert np.std(wander["output"] - PLAIN["output"]) == pytest.approx(5.0, rel=0.5)
 
 
-# A simulated test of the ng accelerometer: its plan, what differs by chance, and the tide.
-
-
 PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
 
 
