@@ -7,7 +7,8 @@ are tested:
 
     model, readings = reference_problem.model(), reference_problem.readings()
 
-`reference_posterior.json` contains the posterior for `readings(seed=0)` from long NUTS runs.
+`reference_posterior.json` contains the posterior for `readings(seed=0)` from long NUTS runs. Some problems also have
+`simulate_effects(effects, seed)`, which simulates readings of a larger test with hidden effects, as `simulate` does.
 """
 
 INSTRUMENTS = (

@@ -34,8 +34,8 @@ def make_nuisance_effect(slot: str, size: float = SD_PPM, unit: str = "ppm") -> 
         slot,
         _assumption_indicator,
         coefficients=(bc.Coefficient(unit, bc.Normal(0.0, size)),),
-        equation="c,  by which local gravity differs from that assumed",
-        source="normal gravity of the Geodetic Reference System 1980, taken as rectangular (JCGM 100:2008)",
+        equation="c,  deviation of local gravity from the assumed value",
+        source="range of normal gravity (GRS 80) as a rectangular distribution (JCGM 100:2008)",
         untestable=_explain_stated_gravity,
     )
 

@@ -219,13 +219,19 @@ class ReferenceProblem(NamedTuple):
     Attributes:
         instrument: instrument of the problem.
         campaign: plan of its readings.
+        effect_plan: plan of readings with hidden effects, or a function of these effects.
     """
 
     instrument: bc.Instrument
     campaign: Any
+    effect_plan: Any
 
     def model(self) -> bc.Model:
         return self.instrument.baseline()
 
     def readings(self, seed: int = 0) -> bc.Measurements:
         return self.instrument.simulate(seed=seed, campaign=self.campaign)
+
+    def simulate_effects(self, effects: Mapping[str, float], seed: int) -> bc.Measurements:
+        plan = self.effect_plan(effects) if callable(self.effect_plan) else self.effect_plan
+        return self.instrument.simulate(effects, seed=seed, campaign=plan)

@@ -147,7 +147,7 @@ class Case:
     @property
     def hide(self) -> Callable[..., bc.Measurements]:
         """`hide(effects, seed=…)`: a campaign in which each candidate can show itself."""
-        return getattr(self.problem, "hidden", None) or self.instrument.simulate
+        return getattr(self.problem, "simulate_effects", None) or self.instrument.simulate
 
 
 def columns_of(calibration: bc.Calibration) -> dict[str, np.ndarray]:

@@ -92,11 +92,11 @@ INSTRUMENT = bc.Instrument(
     slots=(
         bc.Slot("bias", "ug", "K0"),
         bc.Slot("scale", "1", "κ, relative deviation of the scale factor K1"),
-        bc.Slot("zero", "rad", "ψ, added to θ: zero of the head, tilt of fixture and input axis"),
+        bc.Slot("zero", "rad", "ψ, added to θ: zero of the head, tilts of fixture and input axis"),
         bc.Slot("second_order", "ug/g^2", "K2"),
         bc.Slot("third_order", "ug/g^3", "K3"),
-        bc.Slot("cross_coupling", "ug/g^2", "Kip, with what acts along the pendulous axis"),
-        bc.Slot("gravity", "1", "relative deviation of local gravity from that assumed"),
+        bc.Slot("cross_coupling", "ug/g^2", "Kip, cross-coupling with the pendulous axis"),
+        bc.Slot("gravity", "1", "relative deviation of local gravity from the assumed value"),
     ),
     response=_response,
     effects=EFFECTS.baseline,
@@ -124,7 +124,7 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1293",
 )
 simulate = readings_simulator(INSTRUMENT)
-# 36 readings.
-reference_problem = ReferenceProblem(
-    INSTRUMENT, Campaign(positions=12, temperatures=(0.0, 25.0, 50.0))
-)
+# 36 readings; with hidden effects 360, with temperatures up and down in three mountings.
+SMALL_CAMPAIGN = Campaign(positions=12, temperatures=(0.0, 25.0, 50.0))
+EFFECT_CAMPAIGN = Campaign(temperatures=(-20.0, 25.0, 70.0, 25.0, -20.0), runs=3)
+reference_problem = ReferenceProblem(INSTRUMENT, SMALL_CAMPAIGN, EFFECT_CAMPAIGN)

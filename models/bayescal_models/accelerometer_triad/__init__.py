@@ -12,13 +12,13 @@ COLUMNS = (
     *triple(
         "output",
         "g",
-        "of axis {axis}, averaged in a pose",
+        "output of axis {axis}, averaged in a pose",
         ("accel_{axis}", "acc_{axis}", "a{axis}"),
     ),
     bc.Column(
         "magnitude",
         "g",
-        "of local gravity, in the unit of the outputs",
+        "local gravity in the unit of the outputs",
         default=1.0,
         low=0.9,
         high=1.1,
@@ -26,7 +26,7 @@ COLUMNS = (
     *triple(
         "direction",
         "1",
-        "of the specific force at rest (up), along axis {axis}, where known",
+        "specific force at rest (up) along axis {axis}, if known",
         required=False,
     ),
     *pose_columns("g"),

@@ -30,7 +30,7 @@ from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.catalogue import EffectTable
 from bayescal_models.simulated import ReferenceProblem, readings_simulator
-from bayescal_models.triad.campaign import Campaign
+from bayescal_models.triad.campaign import TWO_SESSIONS, Campaign
 from bayescal_models.triad.equation import (
     BIAS,
     CROSS,
@@ -115,5 +115,6 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
 simulate = readings_simulator(INSTRUMENT)
+EFFECT_CAMPAIGN = Campaign(**TWO_SESSIONS, pose_uncertainty=5e-4)  # with hidden effects
 # 24 poses in unknown directions at 0.5 mg.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign())
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(), EFFECT_CAMPAIGN)

@@ -8,8 +8,8 @@ from bayescal_models.supply import SUPPLY
 COLUMNS = (
     bc.Column("device", None, "label of the device"),
     bc.Column("group", None, "side of the arm", allowed=("outer", "inner")),
-    bc.Column("time", "s", "the same for every device"),
-    bc.Column("acceleration", "ug", "commanded, outward along the arm", low=0.0),
+    bc.Column("time", "s", "times common to all devices"),
+    bc.Column("acceleration", "ug", "commanded acceleration, outward along the arm", low=0.0),
     bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=250.0),
     SUPPLY,
     bc.Column("output", "ug", "output, or V with a nominal scale"),

@@ -31,7 +31,7 @@ DEPARTURE_SHARE_NAME = "departure.device.share"
 
 
 def order_sds() -> NDArray[np.float64]:
-    """Return the prior standard deviations of the orders of u, µg; the sum of their squares is 1 mg²."""
+    """Return the prior sds of the polynomial orders of the environment u, µg; their squares sum to 1 mg²."""
     falling = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
     return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
@@ -107,5 +107,5 @@ DEPARTURE = bc.Effect(
     weights=_departure_sds,
     columns=("device", "time"),
     equation="v[device](t) = Σ c_n[device]·P_n(t),  c_n ~ N(0, share·falling^n, normalised)",
-    source="ours: 5 % of the shared disturbance; size and spectrum learned",
+    source="ours: 5 % of the shared disturbance; size and spectrum estimated",
 )

@@ -135,11 +135,11 @@ INSTRUMENT = bc.Instrument(
     title="accelerometers in two opposed groups on a centrifuge: which two make a differential pair",
     columns=COLUMNS,
     slots=(
-        bc.Slot("bias", "ug", "output at no acceleration"),
+        bc.Slot("bias", "ug", "output at zero acceleration"),
         bc.Slot("scale", "1", "relative deviation of the scale factor"),
         bc.Slot("environment", "ug", "shared disturbance u(t)"),
         bc.Slot("sensitivity", "1", "sensitivity to the shared disturbance"),
-        bc.Slot("departure", "ug", "a device's own environment"),
+        bc.Slot("departure", "ug", "departure of a device's environment from the shared one"),
         bc.Slot("input", "1", "relative deviation of the acceleration at the device"),
         bc.Slot("timing", "s", "delay of the device"),
         bc.Slot("misalignment", "rad", "tilt of the input axis"),

@@ -11,11 +11,11 @@ COLUMNS = (
     *triple(
         "output",
         "deg/s",
-        "of axis {axis}, averaged while the rate is steady",
+        "output of axis {axis}, averaged at a steady rate",
         ("gyro_{axis}", "gyr_{axis}", "g{axis}", "w{axis}"),
     ),
-    bc.Column("rate", "deg/s", "of the table; 0 at rest", default=0.0),
-    *triple("direction", "1", "of the table's axis, along axis {axis} of the body", required=False),
+    bc.Column("rate", "deg/s", "rate of the table; 0 at rest", default=0.0),
+    *triple("direction", "1", "table axis along axis {axis} of the body", required=False),
     bc.Column(
         "pose_uncertainty",
         "rad",
@@ -24,15 +24,15 @@ COLUMNS = (
         low=0.0,
         high=1.0,
     ),
-    bc.Column("mounting", None, "readings that share that error", required=False),
+    bc.Column("mounting", None, "readings with the same mounting error", required=False),
     *triple(
         "gravity", "g", "specific force at rest (up), along axis {axis} of the body", required=False
     ),
-    *triple("earth", "deg/s", "rotation of the Earth, along axis {axis}", required=False),
+    *triple("earth", "deg/s", "Earth's rotation along axis {axis}", required=False),
     *derived_columns(
         "deg/s",
-        "which output a reading is of",
-        "which output a reading is of",
+        "sensing axis of a computed reading",
+        "axis of a computed reading",
         "one of the three outputs, or a mean over a move",
     ),
     *move_columns("deg/s"),

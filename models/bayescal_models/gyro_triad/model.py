@@ -11,7 +11,7 @@ readings about one axis do not determine its misalignments better than the uncer
 readings about one axis, in both directions, belong to one mounting; the column `mounting` states it otherwise, as for a
 table of two or three axes, where all readings belong to one.
 
-**Moves.** `bayescal.moves` integrates the outputs during a rotation (move) between two poses of accelerometers; a
+**Moves.** `moves` of bayescal integrates the outputs during a rotation (move) between two poses of accelerometers; a
 reading is their mean over the move, or a pose, along a direction a(t) fixed in the unit,
 
     y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
@@ -180,14 +180,14 @@ INSTRUMENT = bc.Instrument(
     columns=COLUMNS,
     slots=(
         *axis_slots("deg/s", "rate"),
-        *(bc.Slot(n, "s/deg", f"of axis {n[-1]}, times its own input squared") for n in SQUARE),
-        *(bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}") for n in TURN),
+        *(bc.Slot(n, "s/deg", f"second-order coefficient of axis {n[-1]}") for n in SQUARE),
+        *(bc.Slot(n, "rad", f"mounting error about axis {n[-1]}") for n in TURN),
         *(
-            bc.Slot(n, "deg/s/g", f"of axis {n[-2]} to the specific force along {n[-1]}")
+            bc.Slot(n, "deg/s/g", f"g-sensitivity of axis {n[-2]} to force along {n[-1]}")
             for n in G_SLOTS
         ),
         *(
-            bc.Slot(n, "deg/s", f"the Earth's rotation, along axis {n[-1]} of the first pose")
+            bc.Slot(n, "deg/s", f"Earth's rotation along axis {n[-1]} of the first pose")
             for n in EARTH_RATE
         ),
     ),
@@ -202,5 +202,7 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
 simulate = readings_simulator(INSTRUMENT)
-# Five rates in three mountings.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign(mountings=("x", "y", "z")))
+# Five rates in three mountings; with hidden effects six mountings over temperature.
+SMALL_CAMPAIGN = Campaign(mountings=("x", "y", "z"))
+EFFECT_CAMPAIGN = Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2)
+reference_problem = ReferenceProblem(INSTRUMENT, SMALL_CAMPAIGN, EFFECT_CAMPAIGN)

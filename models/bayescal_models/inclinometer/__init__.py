@@ -14,20 +14,18 @@ COLUMNS = (
     bc.Column(
         "placement_angle",
         "rad",
-        "from pendulum toward door attitude; the tilt of the other axis",
+        "ω from pendulum toward door attitude; the other axis' tilt",
         low=-math.pi,
         high=math.pi,
     ),
     bc.Column(
-        "true_angle", "rad", "known tilt (none: no tilt)", required=False, low=-1.6, high=1.6
+        "true_angle", "rad", "known tilt; no column: no tilt", required=False, low=-1.6, high=1.6
     ),
-    bc.Column(
-        "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=250.0
-    ),
+    bc.Column("temperature", "degC", "of the device", required=False, low=-273.15, high=250.0),
     SUPPLY,
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("direction", None, "of the sweep", required=False, allowed=("forward", "backward")),
-    bc.Column("output", "arcsec", "reading; at no tilt the zero offset", also=("zero_offset",)),
+    bc.Column("output", "arcsec", "reading; without tilt the zero offset", also=("zero_offset",)),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -74,7 +74,7 @@ class _Axis:
         return compensated
 
     def zero(self, cross: np.ndarray) -> Any:
-        """Compensate readings of zero: the resulting tilt is −S, independent of the scale factor."""
+        """Compensate readings of zero: the resulting tilt is minus the zero offset S, for any scale factor."""
         return self.tilt(0.0 * cross, cross)
 
 

@@ -17,8 +17,7 @@ Document: ω = y, and zero(ω) a line. S_e is not an angle of the axis and not m
 **One instrument, two tables.** *Zero test*: rows of `axis`, `run`, `placement_angle`, `output` (files may call it
 `zero_offset`), no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is affine. *Verification data*: two rows
 of each set-up, (axis x, true_angle x, placement_angle y, output of x) and the same for y. The column `true_angle`
-distinguishes the two.
-`output` is in arcsec, tilts in rad (files carry their own units).
+distinguishes the two. `output` is in arcsec, tilts in rad (files carry their own units).
 
 **Sign.** reading = truth + zero. Source 4's S is a *correction*: minus that.
 
@@ -40,6 +39,7 @@ Sizes are prior standard deviations for a first calibration, ours if no source i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -58,7 +58,7 @@ from bayescal_models.catalogue import (
     progress,
 )
 from bayescal_models.inclinometer import COLUMNS
-from bayescal_models.inclinometer.campaign import Campaign
+from bayescal_models.inclinometer.campaign import VERIFICATION, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle, sensed_sine
 from bayescal_models.inclinometer.simulator import simulated_columns
 from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
@@ -172,7 +172,7 @@ PLACEMENT_DIFFERENCE = _per_axis(
 )
 SPLINE = _per_axis(
     _spline_basis,
-    "natural cubic spline through departures from the line at −45°, −30° … 45°",
+    "natural cubic spline through deviations from the line at −45°, −30° … 45°",
     "placement_angle",
     parts=tuple(f"{k:g}" for k in np.rad2deg(KNOT_ANGLES_RAD).round()),
 )
@@ -300,6 +300,9 @@ INSTRUMENT = bc.Instrument(
 simulate = readings_simulator(INSTRUMENT)
 
 # ±45° by 15°, forward and backward, two mountings of each axis: 56 rows.
+TILT_EFFECTS = {"zero.electrical_tilt", "zero.exact_placement", "scale.constant"}
 reference_problem = ReferenceProblem(
-    INSTRUMENT, Campaign(angles=tuple(float(a) for a in range(-45, 46, 15)))
+    INSTRUMENT,
+    Campaign(angles=tuple(float(a) for a in range(-45, 46, 15))),
+    lambda effects: replace(VERIFICATION, runs=2) if TILT_EFFECTS & {*effects} else Campaign(),
 )

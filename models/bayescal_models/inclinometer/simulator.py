@@ -194,9 +194,7 @@ def simulated_columns(
     simulated.validate_effects(effects, _LAWS, "a test of the inclinometer")
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     test = Conditions(campaign, generators)
-    output = _output(test, effects) + campaign.noise * generators["noise"].standard_normal(
-        test.time.size
-    )
+    noise = campaign.noise * generators["noise"].standard_normal(test.time.size)
     columns: dict[str, Any] = {"device": test.device} if campaign.devices > 1 else {}
     columns |= {
         "axis": test.axis,
@@ -204,7 +202,7 @@ def simulated_columns(
         "placement_angle": test.placement_set,
         "time": test.time,
         "temperature": test.thermometer,
-        "output": output,
+        "output": _output(test, effects) + noise,
     }
     if simulated.needs_supply_column(effects):
         columns["supply_voltage"] = test.supply

@@ -8,15 +8,15 @@ from bayescal_models.triad.columns import SESSION, pose_columns, triple
 
 COLUMNS = (
     *SESSION,
-    *triple("output", "uT", "of axis {axis}, averaged in a pose", ("mag_{axis}", "m{axis}")),
+    *triple("output", "uT", "output of axis {axis}, averaged in a pose", ("mag_{axis}", "m{axis}")),
     bc.Column("magnitude", "uT", "of the local field", required=False, low=1.0, high=1000.0),
     bc.Column(
         "magnitude_read",
         "uT",
-        "of it as the outputs read it, where it is not known",
+        "magnitude measured by the outputs, if not known",
         required=False,
     ),
-    *triple("direction", "1", "of the field, along axis {axis}, where known", required=False),
+    *triple("direction", "1", "field direction along axis {axis}, if known", required=False),
     *pose_columns("uT"),
 )
 

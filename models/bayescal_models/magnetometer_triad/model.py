@@ -24,6 +24,7 @@ from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.magnetometer_triad.campaign import Campaign
 from bayescal_models.magnetometer_triad.simulator import simulated_columns
 from bayescal_models.simulated import ReferenceProblem, readings_simulator
+from bayescal_models.triad.campaign import TWO_SESSIONS
 from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, axis_slots, output_function
 from bayescal_models.triad.experiments import list_pose_experiments
 from bayescal_models.triad.families import (
@@ -88,5 +89,6 @@ INSTRUMENT = bc.Instrument(
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )
 simulate = readings_simulator(INSTRUMENT)
+EFFECT_CAMPAIGN = Campaign(**TWO_SESSIONS, pose_uncertainty=5e-4)  # with hidden effects
 # 40 readings in unknown directions at 0.3 µT.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign(poses=40))
+reference_problem = ReferenceProblem(INSTRUMENT, Campaign(poses=40), EFFECT_CAMPAIGN)

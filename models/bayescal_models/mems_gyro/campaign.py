@@ -66,7 +66,7 @@ class Campaign:
             time = getattr(self, name)
             raise_if(
                 abs(time / divisor - round(time / divisor)) > 1e-9,
-                f"Campaign({name}={time!r}): it has to be a multiple of {divisor:g} s.",
+                f"Campaign({name}={time!r}): give a multiple of {divisor:g} s.",
             )
 
     @property

@@ -165,4 +165,9 @@ simulate = readings_simulator(INSTRUMENT)
 
 
 # Over 30 to 80 °C, one reading a step: 44 rows.
-reference_problem = ReferenceProblem(INSTRUMENT, Campaign(average=300, runs=4))
+ON_TURNTABLE = Campaign(rate_input=(0.0, 100.0, -100.0))  # without it no scale factor is identified
+reference_problem = ReferenceProblem(
+    INSTRUMENT,
+    Campaign(average=300, runs=4),
+    lambda effects: ON_TURNTABLE if any("scale" in name for name in effects) else Campaign(),
+)

@@ -161,7 +161,6 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "bias.temperature_cubic": _cubic_law,
         # stress by heat flow into the package: its true temperature rate, °C/min
         "bias.rate": lambda test: 60.0 * (test.ambient - test.package) / PACKAGE_TAU_S,
-        # lag of the die behind the ambient thermometer
         "bias.thermal_lag": lambda test: test.lag(test.plan.lag_time),
         "bias.thermal_lag_slow": lambda test: test.lag(SLOW_TAU_S),
         # stress between package and die by a glue that softens with temperature
@@ -171,7 +170,6 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "bias.temperature_x_supply": lambda test: test.departure * (test.supply - SUPPLY_V),
         # linear tempco of the 1.2 V reference on the board
         "bias.reference_voltage": lambda test: test.board - test.plan.T0,
-        # error of the electronics that decays during self-heating
         "bias.warm_up": lambda test: 1.0 - test.low_pass(1.0 * test.powered, WARM_UP_S, start=0.0),
         "bias.drift": _drift_law,
         # turn-on repeatability: an offset at each power-on, of standard deviation 1

@@ -13,8 +13,8 @@ COLUMNS = (
     bc.Column("temperature", "degC", "the device's own thermometer", low=-273.15, high=250.0),
     bc.Column("lab_temperature", "degC", "of the laboratory", required=False, low=-50.0, high=60.0),
     SUPPLY,
-    bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
-    bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
+    bc.Column("position_angle", "rad", "θ, rotation angle of the face", low=-7.0, high=7.0),
+    bc.Column("tilt", "rad", "γ, tilt of the face", low=-3.2, high=3.2),
     bc.Column("output", "ug", "output, or V with the nominal scale"),
     ASSUMED_GRAVITY,
 )

@@ -19,11 +19,10 @@ Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_par
 γ2⊥, rad; `second_order` = K2, µg/mg²; `third_order` = K3, µg/mg³; `cross_coupling` = Kip, 1/g; `rotation`, added
 to θ, rad. A *cell* is a run × temperature point.
 
-An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of
-`base_tilt.constant[perp]`; both are kept, with a line each in the uncertainty budget, and together contribute
-√2·617 ppm to the uncertainty of the scale factor at 0.45°. Further aliases in a cell: bias with the fixture tilt,
-scale factor with γ2⊥ and with Kip, γ2∥ with `rotation`. Only priors, changes with time or laboratory temperature, or
-other set-ups separate them.
+An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of `base_tilt.constant[perp]`;
+both are kept, with a line each in the uncertainty budget, and together contribute √2·617 ppm to the uncertainty of the
+scale factor at 0.45°. Further aliases in a cell: bias with the fixture tilt, scale factor with γ2⊥ and with Kip, γ2∥
+with `rotation`. Only priors, changes with time or laboratory temperature, or other set-ups separate them.
 
 `base_tilt.temperature[perp]` is an exact alias of `scale.temperature`, `fixture_tilt.temperature` nearly one of
 `bias.temperature`: with them the uncertainty of these tempcos is that of their priors, for any number of readings.
@@ -219,7 +218,7 @@ CELL_EFFECT, BASE_CELL_EFFECT = (
     effect(one, *CELL_TERMS, **CELL_OPTIONS),
     _base(one, *CELL_TERMS, **CELL_OPTIONS),
 )
-SETTING = effect(one, "c, added to γ as γ2⊥ is", "tilt", slot="base_tilt_perp", varies=())
+SETTING = effect(one, "c, added to γ like γ2⊥", "tilt", slot="base_tilt_perp", varies=())
 LAG_EFFECT = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
 HYSTERESIS_EFFECT = effect(
     temperature_direction,
@@ -336,14 +335,14 @@ INSTRUMENT = bc.Instrument(
     slots=(
         bc.Slot("bias", "ug", "K0"),
         bc.Slot("scale", "1", "κ, relative deviation of the scale factor"),
-        bc.Slot("fixture_tilt", "rad", "γ1, of the input axis out of the face"),
-        bc.Slot("base_tilt_parallel", "rad", "γ2∥, of the base along θ = 0"),
-        bc.Slot("base_tilt_perp", "rad", "γ2⊥, of the base along θ = 90°"),
+        bc.Slot("fixture_tilt", "rad", "γ1, tilt of the input axis out of the face"),
+        bc.Slot("base_tilt_parallel", "rad", "γ2∥, tilt of the base along θ = 0"),
+        bc.Slot("base_tilt_perp", "rad", "γ2⊥, tilt of the base along θ = 90°"),
         bc.Slot("second_order", "ug/mg^2", "K2"),
         bc.Slot("third_order", "ug/mg^3", "K3"),
-        bc.Slot("cross_coupling", "1/g", "Kip, the pendulous axis along the face's normal"),
+        bc.Slot("cross_coupling", "1/g", "Kip, cross-coupling with the pendulous axis"),
         bc.Slot("rotation", "rad", "added to θ"),
-        bc.Slot("gravity", "1", "relative deviation of local gravity from that assumed"),
+        bc.Slot("gravity", "1", "relative deviation of local gravity from the assumed value"),
     ),
     response=_response,
     effects=EFFECTS.baseline,

@@ -168,7 +168,7 @@ def _lag_effect(start: float, unit: str, **fields: Any) -> Factory:
 CONSTANT = _factories(one, "c", along=None)
 BACKLASH = _factories(
     _backlash,
-    f"c·(t2 − s)/w,  s dragged along within ±w = {PLAY_DEGC:g} °C: the direction of the last change",
+    f"c·(t2 − s)/w,  s(t2) a play operator with |t2 − s| ≤ w = {PLAY_DEGC:g} °C",
     *("time", T2),
     untestable=partial(catalogue.missing_reversal, T2, PLAY_DEGC),
     along=None,
@@ -341,4 +341,5 @@ simulate = readings_simulator(INSTRUMENT)
 reference_problem = ReferenceProblem(
     INSTRUMENT,
     Campaign(temperatures=(-40.0, -10.0, 20.0, 45.0, 70.0), interval=600.0, soak=3600.0),
+    Campaign(),
 )

@@ -138,7 +138,6 @@ def _leakage_difference(test: Conditions) -> Array:
 
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
-        # tempco of a resistor in the drive circuit
         "temperature_circuit": lambda test: test.circuit - test.plan.T0,
         "temperature_circuit_quadratic": _einstein,
         "temperature_circuit_cubic": _leakage_difference,
@@ -155,10 +154,8 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         # strain by heat flow, with a mismatch of thermal expansion that grows with temperature
         "temperature_x_rate": lambda test: (test.head - test.plan.T0) * test.head_rate,
         "temperature_x_gradient": lambda test: (test.head - test.plan.T0) * test.delta,
-        # lag of the resonators behind the head's thermometer
         "thermal_lag": lambda test: test.low_pass(test.head, LAG_TAU_S) - test.head,
         "hysteresis": lambda test: simulated.stick_slip_strain(test.head),
-        # error of the oscillators that decays during warm-up
         "warm_up": lambda test: 1.0 - test.warm_up_fraction,
         # ageing, logarithmic in time, 0 to 1 over the whole test
         "drift": lambda test: np.log2(1.0 + test.time / test.time[-1]),

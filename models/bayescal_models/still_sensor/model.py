@@ -3,15 +3,13 @@
     bayescal calibrate imu.csv --instrument still_sensor --columns output=acc_x
         --unit acc_x=m/s^2 --columns time=t_s --unit t_s=s --unit temperature=degC
 
-Measurement equation, with the output in its logged unit (stored in µg, °/s, rad, °C, s, or base
-units):
+Measurement equation, with the output in its logged unit (stored in µg, °/s, rad, °C, s, or base units):
 
     output = bias
 
-One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line; the constant alone
-if the temperature was not recorded, or varied by less than a tenth of a degree.
-The true input is assumed constant: all changes are attributed to the sensor. Noise: white, of unknown
-size.
+One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line; the constant alone if
+the temperature was not recorded, or varied by less than a tenth of a degree. The true input is assumed constant: all
+changes are attributed to the sensor. Noise: white, of unknown size.
 
 Such a channel has no data sheet, so the plausible sizes are estimated from the record itself:
 an empirical choice, which uses the readings twice, though only for their orders of magnitude. Five
@@ -51,7 +49,7 @@ def _use_output(true_input, slots, r):
 
 
 CONSTANT_SOURCE = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
-SIZE_SOURCE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
+SIZE_SOURCE = "ours: {:g} of half the range of the record{}; empirical, as there is no data sheet"
 
 
 @cache  # equal settings give the same instrument object
@@ -125,7 +123,7 @@ def tailor_to_readings(readings: bc.Measurements, **settings: Any) -> bc.Instrum
     if not 1e-150 < size < 1e150:  # its square is finite
         column = next((s.output for s in readings.sources if s.output), "output")
         extent = f"{median:g} within ±{size:.3g}" if size > 0 else f"{median:g} throughout"
-        text = f"{readings.file}, column {column!r}: is {extent}, so that no size can be estimated"
+        text = f"{readings.file}, column {column!r} is {extent}, so that no size can be estimated"
         raise bc.InputError(f"{text}: choose another channel")
     span = 0.5 * float(np.ptp(readings["temperature"])) if readings.has("temperature") else 0.0
     sizes = {

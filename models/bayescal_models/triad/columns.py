@@ -56,18 +56,18 @@ def move_columns(unit: str) -> tuple[bc.Column, ...]:
     """Declare basis columns for outputs averaged over a rotation between poses, along an axis fixed in the sensor."""
     return (
         *(
-            bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)
+            bc.Column(n, unit, f"mean rate about {n[-1]} times component {n[-2]}", required=False)
             for n in MEAN_RATE
         ),
         *(
-            bc.Column(n, "g", f"force along {n[-1]}, by component {n[-2]}", required=False)
+            bc.Column(n, "g", f"mean force along {n[-1]} times component {n[-2]}", required=False)
             for n in MEAN_FORCE
         ),
         *(
-            bc.Column(n, f"({unit})^2", f"rate squared, by component {n[-1]}", required=False)
+            bc.Column(n, f"({unit})^2", f"rate squared times component {n[-1]}", required=False)
             for n in MEAN_SQUARED_RATE
         ),
-        *(bc.Column(n, "1", "of the Earth's rotation", required=False) for n in EARTH_RATE),
+        *(bc.Column(n, "1", "weight of Earth's rotation", required=False) for n in EARTH_RATE),
     )
 
 
@@ -77,15 +77,15 @@ def pose_columns(unit: str) -> tuple[bc.Column, ...]:
         bc.Column(
             "pose_uncertainty",
             "rad",
-            "standard uncertainty of that direction",
+            "standard uncertainty of the direction",
             required=False,
             low=0.0,
             high=1.0,
         ),
         *derived_columns(
             unit,
-            "of a reading that is a projection",
-            "which reading of a pose it is",
-            "magnitude or projection, made of the three outputs",
+            "direction of a projection",
+            "kind of computed reading",
+            "magnitude or projection of the three outputs",
         ),
     )

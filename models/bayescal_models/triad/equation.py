@@ -29,11 +29,8 @@ CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 def axis_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
     """Return the bias, scale factor and misalignment slots of three axes; `unit` is that of the outputs."""
     return (
-        *(bc.Slot(name, unit, f"output of axis {name[-1]} at no {input_name}") for name in BIAS),
-        *(
-            bc.Slot(name, "1", f"deviation of the scale factor of axis {name[-1]}")
-            for name in SCALE
-        ),
+        *(bc.Slot(name, unit, f"output of axis {name[-1]} at zero {input_name}") for name in BIAS),
+        *(bc.Slot(name, "1", f"scale factor deviation of axis {name[-1]}") for name in SCALE),
         *(
             bc.Slot(name, "rad", f"angle of axis {name[-2]} toward {name[-1]}")
             for name in (*UPPER, *LOWER)
@@ -45,15 +42,15 @@ def higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
     """Return the slots of second- and third-order terms; `unit` is that of the input and outputs."""
     return (
         *(
-            bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
+            bc.Slot(name, f"1/{unit}", f"second-order coefficient of axis {name[-1]}")
             for name in SQUARE
         ),
         *(
-            bc.Slot(name, f"1/{unit}", f"of axis {name[6]}, times {name[8]} and {name[9]}")
+            bc.Slot(name, f"1/{unit}", f"coefficient of axis {name[6]} of {name[8]}·{name[9]}")
             for name in CROSS
         ),
         *(
-            bc.Slot(name, f"1/{unit}^2", f"of axis {name[-1]}, times its own input cubed")
+            bc.Slot(name, f"1/{unit}^2", f"third-order coefficient of axis {name[-1]}")
             for name in CUBE
         ),
     )

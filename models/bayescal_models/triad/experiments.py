@@ -44,7 +44,7 @@ def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
 
 
 def list_pose_experiments(magnitude: float) -> tuple[tuple[str, Any], ...]:
-    """Return (description, columns) of the pose experiments, for an input of magnitude `magnitude`."""
+    """Return (description, columns) of the pose experiments, with inputs of this magnitude."""
     return (
         ("26 directions at 25 °C", partial(poses, magnitude, (25.0,))),
         ("26 directions at −20, 25 and 70 °C", partial(poses, magnitude, SOAK_DEGC)),

@@ -60,11 +60,8 @@ def _lag_columns(count: int, r: bc.Frame, tau: Any) -> Any:
 
 def explain_unknown_rotation(readings: bc.Measurements) -> str | None:
     """Return why readings do not identify a rotation of the triad in its body; None if they do."""
-    return (
-        None
-        if readings.has("across_x")
-        else "needs poses of known direction (direction_x, …, pose_uncertainty)"
-    )
+    text = "needs poses of known direction (direction_x, …, pose_uncertainty)"
+    return None if readings.has("across_x") else text
 
 
 def triad_rotation(slots: Sequence[str]) -> Factory:

@@ -127,12 +127,8 @@ def _simulate_poses(
     rng = np.random.default_rng(seed)
     rows_per_run = len(campaign.temperatures) * campaign.poses
     count = campaign.runs * rows_per_run
-    nominal = np.concatenate(
-        [
-            draw_directions(campaign.kind, campaign.poses, rng)
-            for _ in range(campaign.runs * len(campaign.temperatures))
-        ]
-    )
+    kind, sets = campaign.kind, range(campaign.runs * len(campaign.temperatures))
+    nominal = np.concatenate([draw_directions(kind, campaign.poses, rng) for _ in sets])
     angle = campaign.pose_uncertainty or 0.0
     force = campaign.magnitude * perturb(nominal, angle, rng)
     temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)

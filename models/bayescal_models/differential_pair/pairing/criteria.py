@@ -25,7 +25,7 @@ def fit_polynomial(time: Array, records: Array) -> Array:
 
 
 def ratio_variance(coefficients: Array, outer: int) -> Array:
-    """Return the variance over i of the ratios c_i(outer)/c_i(inner) of every pair, (…, outer, inner).
+    """Return the variance over i of c_i(outer)/c_i(inner), polynomial coefficients, of every pair, (…, outer, inner).
 
     Args:
         coefficients: c_i of each device, outer first, (…, K, 4).

@@ -25,7 +25,7 @@ MIN_RELATIVE_VARIATION = (
 
 @dataclass(frozen=True)
 class Ratio:
-    """Environment ratio λbd = λ1d/λ2d of a pair.
+    """Environment ratio λbd of a pair: the outer device's sensitivity λd over that of the inner one.
 
     Attributes:
         median, low, high: posterior median, and limits of the 95 % credible interval.
@@ -156,7 +156,7 @@ class PairTable:
         return "\n".join([*lines, "", *notes])
 
 
-def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
+def list_remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     """Return remarks on the reliability of a ranking of pairs, one sentence each.
 
     Args:
@@ -180,12 +180,12 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
         terms = ", ".join(f"order {n} of {name}" for name, n in near_zero[:4])
         remainder = f" and {len(near_zero) - 4} more" if len(near_zero) > 4 else ""
         sentences.append(
-            f"Denominators near zero: {terms}{remainder}. Such a ratio is heavy-tailed, without a finite mean, and "
-            "dominates the variance of ratios by its noise; the residual does not depend on it."
+            f"Ratios with denominators near zero: {terms}{remainder}. They are heavy-tailed, without a finite mean; "
+            "their noise dominates the variance of ratios; the residual does not depend on them."
         )
     sentences.append(
         "On raw records (P(raw)) the commanded acceleration dominates every order, so that the variance of ratios "
-        "favours insensitive pairs, whether they match or not: here "
+        "favours pairs of low sensitivity, matched or not: here "
         f"{raw_pair} ({raw_pair.expected_residual:.0f} µg)."
     )
     if np.ptp(commanded) <= MIN_RELATIVE_VARIATION * np.abs(commanded).max():
@@ -196,6 +196,6 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     if not best.environment_ratio.document_reliable:
         sentences.append(
             f"The environment ratio of {best} from sums over the record ({best.environment_ratio.document:.3g}) is "
-            "unreliable, because its denominator is near zero: use the posterior."
+            "unreliable, because its denominator is near zero: use the posterior median."
         )
     return tuple(sentences)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 import bayescal as bc
-from bayescal_models.differential_pair.pairing import criteria
+from bayescal_models.differential_pair.pairing import criteria, pair_table
 from bayescal_models.differential_pair.pairing.devices import Devices, devices_of
-from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable, Ratio, remarks
+from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable, Ratio
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> P
         ranked[0].names,
         _match_pairs(devices, scores, criterion),
         criterion,
-        remarks=remarks(ranked, devices.commanded),
+        remarks=pair_table.list_remarks(ranked, devices.commanded),
     )
 
 
