@@ -305,9 +305,6 @@ def _repeat_column(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
     return xp.broadcast_to(column, (r.size, count))
 
 
-# Basis functions.
-
-
 def progress(r: bc.Frame) -> Any:
     """Return the normalised time (t − t̄)/(tmax − tmin) of the readings, (n,)."""
     return r.progress

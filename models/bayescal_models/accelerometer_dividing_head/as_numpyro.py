@@ -2,7 +2,7 @@
 
 It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-Output y, µg, at the set angle θ and the temperature T:
+Output y, µg, with bias K0, scale factor deviation κ, their tempcos k0 and λ, set angle θ and zero ψ of the head:
 
     y = K0 + k0·(T − T0) + (1 + κ + λ·(T − T0))·g·sin(θ + ψ) + e,     e ~ N(0, σ²)
 """

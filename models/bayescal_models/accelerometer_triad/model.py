@@ -11,9 +11,9 @@ toward z, y toward z) in place of six. `misalignment.frame` has the other three,
 
 **What poses determine.** Nine coefficients need nine poses or more that do not all lie on a quadric other than the
 sphere: six positions determine bias and scale but no misalignment; poses in a plane leave the axis normal to it free;
-poses within 10° of level determine the bias of z less its scale and little else. Undetermined coefficients keep
-their prior standard deviation. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg,
-K3 of 1 mg/g³ beside the scale factor by less than 0.3 mg.
+poses within 10° of level determine little more than the difference of bias and scale of z. Undetermined coefficients
+keep their prior standard deviation. K2 and cross terms of 1 mg/g² change |f| by less than 0.5 mg, K3 of 1 mg/g³, after
+adjustment of the scale factor, by less than 0.3 mg.
 
 An unstated local gravity makes all three scale factors uncertain by a common factor (`magnitude.local_gravity`).
 

@@ -9,6 +9,7 @@ from .model import simulate as simulate
 from .pairing.devices import Devices as Devices
 from .pairing.devices import devices_of as devices_of
 from .pairing.measure import Measured as Measured
+from .pairing.measure import PairMeasurement as PairMeasurement
 from .pairing.measure import measure as measure
 from .pairing.pair_table import Pair as Pair
 from .pairing.pair_table import PairTable as PairTable

@@ -144,7 +144,7 @@ def _zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float],
 
 
 def _electrical_law(test: Conditions, size: float) -> _Terms:
-    """Return the contributions of an electrical zero: it is moved from the mechanical to the electrical zero."""
+    """Return the contributions of an electrical zero, by which the mechanical zero is smaller."""
     return _Terms(zero=-test.share * size, electrical=test.share * size)
 
 

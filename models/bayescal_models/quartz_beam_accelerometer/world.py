@@ -1,7 +1,7 @@
 """Coupled thermal model: the chamber's air drives circuit (Tc) and head (Th); self-heating h of the powered circuit.
 
     τ_c·dTc/dt = T_air + h·p(t) − Tc          p = 1 with power on, else 0
-    τ_h·dTh/dt = (1−k)·T_air + k·Tc − Th
+    τ_h·dTh/dt = (1−k)·T_air + k·Tc − Th      k: coupling of head and circuit
 
 Both temperatures, their rates and their difference are therefore correlated, as in a real sensor.
 Source: structure from source 2's two thermometers; equations and numbers ours.

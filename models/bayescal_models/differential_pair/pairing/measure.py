@@ -38,6 +38,9 @@ class PairMeasurement:
     ratio: float
 
 
+Measured = PairMeasurement  # the former name
+
+
 def measure(
     batch: bc.Calibration | Devices,
     outer: str,
