@@ -72,7 +72,7 @@ def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) 
 
 
 @pytest.mark.skipif(not run.can_hide(), reason="this system lets no user make namespaces")
-def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
+def test_tasks_cannot_be_found_by_an_entry(tasks: Path, tmp_path: Path) -> None:
     """Where namespaces are, an entry sees an empty folder in place of the tasks, whatever the name of the truth."""
     code = HONEST.replace("(): 0.5", f"(): 0.1 + len(__import__('os').listdir({str(tasks)!r}))")
     assert answer_of(tasks, tmp_path, code)["sets"] == [[[], 0.1]]

@@ -67,9 +67,7 @@ def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, t
 
 
 @pytest.mark.slow
-def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_users_own(
-    unit, tmp_path
-) -> None:
+def test_results_of_removed_channels_are_deleted_and_user_files_kept(unit, tmp_path) -> None:
     unit.save(tmp_path)
     (tmp_path / "weak" / "notes.txt").write_text("mine", encoding="utf-8")
     bc.Channels({"strong": unit.search_paths["strong"]}, unit.shared).save(tmp_path)

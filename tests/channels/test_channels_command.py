@@ -51,7 +51,7 @@ def test_channels_are_calibrated_saved_and_reported(folder: Path) -> None:
     (folder / "unit.html").read_text("utf-8")
 
 
-def test_a_channel_that_is_not_there_is_refused(folder: Path) -> None:
+def test_missing_channel_is_refused(folder: Path) -> None:
     ran = run(*command(folder), "--channels", "gyro_x,gyro_y", "--out", folder / "none")
     assert ran.status == 2
     assert not (folder / "none").exists()

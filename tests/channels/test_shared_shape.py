@@ -52,7 +52,7 @@ def enumerated(shared: SharedShape) -> dict[tuple[bool, ...], np.ndarray]:
     return found
 
 
-def test_the_unit_has_it_as_enumeration_says() -> None:
+def test_probability_for_the_unit_equals_enumeration() -> None:
     shared, found = three_channels(), enumerated(three_channels())
     with_it = sum(one.sum() for one in found.values())
     expected = with_it / (with_it + 1 - shared.prior)

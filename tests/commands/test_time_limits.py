@@ -255,7 +255,7 @@ def test_every_channel_is_there_without_time(unit, tmp_path) -> None:
     ],
     ids=lambda c: c[0],
 )
-def test_a_command_without_time_answers(command) -> None:
+def test_command_with_a_time_limit_of_zero_answers(command) -> None:
     done = run(*command, "--time-limit", NO_TIME, "--json")
     assert done.status in (0, 1) and done.data, done.err
 
@@ -264,7 +264,7 @@ def test_a_command_without_time_answers(command) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("at_a_terminal")
 @pytest.mark.parametrize("seconds", [0.4, 0.9, 1.4, 1.9])
-def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
+def test_ctrl_c_during_process_start(seconds: float, tmp_path) -> None:
     command = simulated(*CALIBRATED[0], tmp_path)
     done = ended(command, lambda since, _: since > seconds, tmp_path)
     left(done, tmp_path / "out", lambda out: {out: done.best.get("", "nothing to add")})
@@ -274,7 +274,7 @@ def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
 @pytest.mark.nightly
 @pytest.mark.usefixtures("at_a_terminal")
 @pytest.mark.parametrize(("number", "which", "kind"), [(i, *m) for i, m in enumerate(MOMENTS)])
-def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp_path) -> None:
+def test_last_checkpoint_is_returned_at_any_interruption(number, which, kind, tmp_path) -> None:
     command = simulated(*CALIBRATED[which], tmp_path)
     moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
     done = ended_at(moment, kind, command, tmp_path)
@@ -286,7 +286,7 @@ def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp
 @pytest.mark.usefixtures("at_a_terminal")
 @pytest.mark.parametrize("kind", ["limit", "ctrl-c"])
 @pytest.mark.parametrize("moment", [3.0, 8.0, 15.0, 25.0])
-def test_every_channel_is_left_at_any_moment(moment: float, kind: str, tmp_path) -> None:
+def test_every_channel_is_returned_at_any_interruption(moment: float, kind: str, tmp_path) -> None:
     names = [f"output_{i}" for i in range(6)]
     made = [still_sensor.simulate({HIDDEN: 8.0 * (i < 3)}, seed=i, runs=1) for i in range(6)]
     columns = {"time [s]": made[0]["time"], "temperature [degC]": made[0]["temperature"]}

@@ -27,7 +27,7 @@ SMALL_FIRST = slow_but(("mems_gyro", "inclinometer", "still_sensor"), INSTRUMENT
 CANONICAL = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 
 
-def test_the_instrument_is_where_it_is_looked_for(case: Case) -> None:
+def test_instrument_is_registered_under_its_name(case: Case) -> None:
     assert case.offered.name == case.name
     assert case.offered.simulator is not None
     shown = inspect.signature(case.module.simulate).parameters
@@ -46,7 +46,7 @@ def test_effects_have_canonical_names_equations_and_sources(case: Case) -> None:
         assert effect.source not in ("", "the user's own"), f"{effect.name} has no source"
 
 
-def test_the_data_sheet_names_no_effect_that_is_not_there(case: Case) -> None:
+def test_data_sheet_names_only_existing_effects(case: Case) -> None:
     sheet = sys.modules[f"bayescal_models.{case.name}.model"].__doc__
     assert sheet is not None
     files = (".py", ".json", ".csv", ".md")
@@ -60,7 +60,7 @@ def test_the_data_sheet_names_no_effect_that_is_not_there(case: Case) -> None:
     assert named <= known, f"on the data sheet, not in the model: {sorted(named - known)}"
 
 
-def test_the_same_seed_gives_the_same_readings_and_another_gives_others(case: Case) -> None:
+def test_readings_are_reproducible_by_seed(case: Case) -> None:
     laws = getattr(sys.modules.get(f"bayescal_models.{case.name}.simulator"), "NOISE_LAWS", ())
     for how in [{"noise_law": law} for law in laws] or [{}]:
         first, again, other = (case.module.simulate(seed=s, **how) for s in (7, 7, 8))
@@ -70,7 +70,7 @@ def test_the_same_seed_gives_the_same_readings_and_another_gives_others(case: Ca
         assert (first["output"] != other["output"]).mean() > 0.9
 
 
-def test_what_cannot_be_hidden_is_refused(case: Case) -> None:
+def test_unknown_hidden_effect_is_refused(case: Case) -> None:
     known = case.instrument.candidates[0].name
     with pytest.raises(ValueError):
         case.module.simulate({"no.such": 1.0}, seed=0)

@@ -125,7 +125,7 @@ def test_under_every_noise_law(law: str) -> None:
 
 
 @pytest.mark.slow
-def test_ten_megahertz_read_to_two_millihertz(tmp_path: Path) -> None:
+def test_offset_of_10_MHz_with_noise_of_2_mHz(tmp_path: Path) -> None:
     """Sampled, saved, loaded, predicted and compensated, in the readings' own numbers."""
     readings = still_sensor.simulate({"bias.temperature_quadratic": 0.3}, seed=1, interval=120)
     near = readings["output"] * 1e-4  # noise 2 mHz

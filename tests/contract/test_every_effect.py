@@ -29,13 +29,13 @@ def fitted(maker: str) -> bc.Calibration:
     return bc.fit(model + effect, readings(), bc.LeastSquares(draws=200))
 
 
-def test_every_maker_is_here() -> None:
+def test_every_effect_factory_is_tested() -> None:
     makers = {name for name, made in vars(effects).items() if callable(made)}
     assert makers - {"__loader__"} == set(MADE), "give an effect of each maker in every_effect.py"
 
 
 @pytest.mark.parametrize("maker", MADE)
-def test_it_is_fitted_printed_checked_saved_and_loaded(maker: str, tmp_path: Path) -> None:
+def test_effect_is_fitted_printed_checked_saved_and_loaded(maker: str, tmp_path: Path) -> None:
     c = fitted(maker)
     assert c.verdict.ok
     again = bc.load(c.save(tmp_path / "c.nc"), effects=EFFECTS)
@@ -55,7 +55,7 @@ def test_it_is_fitted_printed_checked_saved_and_loaded(maker: str, tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("maker", MADE)
-def test_it_is_compared_reported_and_exported(maker: str, tmp_path: Path) -> None:
+def test_effect_is_compared_reported_and_exported(maker: str, tmp_path: Path) -> None:
     c = fitted(maker)
     assert str(bc.compare({"line": fitted("constant"), "with it": c}))
     assert MADE[maker].name in bc.report(c, tmp_path / "report.html").read_text("utf-8")
@@ -67,7 +67,7 @@ def test_it_is_compared_reported_and_exported(maker: str, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("maker", MADE)
-def test_a_search_takes_it_or_says_why_not(maker: str) -> None:
+def test_search_includes_the_effect_or_states_why_not(maker: str) -> None:
     effect, line = MADE[maker], fitted("linear")
     if effect.name in line.model.names:
         pytest.skip("the baseline has one of that name")

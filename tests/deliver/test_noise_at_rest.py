@@ -71,7 +71,7 @@ def test_rounding_of_an_angle_is_quantisation_noise() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_is_a_tone_and_no_density() -> None:
+def test_spectral_line_is_a_tone_and_not_a_density() -> None:
     readings, frequency = still(14, n=3000, walk=0.0), 2.31  # Hz
     line = 0.004 * math.sqrt(2) * np.cos(2 * math.pi * frequency * readings["time"])
     found = bc.noise(readings.with_column("output", readings["output"] + line))
@@ -90,7 +90,7 @@ def test_a_bound_of_a_walk_is_that_of_all_sums_by_their_probability() -> None:
     assert K < symbol(found, "K").high / (3600 * 60) < 1.2 * K
 
 
-def test_a_walk_that_is_not_there_has_a_bound() -> None:
+def test_absent_random_walk_has_an_upper_bound() -> None:
     found = bc.noise(still(6, walk=0.0))
     assert found.law == "white"
     k = symbol(found, "K")
@@ -139,7 +139,7 @@ def test_intervals_hold_the_truth(count) -> None:
 
 
 @pytest.mark.slow
-def test_figures_are_those_of_the_filter() -> None:
+def test_noise_figures_equal_those_of_the_filter() -> None:
     """White noise and a walk under the same priors, fitted by the Kalman filter."""
     data = still(5)
     found = bc.noise(data)
@@ -293,7 +293,7 @@ def test_sensors_of_two_kinds_in_one_column_are_refused(tmp_path) -> None:
     assert done.status == 2 and "accelerometer" in done.err and not done.out
 
 
-def test_stamps_that_do_not_tell_are_refused(tmp_path) -> None:
+def test_unusable_time_stamps_are_refused(tmp_path) -> None:
     random = np.random.default_rng(8)
     path = tmp_path / "six.csv"
     rows = (f"1.73234e+09,{y:.6f}" for y in random.standard_normal(300))

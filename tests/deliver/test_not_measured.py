@@ -75,7 +75,7 @@ def test_nothing_is_decided_by_a_coefficient_that_is_its_prior(unturned, limit, 
     assert CANNOT in found.why and "scale.constant" in found.why
 
 
-def test_what_does_not_hang_on_it_is_decided(unturned) -> None:
+def test_quantities_independent_of_the_unmeasured_coefficient_are_decided(unturned) -> None:
     bias, reading = bc.decide(
         unturned, ["bias: 20..24 °/s", "corrected reading: ±1 °/s at rate_input = 0 °/s"]
     ).decisions
@@ -160,7 +160,7 @@ def test_a_fit_and_a_saved_fit_decide_nothing_where_their_check_fails(fit, saved
 @pytest.mark.parametrize(
     "asked", [("decide", "--limit", LIMIT), ("export", "--format", "c"), ("budget",)]
 )
-def test_commands_leave_with_1(saved, asked) -> None:
+def test_commands_exit_with_status_1(saved, asked) -> None:
     command, *options = asked
     done = run(command, saved, *options)
     assert done.status == 1 and DEPENDS in " ".join(done.out.split()) + done.err

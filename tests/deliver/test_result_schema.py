@@ -143,7 +143,7 @@ def test_every_key_is_documented_with_its_type(data: dict[str, Any]) -> None:
             assert isinstance(value, dict | list) or value is None, f"{path} is not documented"
 
 
-def test_what_the_values_mean(written: dict[str, Any]) -> None:
+def test_values_have_their_documented_meaning(written: dict[str, Any]) -> None:
     assert written["schema"] == "bayescal.result/2"
     assert written["reference"]["T0"] == 50.0
     assert written["fixed"] == KNOWN

@@ -79,7 +79,7 @@ def stranger(address: str, kind: str) -> str:
 
 
 @pytest.mark.nightly
-def test_a_stranger_on_this_computer_is_refused() -> None:
+def test_other_users_of_this_computer_are_refused() -> None:
     """One without keys, one who speaks plainly, and one who made keys of his own."""
     with cluster_of(1) as client:
         address = address_of(client)

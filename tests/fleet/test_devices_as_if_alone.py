@@ -32,7 +32,7 @@ def restricted(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray, float]:
     return covariance @ j.T @ y / sd**2, covariance, sd
 
 
-def test_each_device_is_as_if_it_were_alone(readings, result) -> None:
+def test_each_device_is_fitted_as_if_alone(readings, result) -> None:
     assert result.ok.all()
     for name in readings.names:
         x, covariance, sd = restricted(readings[name])

@@ -61,7 +61,7 @@ def test_the_noise_term_is_the_process_that_it_claims_to_be(hum, rng) -> None:
         assert term == pytest.approx(0.5 * weight @ even @ weight, rel=1e-9)
 
 
-def test_the_instrument_comes_back() -> None:
+def test_contributed_instrument_is_recovered() -> None:
     instrument = put_in("tilt_cell.py")["INSTRUMENT"]
     time = 60.0 * np.arange(240)
     columns = {"time": time, "temperature": 25 + 20 * np.sin(time / 2000), "output": np.cos(time)}

@@ -16,7 +16,7 @@ LINEAR, NONLINEAR = (nist_strd.certificates(kind) for kind in ("linear", "nonlin
     "name",
     [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in (*LINEAR, *NONLINEAR)],
 )
-def test_a_set_is_met_from_every_start(name) -> None:
+def test_certified_values_are_reproduced_from_every_start(name) -> None:
     found = nist_strd.fit_data_set(name)
     assert len(found) == (1 if name in LINEAR else 2)
     for one in found:
@@ -26,5 +26,5 @@ def test_a_set_is_met_from_every_start(name) -> None:
             assert one.converged and min(sd, residual_sd) >= DEVIATIONS, one
 
 
-def test_all_sets_are_there() -> None:
+def test_all_nist_data_sets_are_present() -> None:
     assert (len(LINEAR), len(NONLINEAR)) == (11, 27)

@@ -22,7 +22,7 @@ def folder(certified_data: Path) -> Path:
     "name",
     [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in posteriordb.PROBLEMS],
 )
-def test_a_reference_posterior_is_met(name, folder) -> None:
+def test_reference_posterior_is_reproduced(name, folder) -> None:
     fit, rows = posteriordb.compare(name, folder)
     assert fit.verdict.ok
     for row in rows:
@@ -30,5 +30,5 @@ def test_a_reference_posterior_is_met(name, folder) -> None:
         assert abs(row.ratio - 1) < row.ratio_allowed, row
 
 
-def test_every_reference_posterior_that_is_there_is_compared(folder) -> None:
+def test_every_stored_reference_posterior_is_compared(folder) -> None:
     assert {p.name for p in folder.iterdir() if p.is_dir()} == set(posteriordb.PROBLEMS)

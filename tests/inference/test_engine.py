@@ -297,7 +297,7 @@ def test_table_about_a_mode_is_the_density(case: str) -> None:
     ],
     ids=["white", "scatter", "wander"],
 )
-def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model) -> None:
+def test_cached_terms_are_equal_for_several_draws(monkeypatch, model: bc.Model) -> None:
     monkeypatch.setitem(CASES, "held", (model, PLAIN))
     a = assembled("held")
     mode = find_mode(a)
@@ -312,7 +312,7 @@ def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model
     np.testing.assert_allclose(found, -0.5 * np.array(sums), rtol=1e-9)
 
 
-def test_the_mode_is_the_top_of_the_density() -> None:
+def test_mode_maximises_the_density() -> None:
     a = assembled("gyro")
     mode = find_mode(a)
     density = Density(a, mode.x, mode.flat, mode.v)
@@ -345,7 +345,7 @@ def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
+def test_search_restarts_at_a_higher_maximum_found_by_draws() -> None:
     a = stepped(0.61)
     top, at = find_mode(a), [h.name for h in a.hypers].index("unknown(time, jump).place")
     low = find_mode(a, [np.where(np.arange(len(top.v)) == at, top.v - 0.5, top.v)])
@@ -366,7 +366,7 @@ def test_two_sided_proposals_are_drawn_by_their_density() -> None:
 
 
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
-def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
+def test_interpolated_columns_equal_computed_ones(tau: float) -> None:
     a = assembled("gyro")
     effect = ColumnSpec.from_effect(GYRO.effect("bias.thermal_lag"))
     v = np.array([effect.priors[0].coordinate(tau)])

@@ -149,7 +149,7 @@ def test_the_prior_of_a_promoted_coefficient_is_its_own(lever) -> None:
         assert prior[name].std() == pytest.approx(sd, rel=0.12)
 
 
-def test_a_slight_bend_is_put_right_by_the_weights() -> None:
+def test_importance_weights_correct_a_slight_nonlinearity() -> None:
     data = lever_readings(0.05, seed=1)
     found = bc.fit(LEVER.baseline(), data, bc.Marginal(promote=()))
     assert found.layout.promoted == ()
@@ -159,7 +159,7 @@ def test_a_slight_bend_is_put_right_by_the_weights() -> None:
 
 
 @pytest.mark.slow
-def test_without_promotion_the_weights_say_no_and_the_fallback_is_right(lever) -> None:
+def test_without_promotion_weights_are_rejected_and_the_fallback_is_right(lever) -> None:
     found = bc.fit(LEVER.baseline(), lever, bc.Marginal(promote=()))
     assert found.layout.promoted == ()
     assert found.verdict.sampler == "NUTS on whitened unknowns"
@@ -176,7 +176,7 @@ def test_long_nuts_agrees_with_the_grid(lever) -> None:
 
 
 @pytest.mark.slow
-def test_a_bent_model_falls_back_to_nuts_and_is_right(valve) -> None:
+def test_strongly_nonlinear_model_falls_back_to_nuts_and_is_right(valve) -> None:
     found = bc.fit(VALVE.baseline(), valve)
     assert found.verdict.sampler == "NUTS on whitened unknowns"
     assert any("too strong for the linearised posterior" in note for note in found.verdict.notes)
@@ -192,7 +192,7 @@ def test_a_bent_model_falls_back_to_nuts_and_is_right(valve) -> None:
     )
 
 
-def test_a_sum_alone_is_known_under_heavy_tails_too() -> None:
+def test_identified_sum_of_two_coefficients_under_heavy_tails() -> None:
     """Each of three constants keeps its prior's width in least squares, whatever the noise law.
 
     Steps along single coefficients, some of many times the noise, made 0.45 of the third one's 5.
@@ -241,7 +241,7 @@ def test_least_squares_of_what_is_not_linear_under_any_gaussian_noise(noise: str
 # Least squares where an estimate lies at an edge.
 
 
-def test_noise_that_is_best_at_zero_stays_a_number() -> None:
+def test_noise_estimate_at_zero_is_finite() -> None:
     """Readings of a wander without white noise beside it: the logarithm of that would go on for ever."""
     random, n = np.random.default_rng(3), 200
     time = 10.0 * np.arange(n)

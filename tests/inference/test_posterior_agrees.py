@@ -187,7 +187,7 @@ def test_laplace_evidence_is_near(least_squares, table) -> None:
 
 
 @pytest.mark.slow
-def test_evidence_says_its_own_error(table) -> None:
+def test_standard_error_of_the_evidence_is_right(table) -> None:
     few = bc.Marginal(draws=50, proposals=256, rounds=2)
     fits = [bc.fit(BASELINE, table, few, seed=seed, strict=False) for seed in range(100)]
     values, errors = np.array([fit.log_evidence for fit in fits]).T
@@ -216,7 +216,7 @@ def test_a_flat_prior_has_no_evidence(table) -> None:
 # Seeds and thinned likelihoods.
 
 
-def test_the_same_seed_gives_the_same_draws_and_another_gives_others(marginal, table) -> None:
+def test_draws_are_reproducible_by_seed(marginal, table) -> None:
     again, other = bc.fit(BASELINE, table), bc.fit(BASELINE, table, seed=1)
     for name in ("bias.constant", "bias.temperature", "noise.white"):
         np.testing.assert_array_equal(marginal.samples(name), again.samples(name))

@@ -55,7 +55,7 @@ def check(
     assert_uniform(ranks(made, truth))
 
 
-def test_uniform_numbers_leave_the_band_as_often_as_it_says() -> None:
+def test_band_has_its_stated_false_alarm_rate_for_uniform_ranks() -> None:
     limits, random = band(100, 0.05), np.random.default_rng(SEED)
     left = 0
     for _ in range(2000):
@@ -67,7 +67,7 @@ def test_uniform_numbers_leave_the_band_as_often_as_it_says() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["narrow", "wide", "shifted"])
-def test_the_band_notices_a_posterior_that_is_wrong(wrong: str) -> None:
+def test_band_detects_a_wrong_posterior(wrong: str) -> None:
     # The ranks, where the truth is normal and the posterior too narrow, too wide, or a third of an sd aside.
     truth = np.random.default_rng(SEED).standard_normal(400)
     scale, shift = {"narrow": (0.7, 0.0), "wide": (1.4, 0.0), "shifted": (1.0, 0.33)}[wrong]
@@ -134,7 +134,7 @@ def test_ranks_are_uniform(model: bc.Model, asked: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_a_wrong_noise_law_would_be_noticed() -> None:
+def test_ranks_detect_a_wrong_noise_law() -> None:
     # The noise that made the data is ten times as large as the priors of the fit allow.
     rough = BASELINE.with_noise(bc.White(bc.HalfNormal(1.0)))
     data, truth = drawn(rough, 40, PLAN, SEED)

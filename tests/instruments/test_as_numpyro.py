@@ -32,7 +32,7 @@ def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
 
 
 @pytest.mark.parametrize("instrument", slow_but(("mems_gyro",), SAME_LATENTS))
-def test_it_is_the_density_of_the_framework(instrument: str) -> None:
+def test_numpyro_model_has_the_density_of_the_equivalent_model(instrument: str) -> None:
     """Differences between any two points, so that what is constant does not count."""
     module, readings = written_out(instrument)
     own = module.model_arguments(readings)
@@ -73,7 +73,7 @@ def standard(name: str, value: Any, site: dict[str, Any]) -> tuple[str, Any]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
-def test_nuts_on_it_agrees(instrument: str) -> None:
+def test_nuts_on_the_numpyro_model_agrees(instrument: str) -> None:
     """Means within a tenth of a standard deviation, widths within a tenth, beside what draws of both scatter by.
 
     Widths are from the 16 % to the 84 % quantile: beside three runs of unknown spread a constant has a kurtosis of 20,

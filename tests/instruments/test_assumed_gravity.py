@@ -108,7 +108,7 @@ def test_a_file_in_g_beside_one_in_metres_per_second_squared(tmp_path: Path) -> 
 
 
 @needs_installation
-def test_the_commands_say_it_until_it_is_given(tmp_path: Path) -> None:
+def test_commands_report_unstated_gravity_until_it_is_given(tmp_path: Path) -> None:
     readings = accelerometer_triad.simulate(seed=3)
     outputs = 9.79 * np.stack([readings[f"output_{a}"] for a in AXES], axis=1)
     path = tmp_path / "poses.csv"

@@ -15,19 +15,19 @@ HIDDEN = {"second_order.constant": 20.0, "third_order.constant": 25.0, "zero.tem
 
 
 @pytest.mark.parametrize("name", slow_but(["second_order.constant"], list(HIDDEN)))
-def test_what_is_hidden_is_found(name: str) -> None:
+def test_hidden_effect_is_found(name: str) -> None:
     readings = head.simulate({name: HIDDEN[name]}, seed=3)
     found = bc.discover(bc.fit(head.INSTRUMENT.baseline(), readings, LS), widen_noise=False)
     assert name in {e.name for e in found.best}
 
 
-def test_nothing_is_found_where_nothing_is_hidden() -> None:
+def test_no_effect_is_found_where_none_is_hidden() -> None:
     line = bc.fit(head.INSTRUMENT.baseline(), head.simulate(seed=4), LS)
     found = bc.discover(line, widen_noise=False)
     assert not found.findings
 
 
-def test_off_the_head_what_acts_along_the_input_axis_is_what_is_asked_for() -> None:
+def test_correction_in_use_returns_the_input_axis_acceleration() -> None:
     readings = head.simulate(HIDDEN, seed=1)
     fitted = bc.fit(head.INSTRUMENT.baseline() + [*HIDDEN], readings, LS)
     made = bc.compensator(fitted)(readings)

@@ -65,12 +65,12 @@ def test_a_hidden_effect_is_found(name: str, size: Any) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_invented() -> None:
+def test_no_effect_is_invented() -> None:
     readings = gyro_triad.simulate(seed=4, campaign=THERMAL)
     assert not bc.discover(bc.fit(MODEL, readings)).best
 
 
-def test_what_is_corrected_counts_on_gravity() -> None:
+def test_corrected_rate_depends_on_gravity() -> None:
     readings = gyro_triad.simulate({"bias.g_sensitivity": 0.05}, seed=5, campaign=THERMAL)
     correct = bc.vector_correction(bc.fit(MODEL + "bias.g_sensitivity", readings))
     assert correct.beside == ("gravity_x", "gravity_y", "gravity_z")

@@ -29,7 +29,7 @@ def lines() -> bc.Calibration:
     return bc.fit(INSTRUMENT.baseline(), inclinometer.simulate(seed=0))
 
 
-def test_the_documents_lines_come_back(lines: bc.Calibration) -> None:
+def test_lines_of_the_source_are_recovered(lines: bc.Calibration) -> None:
     for place, axis in enumerate(lines.levels["axis"]):
         for name, true, sharp in zip(
             ("zero.constant", "zero.placement"), LINES[axis], (2.0, 0.015), strict=True
@@ -69,7 +69,7 @@ def test_a_projection_is_told_from_a_line_and_a_line_is_left(lines: bc.Calibrati
 
 
 @pytest.mark.slow
-def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
+def test_effects_not_testable_in_a_zero_test_are_reported(lines: bc.Calibration) -> None:
     found = bc.discover(lines)
     assert (found.nothing_missing or 0.0) > 0.5
     said = {c.effect: c for c in found.candidates}
@@ -177,7 +177,7 @@ def test_the_exact_law_inverts_the_equation(lines, table) -> None:
     )  # ω taken from an uncompensated reading
 
 
-def test_what_a_line_cannot_compensate_is_the_size_of_the_published_remainder(lines) -> None:
+def test_residual_of_line_compensation_has_the_published_size(lines) -> None:
     """S_e = 60″ and κ = 100 ppm leave 25″ and 21″ at 45°; source 4 publishes 31″ and 33″ after compensation."""
     electrical = Accelerometer(slope=0.72105, constant=2.6, electrical=60.0, scale=100.0)
     axes = (("x", electrical), ("y", replace(electrical, slope=0.06818, constant=36.3)))

@@ -51,7 +51,9 @@ def test_a_field_that_is_stated(field: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("field", slow_but(FIELDS[:1], FIELDS))
-def test_of_a_field_that_is_not_stated_ratios_are_measured(field: float, tmp_path: Path) -> None:
+def test_unstated_field_identifies_ratios_of_scale_factors_only(
+    field: float, tmp_path: Path
+) -> None:
     """The absolute scale is as uncertain as data sheets leave it; a direction is as sure as in a known field."""
     path = table(field, tmp_path)
     bc.read(path, INSTRUMENT)
@@ -76,7 +78,7 @@ def test_of_a_field_that_is_not_stated_ratios_are_measured(field: float, tmp_pat
 
 
 @pytest.mark.parametrize("field", slow_but(FIELDS[1:2], FIELDS))
-def test_a_field_that_is_stated_wrongly_is_said(field: float, tmp_path: Path) -> None:
+def test_wrongly_stated_field_is_reported(field: float, tmp_path: Path) -> None:
     wrong = 50.0 if field != 50.0 else 65.0
     correct = corrected(table(field, tmp_path, wrong))
     (_said,) = (note for note in correct.notes if "differ from nominal by one factor" in note)

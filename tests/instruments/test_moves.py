@@ -68,7 +68,7 @@ def test_a_move_without_noise_closes_at_the_true_gyroscopes() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
+def test_closure_residuals_are_white_with_the_stated_uncertainty() -> None:
     """Each pose ends one move and begins the next, and yet readings are independent of each other."""
     z = []
     for seed in range(8):
@@ -130,14 +130,14 @@ def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_invented_and_all_is_determined() -> None:
+def test_no_effect_is_invented_and_all_coefficients_are_identified() -> None:
     rows, _, calibration = calibrated()
     assert not bc.discover(calibration).best
     assert not bc.undetermined(gyro_triad.moved(), rows).add
 
 
 @pytest.mark.slow
-def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -> None:
+def test_independent_pose_errors_widen_the_gyroscopes_uncertainty() -> None:
     """Accelerometers whose outputs creep by 0.4 mg from pose to pose: angles of moves are known no better."""
     chi = []
     for seed in range(4):

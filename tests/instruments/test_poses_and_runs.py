@@ -136,7 +136,7 @@ def test_a_lag_counts_about_equilibrium() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> None:
+def test_effects_beyond_the_polynomial_widen_the_uncertainty() -> None:
     """Of a curve of x, found by a search, the correction holds the cubic part."""
     plan = Campaign(poses=14, temperatures=(-20.0, -5.0, 10.0, 25.0, 40.0, 55.0, 70.0))
     readings = accelerometer_triad.simulate(seed=2, campaign=plan)

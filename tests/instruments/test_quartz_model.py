@@ -159,7 +159,7 @@ def test_order_of_the_structures_on_held_out_ramps() -> None:
     assert 2 * error["two thermometers"] < error["frequency sum"]
 
 
-def test_hertz_become_micro_g_and_g_is_taken_at_the_door() -> None:
+def test_frequency_is_converted_to_micro_g() -> None:
     made = bc.Measurements.from_arrays(
         quartz.INSTRUMENT,
         units={"output": "Hz", "acceleration": "g"},

@@ -165,7 +165,7 @@ def test_known_directions_measure_the_frame_too() -> None:
 @pytest.mark.parametrize(
     "method", [bc.LeastSquares(), pytest.param(bc.Marginal(), marks=pytest.mark.slow)]
 )
-def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
+def test_unidentified_coefficients_keep_their_prior_sd(
     kind: str, told: list[str], not_told: list[str], method: Any
 ) -> None:
     """Of level poses the marginal method ends in chains."""
@@ -250,7 +250,7 @@ def raw_log(poses: int = 24, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.
     return np.arange(len(f)) / 100.0, f @ matrix.T + [0.012, -0.020, 0.035] + noise, force
 
 
-def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
+def test_static_segments_and_the_uncertainty_of_their_means() -> None:
     time, y, force = raw_log()
     found = still_stretches(time, y)
     mean = np.array([y[a:b].mean(axis=0) for a, b in zip(found.first, found.last, strict=True)])

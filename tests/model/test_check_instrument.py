@@ -65,7 +65,7 @@ def turned(label: str) -> bc.Effect:
 
 
 @pytest.mark.slow
-def test_all_that_is_declared_comes_back() -> None:
+def test_declared_effects_are_recovered() -> None:
     found = check(replace(GOOD, candidates=(*GOOD.candidates, turned("down"))))
     assert found.ok and not found.errors
     names = [row.name for row in found.rows]
@@ -107,13 +107,13 @@ def test_all_that_is_declared_comes_back() -> None:
     ],
     ids=["zero basis", "constant", "not finite", "fails", "off scale"],
 )
-def test_what_is_wrong_is_an_error(changed: dict, said: str) -> None:
+def test_wrong_declaration_is_an_error(changed: dict, said: str) -> None:
     found = check(replace(GOOD, **changed))
     assert not found.ok
     assert any(said in error for error in found.errors), found.errors
 
 
-def test_what_cannot_be_told_apart_is_noted() -> None:
+def test_confounded_effects_are_noted() -> None:
     twice = replace(GOOD.effects[0], name="zero.again")
     found = check(replace(GOOD, effects=(*GOOD.effects, twice), candidates=()))
     assert of(found, "zero.again").remark == "not identifiable here"
@@ -121,11 +121,11 @@ def test_what_cannot_be_told_apart_is_noted() -> None:
 
 
 @pytest.mark.slow
-def test_an_instrument_that_is_offered_passes() -> None:
+def test_registered_instrument_passes() -> None:
     found = bc.check_instrument(mems_gyro.INSTRUMENT)
     assert found.ok, found.errors
 
 
-def test_without_a_simulator_readings_are_asked_for() -> None:
+def test_missing_simulator_requires_readings() -> None:
     with pytest.raises(bc.ModelError, match="readings="):
         bc.check_instrument(GOOD)

@@ -110,7 +110,7 @@ def test_a_late_thermometer_is_found_by_its_delay() -> None:
     assert found["bias.temperature"][0] == pytest.approx(40.0, abs=2.0)
 
 
-def test_a_thermometer_that_is_right_has_neither() -> None:
+def test_correct_thermometer_has_neither_offset_nor_delay() -> None:
     readings = still_sensor.simulate(QUADRATIC, seed=3)
     found = fitted(readings, effects.thermometer_delay(60.0, source="none"))
     mean, sd = found["temperature.delay"]

@@ -12,7 +12,7 @@ from tests.support.made_up.humid_gyro import BASELINE, HUMIDITY, readings
 # Adding and taking away.
 
 
-def test_effects_are_added_and_taken_away_and_the_old_model_stays() -> None:
+def test_adding_and_removing_effects_leaves_the_old_model_unchanged() -> None:
     larger = BASELINE + ["bias.drift", HUMIDITY]
     assert larger == BASELINE + INSTRUMENT.effect("bias.drift") + HUMIDITY
     assert larger.names == ("bias.constant", "bias.temperature", "bias.drift", "bias.humidity")
@@ -58,7 +58,7 @@ def test_priors_and_shapes_out_of_range_are_refused() -> None:
         bc.Coefficient("deg/s", per="reading", group_sd=bc.HalfNormal(1.0))
 
 
-def test_fixed_unknowns_stay_where_they_are_put() -> None:
+def test_fixed_unknowns_keep_their_values() -> None:
     fixed = BASELINE.fix({"bias.temperature": 0.041, "noise.white": 0.1})
     found = bc.fit(fixed, readings(), bc.LeastSquares())
     posterior = found.tree["posterior"].to_dataset()
@@ -87,13 +87,13 @@ def test_freeing_undoes_fixing_one_or_all() -> None:
         *(("bias.thermal_lag.tau", -5.0), ("bias.run.group_sd", -1.0)),
     ],
 )
-def test_fixing_what_is_not_there_or_no_value_of_it_is_refused(name: str, value: float) -> None:
+def test_fixing_an_unknown_name_or_invalid_value_is_refused(name: str, value: float) -> None:
     with pytest.raises(bc.ModelError):
         (BASELINE + "bias.thermal_lag" + "bias.run").fix({name: value})
 
 
 @pytest.mark.parametrize("method", [bc.LeastSquares(), bc.Marginal()], ids=lambda m: m.name)
-def test_a_printed_calibration_can_be_looked_at_with_everything_fixed(method) -> None:
+def test_calibration_with_all_unknowns_fixed_is_printed(method) -> None:
     # Everything but the noise, as when a published line is checked against a table.
     fixed = BASELINE.fix({"bias.constant": 22.75, "bias.temperature": 0.041})
     found = bc.fit(fixed, readings(), method)

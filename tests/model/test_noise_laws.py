@@ -52,7 +52,7 @@ def log_density(
     return np.asarray(found)[: len(y)]
 
 
-def test_white_is_the_normal_of_scipy() -> None:
+def test_white_noise_density_equals_scipy_normal() -> None:
     y = np.linspace(-3, 3, 9)
     found = log_density(*LAWS["white"], y, 0.4)
     np.testing.assert_allclose(found, stats.norm.logpdf(y, 0.4, 0.3), rtol=1e-12)
@@ -73,7 +73,7 @@ def test_scatter_follows_a_column_and_stays_as_at_its_end_beyond_it() -> None:
     np.testing.assert_allclose(law.variance(arrays(values), beyond), sd[[0, -1]] ** 2, rtol=1e-12)
 
 
-def test_student_t_is_that_of_scipy() -> None:
+def test_student_t_density_equals_scipy() -> None:
     y = np.linspace(-3, 3, 9)
     found = log_density(*LAWS["student_t"], y, 0.4)
     np.testing.assert_allclose(found, stats.t.logpdf(y, 3.5, 0.4, 0.3), rtol=1e-10)
@@ -142,7 +142,7 @@ def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
         assert found[i] == pytest.approx(log_density(noise, alone, y[i : i + 1], 0.0)[0], rel=1e-10)
 
 
-def test_what_known_uncertainties_leave_is_the_noise(rng) -> None:
+def test_noise_excludes_known_uncertainties(rng) -> None:
     known = rng.uniform(0.0, 0.2, 300)
     data = readings(5 + np.hypot(known, 0.1) * rng.standard_normal(300), output_uncertainty=known)
     noise = bc.fit(CONSTANT, data).samples("noise.white")

@@ -38,7 +38,7 @@ def test_the_same_prior_in_both_words_has_the_same_posterior_and_another_is_kept
 @pytest.mark.parametrize(
     "prior", [dist.Laplace(), dist.Normal(np.zeros(2), 1.0), dist.Weibull(1, 2)]
 )
-def test_what_no_shape_takes_is_refused_with_what_it_takes(prior) -> None:
+def test_unsupported_prior_of_a_shape_is_refused_with_supported_ones(prior) -> None:
     with pytest.raises(bc.ModelError, match=r"^prior \w+: .+\. Coefficients take Normal"):
         lag(prior)
     with pytest.raises(bc.ModelError, match="coefficient"):

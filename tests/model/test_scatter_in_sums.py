@@ -69,7 +69,7 @@ def test_readings_are_whitened_by_the_dense_covariance(rng) -> None:
 
 
 @pytest.mark.slow
-def test_a_scatter_that_is_there_has_the_evidence_and_one_that_is_not_has_not() -> None:
+def test_evidence_favours_scatter_only_where_it_is_present() -> None:
     assert gain(recorded(2, SLOPE)) > 20
     assert max(gain(recorded(seed, 0.0)) for seed in (3, 4, 5)) < 0
 

@@ -97,7 +97,7 @@ def behind(readings: bc.Measurements, column: str, tau: float = 300.0) -> np.nda
 
 
 @pytest.mark.parametrize("line", RIGHT, ids=lambda line: line[:40])
-def test_a_formula_is_what_it_says(readings, line) -> None:
+def test_formula_evaluates_to_its_expression(readings, line) -> None:
     by_hand, shapes = RIGHT[line]
     made = bc.effect(line, readings=readings, instrument=GYROSCOPE)
     frame = frame_of(readings)
@@ -114,7 +114,7 @@ def test_a_formula_is_what_it_says(readings, line) -> None:
     assert again == made and hash(again) == hash(made)
 
 
-def test_the_slot_is_the_one_that_the_units_fit(readings) -> None:
+def test_slot_is_inferred_from_units(readings) -> None:
     def slot(line: str) -> str:
         return bc.effect(line, readings=readings, instrument=GYROSCOPE).slot
 
@@ -122,7 +122,7 @@ def test_the_slot_is_the_one_that_the_units_fit(readings) -> None:
     assert slot("own: k * T; k = 1 dps/degC") == "bias"
 
 
-def test_what_is_not_said_of_a_size_the_readings_say(readings) -> None:
+def test_unstated_size_is_estimated_from_readings(readings) -> None:
     made = bc.effect("supply: s * (supply_voltage - 5)", readings=readings, instrument=GYROSCOPE)
     (own,) = made.coefficients
     spread = np.std(readings["output"]) / np.std(readings["supply_voltage"])
@@ -143,7 +143,7 @@ REFUSED = (
 )  # fmt: skip
 
 
-def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings) -> None:
+def test_invalid_formula_is_refused_with_position_marked(readings) -> None:
     told = {}
     for line in REFUSED:
         with pytest.raises(bc.InputError) as refused:

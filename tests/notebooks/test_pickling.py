@@ -85,7 +85,7 @@ def summary_of(content: bytes) -> tuple[str, str, int]:
 
 
 @pytest.mark.slow
-def test_in_a_process_that_never_saw_it(calibration) -> None:
+def test_results_unpickle_in_a_new_process(calibration) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         there, fitted, size = pool.apply(summary_of, (pickle.dumps(calibration),))
     assert there == identity_of(calibration)

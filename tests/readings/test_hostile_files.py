@@ -119,7 +119,7 @@ READ = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_it_is_read_right(put, name):
+def test_hostile_file_is_read_correctly(put, name):
     content, options, left_out = READ[name]
     is_right(bc.read(put(content), GYRO, **options), left_out)
 

@@ -32,7 +32,7 @@ def test_all_problems_stand_in_one_list_and_its_options_cure_them(tmp_path: Path
     assert again.status == 0, again.err
 
 
-def test_what_was_said_once_is_kept_for_the_next_file(tmp_path: Path) -> None:
+def test_mapping_is_reused_for_the_next_file(tmp_path: Path) -> None:
     path, mapping = tmp_path / "lab.csv", tmp_path / "lab.toml"
     path.write_text(UNNAMED)
     said = ("--columns", "output=gyro z", "--unit", "gyro z=dps", "--unit", "time=s")

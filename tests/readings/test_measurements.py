@@ -71,7 +71,7 @@ def readings(draw) -> dict:
 )
 @given(made=readings())
 @example(made={"output": [1e308, -1e308, 1e308], "angle": [-1.7e308, 1.7e308, 0.0]})
-def test_what_was_written_is_read_again(tmp_path, made):
+def test_written_readings_are_read_back(tmp_path, made):
     m = bc.Measurements.from_arrays(SCALE, humidity=0.4, units={"humidity": "1"}, **made)
     path = m.write(tmp_path / "t.csv")
     same(bc.read(path, SCALE), m)

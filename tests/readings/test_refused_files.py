@@ -67,7 +67,7 @@ def refusal(path, **options) -> str:
     return str(refused.value)
 
 
-def test_what_cannot_be_used_is_refused(put, tmp_path) -> None:
+def test_unusable_file_is_refused(put, tmp_path) -> None:
     told: dict[str, str] = {}
     for text in [*HEADERS, *(GOOD + row + "\n" for row in CELLS), *CONTENTS, *OTHERS]:
         told[repr(text)] = refusal(put(text))

@@ -77,7 +77,7 @@ def test_a_temperature_is_absolute_and_a_difference_is_not():
         ("ppm/degC", "ppm/°C", "ppm*degC^-1"),
     ],
 )
-def test_people_spell_units_in_many_ways(spellings):
+def test_alternative_spellings_of_units_are_parsed(spellings):
     for spelling in spellings:
         parse(spelling)
         assert same_dimension(spelling, spellings[0])

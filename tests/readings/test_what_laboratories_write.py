@@ -130,7 +130,7 @@ def test_labels_are_known_by_their_names_and_values(put, head, ours) -> None:
     assert found.groups(ours)[0] == ("0", "1", "2")
 
 
-def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
+def test_cycle_column_without_labels_is_no_group(put) -> None:
     for values in (STEPS / 7, np.arange(60)):
         found = bc.read(put(at_rest(**{"time [s]": STEPS, "Cycle": values})), STILL)
         assert not found.has("run") and any("Cycle" in flag for flag in found.flags)

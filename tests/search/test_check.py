@@ -38,12 +38,12 @@ def test_a_product_of_two_covariates_is_named_as_such(readings) -> None:
     assert first.log_bayes_factor > max(alone[name] for name in first.against)
 
 
-def test_nothing_is_said_of_pairs_where_there_is_nothing(readings) -> None:
+def test_no_product_is_reported_where_there_is_none(readings) -> None:
     found = bc.check(fitted(readings))
     assert all(p.log_bayes_factor < 3 for p in found.pairs)
 
 
-def test_the_run_that_stands_apart_is_named(readings) -> None:
+def test_outlying_run_is_named(readings) -> None:
     levels, codes = readings.groups("run")
     apart = readings.with_column("output", readings["output"] + 2 * NOISE * (codes == 1))
     entry = next(e for e in bc.check(fitted(apart)).entries if e.against == "run")

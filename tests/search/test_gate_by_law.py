@@ -108,7 +108,7 @@ def codes(readings: bc.Measurements) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_noise_that_took_a_kink_shuts_the_gate(seed: int) -> None:
+def test_kink_absorbed_by_noise_fails_acceptance(seed: int) -> None:
     assert "noise.describes" in codes(snapping(seed, 0.12))
 
 

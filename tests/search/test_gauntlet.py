@@ -34,13 +34,13 @@ def cases() -> list:
 
 
 @pytest.mark.parametrize("name", cases())
-def test_a_spoilt_record_is_answered_rightly_or_said_to_be_spoilt(name: str) -> None:
+def test_faulty_record_is_answered_correctly_or_flagged(name: str) -> None:
     row = judged(GYRO, KINDS[name], SEED)
     found = {key: row.get(key) for key in ("added", "noise", "error", "due", "stated", "says")}
     assert row["verdict"] in ("right", "said"), f"{found}, {furthest(row)}"
 
 
-def test_what_is_not_spoilt_is_answered_rightly_and_without_a_word() -> None:
+def test_sound_record_is_answered_correctly_without_flags() -> None:
     row = judged(GYRO, KINDS["nothing"], SEED)
     assert row["verdict"] == "right"
     assert row["ok"]

@@ -37,7 +37,7 @@ def runs() -> bc.Calibration:
     return fitted(readings)
 
 
-def test_an_ordinary_fit_trips_none(line: bc.Calibration, runs: bc.Calibration) -> None:
+def test_ordinary_fit_passes_all_guards(line: bc.Calibration, runs: bc.Calibration) -> None:
     assert judgement.conflicts(Subject(line)) == []
     assert judgement.conflicts(Subject(runs)) == []
 
@@ -52,7 +52,7 @@ def write_off(path) -> Any:
 
 
 @needs_installation
-def test_readings_against_the_prior_leave_with_1(tmp_path) -> None:
+def test_conflict_with_the_prior_gives_exit_status_1(tmp_path) -> None:
     done = run("fit", write_off(tmp_path / "off.csv"), *GYRO, *QUICK, "--json")
     assert done.status == 1
     assert done.data["verdict"]["ok"] is False
@@ -154,7 +154,7 @@ def codes(found: Any) -> set[str]:
     return {claim.code for claim in found.claims}
 
 
-def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
+def test_indefinite_hessian_fails_acceptance(line) -> None:
     assert judgement.multimodality(line) == []
     mended = replace(line, mode=line.mode._replace(indefinite=True))
     (reason,) = judgement.multimodality(mended)
@@ -174,7 +174,7 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
         ),
     ],
 )
-def test_a_step_that_does_harm_shuts_the_gate(line, first, last, code) -> None:
+def test_harmful_step_fails_acceptance(line, first, last, code) -> None:
     assert code in codes(assess_last(steps(line, first, last)))
     nearly = {
         k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
@@ -213,13 +213,13 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
         ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
 )
-def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], code: str) -> None:
+def test_acceptance_uses_the_residual_check(line, what: dict[str, Any], code: str) -> None:
     (only, _) = steps(line, {}, {})
     only.check = SimpleNamespace(**{**vars(only.check), **what})
     assert code in codes(assess_last([only]))
 
 
-def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
+def test_too_small_uncertainty_of_hold_out_data_fails_acceptance(line) -> None:
     found = SimpleNamespace(p=0.5, ratio=1.0, scatter=2.5, coefficient="bias.temperature")
     kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(contradiction=found)}
     (_, step) = steps(line, {}, kept)
@@ -232,7 +232,7 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
 
 
 @pytest.mark.parametrize("between", [True, False])
-def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(between: bool) -> None:
+def test_step_between_runs_fails_acceptance_and_one_within_a_run_does_not(between: bool) -> None:
     readings = mems_gyro.simulate({}, seed=1, campaign=mems_gyro.Campaign(average=60))
     time, later = readings["time"], readings["run"] != readings["run"][0]
     begins = time[later].min() if between else np.quantile(time[~later], 0.7)
@@ -245,7 +245,7 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_readings_of_two_devices_shut_the_gate_where_no_spread_has_a_name(named: bool) -> None:
+def test_readings_of_two_devices_without_group_effect_fail_acceptance(named: bool) -> None:
     """A noise that wanders takes up how far they are apart, and so does the state in which a run begins."""
     readings = mems_gyro.simulate({}, seed=1, campaign=mems_gyro.Campaign(average=60))
     model = INSTRUMENT.for_readings(readings).baseline().with_noise(bc.OrnsteinUhlenbeck(60.0, 1e5))

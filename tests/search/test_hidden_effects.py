@@ -90,7 +90,7 @@ def test_every_candidate_hidden_in_turn(name: str, seed: int) -> None:
     hidden_and_found(name, seed)
 
 
-def test_nothing_hidden_nothing_added() -> None:
+def test_no_effect_is_added_where_none_is_hidden() -> None:
     trail = search({}, 21, mems_gyro.Campaign())
     assert [step.added for step in trail.steps] == [None]
     discovery = trail.final.discovery
@@ -109,7 +109,7 @@ def test_two_hidden_effects_are_both_found() -> None:
     assert trail.final.holdout_rmse <= 1.05 * true_error
 
 
-def test_an_effect_outside_the_catalogue_is_not_explained_away_in_silence() -> None:
+def test_effect_outside_the_catalogue_is_reported() -> None:
     """Humidity acts and is recorded, but no candidate knows it: the check must name it."""
     readings = mems_gyro.simulate({"unlisted.humidity": 0.04}, seed=51)
     first = bc.check(bc.fit(INSTRUMENT.baseline(), readings))

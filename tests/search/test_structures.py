@@ -65,7 +65,7 @@ LONG = [pytest.param(truth, FEW, marks=pytest.mark.slow) for truth in ({}, {"the
 @pytest.mark.parametrize(
     ("truth", "few"), [*LONG, pytest.param(SEVERAL, FEW[:4], marks=pytest.mark.slow)]
 )
-def test_the_walk_finds_what_enumeration_finds(
+def test_beam_search_finds_what_enumeration_finds(
     truth: dict[str, float], few: tuple[str, ...]
 ) -> None:
     readings = hidden(7, **truth)
@@ -100,7 +100,7 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
 
 
-def test_what_cannot_be_told_apart_is_one_finding() -> None:
+def test_confounded_effects_are_one_finding() -> None:
     readings = hidden(5, thermal_lag=0.03)
     twin = dataclasses.replace(INSTRUMENT.effect("bias.thermal_lag"), name="bias.twin")
     made = structures(readings, effects=(twin,))
@@ -177,7 +177,7 @@ def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
 
 
-def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
+def test_evidence_gain_of_a_law_on_residuals_equals_that_of_a_refit() -> None:
     for seed in (5, 6):
         made = structures(hidden(seed))
         base = made.evaluate(Structure())

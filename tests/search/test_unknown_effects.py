@@ -37,7 +37,7 @@ GIVEN = ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.r
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", slow_but(["bias.rate"], GIVEN))
-def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
+def test_effects_of_the_given_model_beyond_the_baseline_are_evaluated_again(
     trail: bc.SearchPath, name: str
 ) -> None:
     """A search that begins with it ends as one that does not, whether it belongs there or not, and says so."""
@@ -61,7 +61,7 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> Non
     assert found.unit == "deg/s"
 
 
-def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
+def test_unknown_effect_has_prior_uncertainty_far_outside_the_fit() -> None:
     readings = mems_gyro.simulate(HUMID, seed=1)
     far = readings.with_column("humidity", readings["humidity"] + 10.0)
     frame = frame_of(far, constants_of(readings))
@@ -112,7 +112,7 @@ WHAT = {
 
 
 @pytest.mark.parametrize("form", slow_but(["jump", "peak"], WHAT))
-def test_it_is_found_where_it_is(form: str) -> None:
+def test_unknown_effect_is_located(form: str) -> None:
     readings = mems_gyro.simulate({}, seed=5)
     output = readings["output"] + WHAT[form](readings["temperature"])
     readings = readings.with_column("output", output, readings.unit("output"))
@@ -170,7 +170,7 @@ def cycled() -> bc.SearchPath:
 
 
 @pytest.mark.slow
-def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath) -> None:
+def test_jump_is_found_with_its_position_and_height(jumped: bc.SearchPath) -> None:
     final = jumped.final.calibration
     assert [s.added for s in jumped.steps if s.added] == ["unknown(time, jump)"]
     at = part_of_the_record(final.readings)

@@ -116,7 +116,7 @@ def test_another_host_is_refused(server: Server) -> None:
 
 @pytest.mark.nightly
 @needs_installation
-def test_no_page_from_elsewhere_may_read_what_is_served(server: Server) -> None:
+def test_pages_of_other_origins_cannot_read_the_served_page(server: Server) -> None:
     server.ready()
     asked = "autoload.js?bokeh-autoload-element=x&bokeh-app-path=/&bokeh-absolute-url=/"
     for method in ("GET", "OPTIONS"):
@@ -169,7 +169,7 @@ def test_browser_arguments_hold_no_secret(campaign: Campaign, tmp_path: Path) ->
 @pytest.mark.nightly
 @needs_installation
 @needs_proc
-def test_it_listens_on_this_computer_alone(server: Server) -> None:
+def test_server_listens_on_localhost_only(server: Server) -> None:
     server.ready()
     assert listening(server.process.pid) == {("127.0.0.1", server.port)}
 

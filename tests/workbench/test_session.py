@@ -95,7 +95,7 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
     assert told == sorted(told)
 
 
-def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: Path) -> None:
+def test_two_sessions_are_independent(campaign: Campaign, tmp_path: Path) -> None:
     both = [
         Session.open(mems_gyro.INSTRUMENT.baseline(), campaign.readings, folder=tmp_path / name)
         for name in ("a", "b")
@@ -114,7 +114,7 @@ def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: P
 
 
 @pytest.mark.slow
-def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
+def test_effect_found_by_a_search_is_added_at_its_most_probable_size(
     campaign: Campaign, tmp_path: Path
 ) -> None:
     """A drift ten times its plausible size would be held back, and leave what looks like something else."""
