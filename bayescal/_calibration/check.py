@@ -173,12 +173,12 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
     strong = settings().strong_evidence
     depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
     lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {depends or 'none'}"))
-    strongest = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
+    max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor > strongest
+        if p.log_bayes_factor > max_factor
     ]
     if max_rows is None:
         coefficient, z = check.autocorrelation
@@ -190,8 +190,8 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
     scatter = check.scatter_with.items()
     lines += [f"scatter changes with {name} (p = {p:.1g})" for name, p in scatter]
     if check.outliers:
-        listed = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
-        lines.append(f"outliers: {listed}{' …' if len(check.outliers) > 5 else ''}")
+        outlier_rows = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
+        lines.append(f"outliers: {outlier_rows}{' …' if len(check.outliers) > 5 else ''}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines
@@ -276,20 +276,20 @@ def why_not(calibration: Calibration) -> str:
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
-    cached = vars(calibration)  # cached with the other computed attributes
-    if "why_not" not in cached:
-        cached["why_not"] = judgement.explain_missing_noise(calibration) or " ".join(
+    attributes = vars(calibration)  # cached with the other computed attributes
+    if "why_not" not in attributes:
+        attributes["why_not"] = judgement.explain_missing_noise(calibration) or " ".join(
             _list_failures(calibration)
         )
-    return cached["why_not"]
+    return attributes["why_not"]
 
 
 def _list_failures(calibration: Calibration) -> Sequence[judgement.Claim]:
     if claims := judgement.contradictions(calibration, noise_floor(calibration)):
         return claims
     mode_claims = tuple(judgement.multimodality(calibration))
-    computed = {"leave_one_group_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
-    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **computed))
+    options = {"leave_one_group_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
+    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **options))
 
 
 def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
@@ -298,9 +298,9 @@ def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float |
     fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
     if not fixed_names:
         return calibration, None
-    method, reference = LeastSquares(draws=400), calibration.reference
+    method, constants = LeastSquares(draws=400), calibration.reference
     model, readings = calibration.model.free(*fixed_names), calibration.readings
-    free_fit = fit(model, readings, method, reference=reference, strict=False)
+    free_fit = fit(model, readings, method, reference=constants, strict=False)
     v = np.array(calibration.mode.v)
     for i in calibration.layout.phi_indices("noise"):
         v[i] = free_fit.mode.v[free_fit.layout.index_in_phi[calibration.layout.hypers[i].name]]
@@ -334,11 +334,11 @@ class Covariate:
 def covariates_of(calibration: Calibration) -> list[Covariate]:
     """List the recorded and derived covariates that residuals are tested against."""
     readings, frame, smooth = calibration.readings, calibration.frame, Covariate.smooth
-    excluded = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
+    excluded_names = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
     covariates = []
     for name in readings.columns:
         unit = readings.unit(name)
-        if unit is not None and name not in excluded and np.ptp(readings[name]) > 0:
+        if unit is not None and name not in excluded_names and np.ptp(readings[name]) > 0:
             covariates.append(smooth(name, readings[name], unit, in_time=name == "time"))
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
@@ -374,8 +374,8 @@ def _rank_values(values: np.ndarray) -> np.ndarray:
 def _test_normality(values: np.ndarray) -> float:
     """Return the Kolmogorov–Smirnov p-value of standard normality (M. Stephens, J. R. Stat. Soc. B 32 (1970) 115)."""
     root_n, probabilities = np.sqrt(len(values)), ndtr(np.sort(values))
-    empirical = np.arange(len(values) + 1) / len(values)
-    distance = max(np.max(empirical[1:] - probabilities), np.max(probabilities - empirical[:-1]))
+    cdf = np.arange(len(values) + 1) / len(values)
+    distance = max(np.max(cdf[1:] - probabilities), np.max(probabilities - cdf[:-1]))
     return float(kolmogorov((root_n + 0.12 + 0.11 / root_n) * distance))
 
 
@@ -484,9 +484,9 @@ def noise_floor(calibration: Fitted) -> float:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         has_previous[0] = False
-    ordered = residuals[order]
+    sorted_values = residuals[order]
     has_both = has_previous[1:-1] & has_previous[2:]
-    differences = (ordered[1:-1] - 0.5 * (ordered[:-2] + ordered[2:]))[has_both]
+    differences = (sorted_values[1:-1] - 0.5 * (sorted_values[:-2] + sorted_values[2:]))[has_both]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))
     return float(np.sqrt(np.mean(differences**2) / 1.5))
@@ -531,11 +531,11 @@ def _worst_range(
     information = (weights[ends, ends] - weights[starts, ends]) - (
         weights[ends, starts] - weights[starts, starts]
     )
-    informed = information > 0
-    scores = np.where(informed, sums, 0.0) / np.sqrt(np.where(informed, information, 1.0))
-    worst = int(np.argmax(np.abs(scores)))
-    z = float(scores[worst])
-    in_region = (bins >= starts[worst]) & (bins < ends[worst])
+    is_informed = information > 0
+    scores = np.where(is_informed, sums, 0.0) / np.sqrt(np.where(is_informed, information, 1.0))
+    worst_index = int(np.argmax(np.abs(scores)))
+    z = float(scores[worst_index])
+    in_region = (bins >= starts[worst_index]) & (bins < ends[worst_index])
     values = covariate.values[in_region] if in_region.any() else covariate.values
-    mean_residual = float(sums[worst] / information[worst]) if z != 0 else 0.0
+    mean_residual = float(sums[worst_index] / information[worst_index]) if z != 0 else 0.0
     return Region(float(values.min()), float(values.max()), run, mean_residual, z, covariate.unit)

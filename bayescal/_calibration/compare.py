@@ -71,9 +71,9 @@ class Comparison(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
-        grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
+        is_grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
         fold, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
-        by_group = (
+        group_columns = (
             TableColumn(f"{fold} rmse", "group_rmse", number, unit),
             TableColumn(f"{fold} elpd", "group_score", format_score),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
@@ -81,7 +81,7 @@ class Comparison(Printed):
         columns = (
             TableColumn("model", "name"),
             TableColumn("rmse", "rmse", number, unit),
-            *(by_group if grouped else ()),
+            *(group_columns if is_grouped else ()),
             TableColumn("leave-one-reading-out elpd", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
             TableColumn("log evidence", "log_evidence", format_score),
@@ -136,12 +136,12 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
     fold_list = [f for f in folds.values() if f is not None]
-    fold, grouped = next(iter(fold_list), None), len(fold_list) == len(folds)
-    best = max((f.log_score for f in fold_list), key=np.sum) if grouped else None
+    fold, is_grouped = next(iter(fold_list), None), len(fold_list) == len(folds)
+    best_scores = max((f.log_score for f in fold_list), key=np.sum) if is_grouped else None
     rows = list[ComparisonRow]()
     for (name, c), weight in zip(calibrations.items(), weights, strict=True):
         (densities, pareto_k), held_out = loo[name], folds[name]
-        gaps = None if held_out is None or best is None else held_out.log_score - best
+        gaps = None if held_out is None or best_scores is None else held_out.log_score - best_scores
         row = ComparisonRow(
             name=name,
             effects=", ".join(c.model.names),
@@ -158,8 +158,8 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
             weight=float(weight),
         )
         rows.append(row)
-    ranking, ranking_field = (GROUP_SCORE, "group_score") if grouped else (LOO_SCORE, "loo")
-    few_groups = grouped and fold is not None and fold.count < MIN_GROUPS
+    ranking, ranking_field = (GROUP_SCORE, "group_score") if is_grouped else (LOO_SCORE, "loo")
+    few_groups = is_grouped and fold is not None and fold.count < MIN_GROUPS
     if few_groups and all(r.log_evidence is not None for r in rows):
         ranking, ranking_field = EVIDENCE, "log_evidence"
     rows.sort(key=lambda r: -getattr(r, ranking_field))
@@ -216,9 +216,9 @@ def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -
 
 def _name_by_effects(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
     """Name fits by the effects that not all share; "model 1" … where that name is empty or taken."""
-    shared = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
+    common = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
     by_name: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):
-        name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
+        name = " ".join(f"+ {n}" for n in c.model.names if n not in common)
         by_name[name if name and name not in by_name else f"model {i}"] = c
     return by_name

@@ -85,7 +85,7 @@ def find_confounders(
     ]
     causes += [(n, step / math.sqrt(12.0) * slope, step) for n, (step, slope) in steps.items()]
     slices = {b.name: b.x_slice for b in layout.x_blocks}
-    results = list[Confounder]()
+    confounders = list[Confounder]()
     for name, values, step in causes:
         # The whitened, scaled column a, its projection P·a on the model's columns, and K = |a − P·a|².
         column = linear.whiten(values[:, None])[:, 0]
@@ -96,12 +96,12 @@ def find_confounders(
         score, ratio = float(column @ linear.white_conditional), 1 + remainder
         probability = 1.0 if step else float(expit(0.5 * (score**2 / ratio - math.log(ratio))))
         second_moment = probability * (1 / ratio + (score / ratio) ** 2)
-        added = math.sqrt(second_moment) * mode_shifts(linear, column[:, None])[:, 0]
-        if np.any(widened := is_widened_by(linear, added)):
-            shares = {n: added[part].tolist() for n, part in slices.items() if added[part].any()}
-            widened_names = [n for n, part in slices.items() if widened[part].any()]
-            results.append(Confounder(name, widened_names, remainder / norm2, shares, step))
-    return tuple(results)
+        shifts = math.sqrt(second_moment) * mode_shifts(linear, column[:, None])[:, 0]
+        if np.any(is_widened := is_widened_by(linear, shifts)):
+            shares = {n: shifts[part].tolist() for n, part in slices.items() if shifts[part].any()}
+            widened_names = [n for n, part in slices.items() if is_widened[part].any()]
+            confounders.append(Confounder(name, widened_names, remainder / norm2, shares, step))
+    return tuple(confounders)
 
 
 def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
@@ -125,8 +125,8 @@ def is_widened_by(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool
     """Mask the single coefficients whose standard uncertainty grows by a fifth or more."""
     p = linear.problem.layout.size
     sd = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
-    wider = np.hypot(added_sd, sd) > (1 + limit("direction.confounded", "widening")) * sd
-    return is_single_coefficient(linear.problem.layout) & wider
+    is_wider = np.hypot(added_sd, sd) > (1 + limit("direction.confounded", "widening")) * sd
+    return is_single_coefficient(linear.problem.layout) & is_wider
 
 
 def find_unmodelled_columns(
@@ -134,9 +134,9 @@ def find_unmodelled_columns(
 ) -> dict[str, Float[np.ndarray, "n"]]:
     """Return the varying columns that no effect depends on, except columns that the instrument declares, columns of the
     same quantity (a second thermometer, a set point) and time, for which the catalogue has named effects."""
-    declared = {c.name for c in model.instrument.columns}
-    modelled = declared | model.columns | {*TIME_COLUMNS}
-    units = [readings.unit(n) for n in declared & {*readings.columns}]
+    declared_names = {c.name for c in model.instrument.columns}
+    modelled = declared_names | model.columns | {*TIME_COLUMNS}
+    units = [readings.unit(n) for n in declared_names & {*readings.columns}]
     units = [u for u in units if u not in (None, "1", "s")]
     columns = dict[str, np.ndarray]()
     for name, values in list_covariates(readings).items():
@@ -155,9 +155,9 @@ def widen_draws(
     for i, confounder in enumerate(sources):
         # Normal quantiles in random order: exact moments, without sampling noise.
         count = x.shape[0] * x.shape[1]
-        normal = ndtri((np.arange(count) + 0.5) / count)
-        order = np.random.default_rng([seed, 3, i]).permutation(count)
-        normal = (normal / normal.std())[order].reshape(*x.shape[:2], 1)
+        deviates = ndtri((np.arange(count) + 0.5) / count)
+        permutation = np.random.default_rng([seed, 3, i]).permutation(count)
+        deviates = (deviates / deviates.std())[permutation].reshape(*x.shape[:2], 1)
         shares = [confounder.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
-        x = x + normal * np.concatenate([np.zeros(0), *shares])
+        x = x + deviates * np.concatenate([np.zeros(0), *shares])
     return x

@@ -114,8 +114,8 @@ def fit(
 
 def _refuse_zero_effects(calibration: Calibration) -> None:
     """Raise ModelError if a user's effect is zero in every reading: its posterior would be its prior."""
-    named, readings = calibration.model.instrument.known, calibration.readings
-    users = (e for e in calibration.model.effects if e.name not in named and not e.is_placeholder)
+    known, readings = calibration.model.instrument.known, calibration.readings
+    users = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
     for effect in users:
         linear = calibration.linear
         indices = [i for i in range(linear.problem.size) if linear.owners[i] == effect.name]

@@ -128,8 +128,8 @@ class Fitted:
             if 0 < (step := find_grid_step(values, MIN_CHANGES)) <= MAX_THERMOMETER_STEP_DEGC:
                 frame = self.frame_of(readings.with_column(name, values + step))
                 hyper = self.problem.hyper(self.mode.v)
-                shifted = self.problem_on(frame).linearise(self.mode.x, hyper)
-                steps[name] = step, (shifted.mean - self.linear.mean) / step
+                shifted_model = self.problem_on(frame).linearise(self.mode.x, hyper)
+                steps[name] = step, (shifted_model.mean - self.linear.mean) / step
         return steps
 
     @property
@@ -199,8 +199,8 @@ class Fitted:
         """Return names of the effects that are nonzero at a value of a column."""
         values: Any = np.full(self._probe_frame.size, value)
         probe = replace(self._probe_frame, columns={**self._probe_frame.columns, column: values})
-        dependent = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
-        return {e.name for e in dependent if np.any(self._basis(e, probe))}
+        effects = (e for e in self.model.effects if column in e.columns and not e.is_placeholder)
+        return {e.name for e in effects if np.any(self._basis(e, probe))}
 
     @cached_property
     def _probe_frame(self) -> Frame:
@@ -219,11 +219,11 @@ class Fitted:
         """Return names of the effects that depend on absolute time, not only on time since the start of a run."""
         if not self.readings.has("time"):
             return ()
-        probe = self._probe_frame
+        frame = self._probe_frame
         delay = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
-        delayed = probe.shift_columns({"time": delay})
+        later_frame = frame.shift_columns({"time": delay})
         time_effects = (e for e in self.model.effects if "time" in e.columns)
-        pairs = ((e.name, self._basis(e, probe), self._basis(e, delayed)) for e in time_effects)
+        pairs = ((e.name, self._basis(e, frame), self._basis(e, later_frame)) for e in time_effects)
         return tuple(name for name, a, b in pairs if not np.array_equal(a, b))
 
     def on_clock(self, readings: Measurements) -> Measurements:
@@ -262,24 +262,24 @@ class Fitted:
     def usual_columns(self) -> set[str]:
         """Return the columns of effects with inclusion probability above 0.5, except group labels."""
         probabilities = self.inclusion
-        probable = (e for e in self.model.effects if probabilities[e.name] > 0.5)
-        return set().union(GROUPS, *(e.columns for e in probable))
+        probable_effects = (e for e in self.model.effects if probabilities[e.name] > 0.5)
+        return set().union(GROUPS, *(e.columns for e in probable_effects))
 
     def with_columns(self, columns: Iterable[str]) -> Self:
         """Return the posterior conditional on structures that need no other columns, if enough draws remain."""
-        available = set(columns)
-        lacking = [e.name for e in self.model.effects if not available.issuperset(e.columns)]
-        return self.without(lacking) if lacking else self
+        column_names = set(columns)
+        missing = [e.name for e in self.model.effects if not column_names.issuperset(e.columns)]
+        return self.without(missing) if missing else self
 
     def without(self, names: Collection[str]) -> Self:
         """Return the posterior conditional on structures without these effects; itself if too few draws remain."""
-        rows = np.flatnonzero(~np.any([self.inclusion_masks[name] for name in names], axis=0))
-        if len(rows) < MIN_CHAIN_ESS:
+        draw_rows = np.flatnonzero(~np.any([self.inclusion_masks[name] for name in names], axis=0))
+        if len(draw_rows) < MIN_CHAIN_ESS:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
         layout = replace(self.layout, model=replace(self.model, effects=effects))
         in_x, in_v = self.layout.shared_indices(layout)
-        chosen_draws, mode = rows[: CHAINS * (len(rows) // CHAINS)], self.mode
+        chosen_draws, mode = draw_rows[: CHAINS * (len(draw_rows) // CHAINS)], self.mode
         draws, covariance = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
         x, v = draws.x[chosen_draws][:, in_x], draws.v[chosen_draws][:, in_v]
         mode = mode._replace(
@@ -391,8 +391,8 @@ def predictive_moments(
         offset_squares += np.einsum("bn,bn->n", offset, offset)
         noise_sum += len(chunk) * np.mean(noise_var, axis=0)
         if sds:
-            squared = np.broadcast_to(sum(s**2 for s in sds), mean.shape)
-            input_variance += len(chunk) * np.mean(squared, axis=0)
+            input_squares = np.broadcast_to(sum(s**2 for s in sds), mean.shape)
+            input_variance += len(chunk) * np.mean(input_squares, axis=0)
     offset = offset_sum / count
     variance = np.maximum(offset_squares / count - offset**2, 0.0)
     return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
@@ -403,8 +403,8 @@ def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     """Return each reading's log likelihood under each draw; with correlated noise, given the earlier readings."""
     densities = np.empty((len(draws.x), problem.record.size))
     for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
-        record, (mean, extra) = structure.record, structure.expected_and_extra(sample.x, hyper)
-        densities[chunk] = log_densities(structure.noise, record, record.y - mean, hyper, extra)
+        record, (mean, input_var) = structure.record, structure.expected_and_extra(sample.x, hyper)
+        densities[chunk] = log_densities(structure.noise, record, record.y - mean, hyper, input_var)
     return densities
 
 
@@ -421,9 +421,9 @@ def replicate(
     """
     outputs, members = np.empty((len(draws.x), problem.record.size)), members or {}
     for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
-        uncertain = [t for t in structure.terms if t.place == "input" or t.per in members]
-        mean, sds = _mean_and_input_sds(structure, sample, hyper, uncertain)
-        for t, sd in zip(uncertain, sds, strict=True):
+        uncertain_terms = [t for t in structure.terms if t.place == "input" or t.per in members]
+        mean, sds = _mean_and_input_sds(structure, sample, hyper, uncertain_terms)
+        for t, sd in zip(uncertain_terms, sds, strict=True):
             codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
             mean = mean + sd * normal[:, codes]  # code −1 indexes the last column
@@ -487,8 +487,8 @@ def _mean_and_input_sds(
     for t, slope in zip(terms, grads, strict=True):
         prior_sd = t.prior_sd
         if t.place != "input":
-            present = has_effect(draws.x, problem.terms, t.effect.name)
-            member_sd = problem.member_sd(t, hyper, len(draws.x)) * present
+            is_present = has_effect(draws.x, problem.terms, t.effect.name)
+            member_sd = problem.member_sd(t, hyper, len(draws.x)) * is_present
             prior_sd = np.where(_is_unseen(problem, t), member_sd[:, None], 0.0)
         sds.append(slope * prior_sd)
     return mean, sds

@@ -113,8 +113,8 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
     """
     fit, instrument = subject.fit, subject.fit.model.instrument
     single = (e for e in instrument.effects if len(e.coefficients) == 1)
-    freed = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
-    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed, FREE_SD_FACTOR))
+    freed_names = {e.name for e in single if instrument.slot(e.slot).unit in (instrument.unit, "1")}
+    problem = Problem(fit.layout, fit.problem.record, dict.fromkeys(freed_names, FREE_SD_FACTOR))
     starts = [fit.mode.v, np.zeros_like(fit.mode.v)]
     guess = HessianGuess(fit.mode.v, np.linalg.pinv(fit.mode.covariance))
     mode = find_mode(problem, starts, fit.mode.x, xtol=0.01, guess=guess)
@@ -125,7 +125,7 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
     estimates = {
         u.name: (u.block.origin + float(mean[u.x]), float(width[u.x]))
         for u in fit.unknowns
-        if u.x is not None and u.block is not None and u.effect in freed
+        if u.x is not None and u.block is not None and u.effect in freed_names
     }
     return [*_far_from_prior(subject, estimates)]
 
@@ -153,13 +153,13 @@ def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]])
 def widened_coefficients(subject: Subject) -> Iterator[Claim]:
     """Yield claims of coefficients whose posterior is wider than the prior, unless a confounder is the cause."""
     keys = {name for confounder in subject.fit.confounders for name in confounder.coefficients}
-    confounded = {u.name for u in subject.fit.unknowns if u.key in keys}
+    confounded_names = {u.name for u in subject.fit.unknowns if u.key in keys}
     # Coefficients only: a positive unknown may be larger than expected, and then wider.
     for row in summary(subject.fit)[0]:
         name, contraction = row["name"], row["contraction"]
-        accepted = name in confounded or subject.accepts(name, row["effect"])
+        is_accepted = name in confounded_names or subject.accepts(name, row["effect"])
         lower_limit = limit("prior.widened", "contraction")
-        if not accepted and contraction is not None and contraction < lower_limit:
+        if not is_accepted and contraction is not None and contraction < lower_limit:
             yield Claim("prior.widened", name, contraction=contraction)
 
 
@@ -187,8 +187,8 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
     They indicate an input with a wrong sign or unit, which a free curve along that input fits.
     """
     fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
-    unnamed = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
-    if not unnamed:
+    curves = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
+    if not curves:
         return
     # Prior standard deviation of the output over these readings, by the instrument's own effects, output unit.
     catalogue = (*instrument.effects, *instrument.candidates)
@@ -198,11 +198,11 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     prior = problem.prior(hyper, np.ones(problem.size))
     prior_effects = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
-    expected = float(np.sqrt(np.sum(np.var(prior_effects, axis=0))))
-    for effect in unnamed:
+    prior_rms = float(np.sqrt(np.sum(np.var(prior_effects, axis=0))))
+    for effect in curves:
         rms = float(np.std(fit.linear.contribution(effect.name)))
-        if expected and rms > limit("curve.beyond_known", "sizes") * expected:
-            yield Claim("curve.beyond_known", effect.name, here=rms, known=expected, unit=fit.unit)
+        if prior_rms and rms > limit("curve.beyond_known", "sizes") * prior_rms:
+            yield Claim("curve.beyond_known", effect.name, here=rms, known=prior_rms, unit=fit.unit)
 
 
 def rounding_claims(subject: Subject) -> Iterator[Claim]:
@@ -282,8 +282,8 @@ def too_few_readings(subject: Subject) -> Iterator[Claim]:
     nuisances = {e.name for e in fit.model.instrument.nuisances}
     names = [b.effect.name for b in fit.layout.blocks if b.place in ("x", "phi")]
     unknown_count = round(sum(inclusion[name] for name in names if name not in nuisances))
-    sufficient = unknown_count + limit("readings.too_few", "freedom")
-    if len(fit.readings) < sufficient and fit.layout.phi_indices("noise"):
+    sufficient_count = unknown_count + limit("readings.too_few", "freedom")
+    if len(fit.readings) < sufficient_count and fit.layout.phi_indices("noise"):
         yield Claim("readings.too_few", count=len(fit.readings), free=unknown_count)
 
 
@@ -329,11 +329,11 @@ def multimodality(fit: Fitted) -> list[Claim]:
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:MAX_STARTS]]:
         floor = mode.log_density - 20.0
-        other = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, guess=guess)
-        log_bayes_factor = mode.log_evidence - other.log_evidence
-        if is_far(other.v).any() and log_bayes_factor < limit("mode.two", "nats"):
-            names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other.v)]]
-            phi, phi2 = problem.hyper(mode.v), problem.hyper(other.v)
+        other_mode = find_mode(problem, [start], mode.x, xtol=0.1, coarse_below=floor, guess=guess)
+        log_bayes_factor = mode.log_evidence - other_mode.log_evidence
+        if is_far(other_mode.v).any() and log_bayes_factor < limit("mode.two", "nats"):
+            names = [problem.hypers[i].name for i in np.array(shapes)[is_far(other_mode.v)]]
+            phi, phi2 = problem.hyper(mode.v), problem.hyper(other_mode.v)
             units = {h.name: h.unit for h in problem.hypers}
             values = tuple(f"{n} {number(phi[n])} or {number(phi2[n])} {units[n]}" for n in names)
             return [Claim("mode.two", *names, behind=log_bayes_factor, values=values)]
@@ -355,11 +355,11 @@ def explain_missing_noise(fit: Fitted) -> str:
             f"{number(np.ptp(output))} {unit}, more than the model can represent. Check the output's unit, nominal "
             "zero and scale (--unit, --nominal-zero, --nominal-scale)"
         )
-    grid = find_rounding_step(output)
-    rounded = f" The output is rounded in steps of {grid:.3g} {unit}." if grid else ""
+    step = find_rounding_step(output)
+    rounding_text = f" The output is rounded in steps of {step:.3g} {unit}." if step else ""
     return (
         f"{fit.readings.file}: the model of {len(fit.layout.blocks)} unknowns fits all {len(output)} readings to the "
-        f"last digit: noise and uncertainties cannot be estimated.{rounded} Record the output with more digits"
+        f"last digit: noise and uncertainties cannot be estimated.{rounding_text} Record the output with more digits"
     )
 
 
@@ -371,14 +371,14 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
     out = subject.leave_one_group_out
     if out is None or not np.isfinite(out.by_chance).any():
         return
-    worst = int(np.nanargmin(out.by_chance))
+    worst_index = int(np.nanargmin(out.by_chance))
     # Bonferroni correction: one test per group.
-    is_significant = out.by_chance[worst] * out.count < settings().holdout_p
-    if is_significant and (times := float(out.surprise[worst])) > limit(
+    is_significant = out.by_chance[worst_index] * out.count < settings().holdout_p
+    if is_significant and (times := float(out.surprise[worst_index])) > limit(
         "group.surprising", "ratio"
     ):
-        which = {"group": out.group.capitalize(), "member": out.members[worst]}
-        yield Claim("group.surprising", out.group, **which, times=times, scheme=scheme(out.group))
+        details = {"group": out.group.capitalize(), "member": out.members[worst_index]}
+        yield Claim("group.surprising", out.group, **details, times=times, scheme=scheme(out.group))
 
 
 def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
@@ -412,8 +412,8 @@ def normality(subject: Subject) -> Iterator[Claim]:
     elif check.one_sided < threshold:
         yield Claim("noise.one_sided", p=check.one_sided)
     elif check.pit_p < threshold:
-        outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
-        yield Claim("noise.tails", p=check.pit_p, outside=outside)
+        outlier_text = f", {len(check.outliers)} of them outliers" if check.outliers else ""
+        yield Claim("noise.tails", p=check.pit_p, outside=outlier_text)
 
 
 def dependence(subject: Subject) -> list[Claim]:

@@ -96,12 +96,12 @@ class RecordSubset(Record):
 
     def _fill(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Return values on the full record, zero outside the subset."""
-        scattered = {}
+        full_values = {}
         for name, value in values.items():
             broadcast = np.broadcast_to(value, (*np.shape(value)[:-1], self.size))
-            scattered[name] = np.zeros((*broadcast.shape[:-1], self.parent.size))
-            scattered[name][..., self.rows] = broadcast
-        return scattered
+            full_values[name] = np.zeros((*broadcast.shape[:-1], self.parent.size))
+            full_values[name][..., self.rows] = broadcast
+        return full_values
 
 
 def scheme(group: str) -> str:

@@ -31,12 +31,12 @@ def with_origin(model: Model, readings: Measurements, reference: Reference) -> R
     An origin is a multiple of a power of two coarser than the outputs' last digits, so that its subtraction is exact.
     Each of three axes has one.
     """
-    existing = origins_of(reference)
-    without_origins = {name: v for name, v in reference.items() if name not in existing}
+    stored_origins = origins_of(reference)
+    without_origins = {name: v for name, v in reference.items() if name not in stored_origins}
     far = {n: _nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
         return without_origins
-    origins = {n: [*existing.get(reference_name(n), {}).items()] for n in far}
+    origins = {n: [*stored_origins.get(reference_name(n), {}).items()] for n in far}
     names = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
     if all(len(o) == 1 and o[0][0] in names and o[0][1] == far[n] for n, o in origins.items()):
         return dict(reference)  # these readings' origins already, from a smaller model

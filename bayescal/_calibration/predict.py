@@ -104,11 +104,11 @@ def predict(
 
             noise_of = conditional_mean
         problem = calibration.problem_on(frame)
-        predicted = predictive_moments(problem, calibration.draws(draws), noise_of)
-        model_var = calibration.form_factor**2 * predicted.variance + predicted.unknown
+        moments = predictive_moments(problem, calibration.draws(draws), noise_of)
+        model_var = calibration.form_factor**2 * moments.variance + moments.unknown
         model_var += _unseen_member_variance(calibration, problem)
-        residual = np.asarray(frame["output"]) - predicted.mean
-        return np.stack([residual, np.sqrt(model_var), np.sqrt(model_var + predicted.noise + slow)])
+        residual = np.asarray(frame["output"]) - moments.mean
+        return np.stack([residual, np.sqrt(model_var), np.sqrt(model_var + moments.noise + slow)])
 
     if new_groups and not is_fitted:
         residual, model_sd, sd = _evaluate_with_past(calibration, readings, predict_frame)
@@ -121,11 +121,11 @@ def predict(
 
 def _unseen_member_variance(calibration: Calibration, problem: Problem) -> np.ndarray:
     """Return the variance (n,) of readings of unseen members due to group deviations not in the model."""
-    named, variances = calibration.model.instrument.known, np.zeros(problem.record.size)
+    known_effects, variances = calibration.model.instrument.known, np.zeros(problem.record.size)
     for name, sd in calibration.unfound_spreads.items():
-        new = problem.record.codes[str(named[name].coefficients[0].per)] < 0
+        new = problem.record.codes[str(known_effects[name].coefficients[0].per)] < 0
         if new.any():
-            variances += new * (sd * _sensitivities(calibration, problem, named[name])) ** 2
+            variances += new * (sd * _sensitivities(calibration, problem, known_effects[name])) ** 2
     return variances
 
 
@@ -166,10 +166,10 @@ def _evaluate_with_past(
     rows = np.sort(np.concatenate([*runs.values()]))
     codes = [fitted.records.names.index(name) for name in runs]
     past = np.flatnonzero(np.isin(fitted.records.codes, codes))
-    joined = fitted.select(past).concatenate(readings.select(rows))
-    continued = evaluate(joined, calibration.frame_of(joined), past)[:, len(past) :]
-    columns = np.empty((len(continued), len(readings)))
-    columns[:, rows] = continued
+    record = fitted.select(past).concatenate(readings.select(rows))
+    run_values = evaluate(record, calibration.frame_of(record), past)[:, len(past) :]
+    columns = np.empty((len(run_values), len(readings)))
+    columns[:, rows] = run_values
     if len(new_rows := np.setdiff1d(np.arange(len(readings)), rows)):
         new = readings.select(new_rows)
         columns[:, new_rows] = evaluate(new, _mark_as_new(calibration.frame_of(new)), NO_PAST)
@@ -249,19 +249,19 @@ class HoldoutTest:
         errors, expected = self._errors
         # Columns of coefficients common to all readings, and of the deviations of each group's members.
         columns = self._columns
-        shared = [column for _, per, column in columns if per is None]
+        common_columns = [column for _, per, column in columns if per is None]
         groups = [(self.readings.groups(per)[1], column) for _, per, column in columns if per]
         members = [np.where(codes == k, c, 0.0) for codes, c in groups for k in np.unique(codes)]
-        basis = _orthonormal_basis(shared, len(errors))
-        full = _orthonormal_basis([*shared, *members], len(errors))
+        basis = _orthonormal_basis(common_columns, len(errors))
+        full = _orthonormal_basis([*common_columns, *members], len(errors))
         score, simulated = basis.T @ errors, expected @ basis
         covariance = np.atleast_2d(np.cov(simulated.T)) if basis.shape[1] else np.zeros((0, 0))
         inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
         statistics = np.einsum("bi,ij,bj->b", simulated, inverse, simulated)
         p = _p_value(statistics >= score @ inverse @ score)
         remainder = max(_sum_squares(errors - full @ (full.T @ errors)), TINY_SQUARE)
-        typical = np.median(_sum_squares(expected - (expected @ full) @ full.T))
-        scatter = math.sqrt(remainder / max(float(typical), TINY_SQUARE))
+        median_square = np.median(_sum_squares(expected - (expected @ full) @ full.T))
+        scatter = math.sqrt(remainder / max(float(median_square), TINY_SQUARE))
         ratio = math.sqrt(float(_sum_squares(errors)) / remainder)
         scores = {
             name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY_SQUARE)
@@ -297,17 +297,15 @@ class HoldoutTest:
     def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
         """Return the prediction errors over the noise sd, and those of the replicates about their mean."""
         count = max(100, min(MAX_REPLICATES, MAX_REPLICATED_CELLS // max(len(self.readings), 1)))
-        replicated = simulate_replicates(
-            self.calibration, self.readings, count, self.calibration.seed
-        )
+        outputs = simulate_replicates(self.calibration, self.readings, count, self.calibration.seed)
         (average, problem), random = self._problem, np.random.default_rng(0)
         # Contributions of group deviations that the fit lacks.
         for effect, sd in self.deviations:
             codes = self.readings.groups(str(effect.coefficients[0].per))[1]
-            drawn = sd * random.standard_normal((len(replicated), int(codes.max()) + 2))[:, codes]
-            replicated += _sensitivities(average, problem, effect) * drawn
-        replicated -= replicated.mean(axis=0)
-        return self.prediction.residual / self._noise, replicated / self._noise
+            deviate = sd * random.standard_normal((len(outputs), int(codes.max()) + 2))[:, codes]
+            outputs += _sensitivities(average, problem, effect) * deviate
+        outputs -= outputs.mean(axis=0)
+        return self.prediction.residual / self._noise, outputs / self._noise
 
     @property
     @on_one_thread

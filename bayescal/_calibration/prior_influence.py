@@ -78,9 +78,9 @@ class NotMeasured:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in coefficients]
         present_by_draw = [calibration.inclusion_masks[u.effect] for u, _ in coefficients]
-        unknowns, present, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
-        for pattern in np.unique(present, axis=0):  # structures of a model average
-            in_pattern = np.all(present == pattern, axis=1)
+        unknowns, has, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
+        for pattern in np.unique(has, axis=0):  # structures of a model average
+            in_pattern = np.all(has == pattern, axis=1)
             pattern_draws = unknowns[in_pattern][:, pattern]
             if not pattern.any() or len(pattern_draws) <= 2 * pattern_draws.shape[1]:
                 continue
@@ -90,10 +90,10 @@ class NotMeasured:
             spectrum = np.maximum(spectrum, np.finfo(float).tiny)
             information = 1 / spectrum - 1
             information = np.where(information < WEAK_INFORMATION, 0.0, information)
-            freed = 1 / (information + FREE_SD_FACTOR**-2)
+            freed_variance = 1 / (information + FREE_SD_FACTOR**-2)
             means = mean @ vectors
-            shifted = np.where(information > 0, means * freed / spectrum, means)
-            scores = shifted + (centred @ vectors) * np.sqrt(freed / spectrum)
+            shifted_means = np.where(information > 0, means * freed_variance / spectrum, means)
+            scores = shifted_means + (centred @ vectors) * np.sqrt(freed_variance / spectrum)
             slope = vectors / spectrum @ vectors.T @ centred.T @ (y - y.mean(axis=0)) / len(centred)
             quantity[in_pattern] = y + (scores @ vectors.T - pattern_draws) @ slope
         return quantity
@@ -130,7 +130,7 @@ def find_not_measured(
         return NotMeasured((of,), prior_words, "To measure it, take more readings", True)
     candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, is_counted = list[np.ndarray](), list[bool]()
-    total = values.var(axis=0) + scatter**2
+    total_variance = values.var(axis=0) + scatter**2
     for u, c, in_use in _stated_priors(calibration):
         present = calibration.inclusion_masks[u.effect]
         if present.mean() <= rare:
@@ -138,7 +138,7 @@ def find_not_measured(
         samples, quantity = calibration.samples(u.name)[present], values[present]
         covariance = (samples - samples.mean()) @ (quantity - quantity.mean(axis=0)) / len(samples)
         prior_share = present.mean() * (covariance / c.size) ** 2
-        shares.append(prior_share / np.where(total > 0, total, np.inf))
+        shares.append(prior_share / np.where(total_variance > 0, total_variance, np.inf))
         candidates.append((u, samples, c.size))
         is_counted.append(in_use or u.name == of)
     if not any(is_counted):
@@ -147,17 +147,17 @@ def find_not_measured(
     worst_shares = share_matrix[:, int(np.argmax(share_matrix[is_counted].sum(axis=0)))]
     if worst_shares[is_counted].sum() <= 0.5:  # readings contribute more than priors
         return None
-    concerned = np.flatnonzero(worst_shares >= min(CONCERNED_SHARE, worst_shares[is_counted].max()))
-    concerned = sorted(concerned, key=lambda i: (not is_counted[i], -worst_shares[i]))
-    samples, cure = [candidates[i] for i in concerned if is_counted[i]], "more readings"
+    indices = np.flatnonzero(worst_shares >= min(CONCERNED_SHARE, worst_shares[is_counted].max()))
+    indices = sorted(indices, key=lambda i: (not is_counted[i], -worst_shares[i]))
+    samples, remedy = [candidates[i] for i in indices if is_counted[i]], "more readings"
     blocks = (u.block for u, *_ in samples)
     if columns := dict.fromkeys(c for block in blocks if block for c in block.effect.columns):
-        cure = f"readings over more of {' and '.join(columns)}"
-    elif len(concerned) > 1:
-        cure = f"readings that separate {' and '.join(candidates[i][0].name for i in concerned)}"
-    words = (_format_unknown(u, x, f", prior ± {number(size)}") for u, x, size in samples)
+        remedy = f"readings over more of {' and '.join(columns)}"
+    elif len(indices) > 1:
+        remedy = f"readings that separate {' and '.join(candidates[i][0].name for i in indices)}"
+    texts = (_format_unknown(u, x, f", prior ± {number(size)}") for u, x, size in samples)
     names = tuple(u.name for u, *_ in samples)
-    return NotMeasured(names, " and ".join(words), f"To measure it, take {cure}")
+    return NotMeasured(names, " and ".join(texts), f"To measure it, take {remedy}")
 
 
 def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "") -> str:

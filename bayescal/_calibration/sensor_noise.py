@@ -163,14 +163,14 @@ class SensorNoise(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
-        probable = [
+        sum_texts = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= MIN_PROBABILITY
         ]
-        doubts = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
-        term = "term" + " of a law that does not fit" * bool(doubts)
-        terms = plain_table([term, "value", "95 % interval", "SI"], rows, fold=40)
-        which = "Best noise law, which does not fit" if doubts else "Noise law (probability)"
-        remarks = [*doubts, f"{which}: {', '.join(probable[:MAX_PRINTED_SUMS])}."]
+        texts = [f"Not to be used as they are. {c}" for c in self.claims if c.severity != "note"]
+        heading = "term" + " of a law that does not fit" * bool(texts)
+        terms = plain_table([heading, "value", "95 % interval", "SI"], rows, fold=40)
+        prefix = "Best noise law, which does not fit" if texts else "Noise law (probability)"
+        remarks = [*texts, f"{prefix}: {', '.join(sum_texts[:MAX_PRINTED_SUMS])}."]
         remarks += [f"Note: {claim}" for claim in self.claims if claim.severity == "note"]
         m, unit = self.measured, unit_label(self.unit) or "1"
         header = ["τ [s]", f"Allan deviation [{unit}]", "noise law", "95 % of records of that law"]
@@ -262,10 +262,10 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
     elif sums.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=sums.count))
-    outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
-    if outside.sum() > limit("noise.outside", "times"):
-        tau = tuple(number(t) for t in measured.tau[outside])
-        claims.append(Claim("noise.outside", count=len(tau), times=len(outside), taus=tau))
+    is_outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
+    if is_outside.sum() > limit("noise.outside", "times"):
+        tau = tuple(number(t) for t in measured.tau[is_outside])
+        claims.append(Claim("noise.outside", count=len(tau), times=len(is_outside), taus=tau))
     return SensorNoise(
         file=readings.file,
         unit=unit,
@@ -451,21 +451,21 @@ def _sample_sums(
         totals = _log_posteriors(fits)
         posterior = softmax(list(totals.values()))
         probabilities = dict(zip(totals, posterior.tolist(), strict=True))
-        probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
-        if not (unsampled := [t for t in probable if t not in sampled]):
+        likely = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
+        if not (unsampled_sums := [t for t in likely if t not in sampled]):
             break
         # Importance sampling corrects the Laplace evidence of skewed posteriors.
-        for terms in unsampled:
+        for terms in unsampled_sums:
             fits[terms] = fits[terms]._replace(log_evidence=sample(terms))
-    noises = [_draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in probable]
+    noises = [_draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in likely]
     walk_sum = noises[0]
     if "walk" not in walk_sum.terms:
-        extended = _sort_terms((*walk_sum.terms, "walk"))
-        if extended not in fits:
-            fits[extended] = _fit_sum(channel, extended, fits)
-        if extended not in sampled:
-            sample(extended)
-        walk_sum = _draw_parameters(channel, extended, *sampled[extended], seed, 1.0)
+        extended_terms = _sort_terms((*walk_sum.terms, "walk"))
+        if extended_terms not in fits:
+            fits[extended_terms] = _fit_sum(channel, extended_terms, fits)
+        if extended_terms not in sampled:
+            sample(extended_terms)
+        walk_sum = _draw_parameters(channel, extended_terms, *sampled[extended_terms], seed, 1.0)
     return noises, walk_sum.draws["noise.walk"], probabilities
 
 
@@ -536,7 +536,7 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     The power at a frequency is divided by the geometric mean of that on both sides, which cancels a sloping background;
     averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
-    run, best, line = max(runs.arrange(output), key=len), 0.0, dict[str, float]()
+    run, best_z, line = max(runs.arrange(output), key=len), 0.0, dict[str, float]()
     run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = MIN_WINDOW
     while (count := len(run) // length) >= MIN_WINDOWS:
@@ -548,17 +548,17 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
         low, high = (power[bins[:, None] + sign * LINE_OFFSETS].mean(axis=1) for sign in (-1, 1))
         background = np.sqrt(low * high)
         z = np.log(power[bins] / background) / (1 / math.sqrt(count) + BACKGROUND_CURVATURE)
-        if z[k := int(np.argmax(z))] > best:
+        if z[k := int(np.argmax(z))] > best_z:
             # A Hann window spreads a line over 1.5 bins.
             amplitude = math.sqrt(1.5 * float(power[bins[k]] - background[k]) / length)
-            best, entries = float(z[k]), (amplitude, float(bins[k]) / length, float(length))
+            best_z, entries = float(z[k]), (amplitude, float(bins[k]) / length, float(length))
             line = dict(zip(TONE, entries, strict=True))
         length *= 2
     if line:  # at the maximum of the whole run's spectrum within that window's width
         power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
         low, high = (round((line[TONE_FREQ] + s / line[TONE_TIME]) * len(run)) for s in (-1, 1))
         line[TONE_FREQ] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
-    return best, line
+    return best_z, line
 
 
 def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
@@ -589,11 +589,11 @@ def _run_columns(
             "rounded more coarsely than its noise: record each value once, with more digits"
         )
     columns = (output - np.median(output))[:, None]
-    least_range = limit("noise.temperature", "degrees")
-    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > least_range:
+    min_range = limit("noise.temperature", "degrees")
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > min_range:
         temperature = np.asarray(readings["temperature"], float)
-        scaled = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
-        columns = np.column_stack([legvander(scaled, CURVE_DEGREE)[:, 1:], columns])
+        position = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
+        columns = np.column_stack([legvander(position, CURVE_DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
@@ -644,8 +644,8 @@ def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFi
     priors, log_density = channel.model(terms).parameters(), channel.log_density(terms)
     starts = list(_list_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
-    for smaller in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
-        coordinates = dict(zip(channel.model(smaller).parameters(), fits[smaller].v, strict=True))
+    for subset in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
+        coordinates = dict(zip(channel.model(subset).parameters(), fits[subset].v, strict=True))
         starts.append(np.array([coordinates.get(n, v) for n, v in zip(priors, least, strict=True)]))
     scale = np.ones(len(priors))
     if "tone" in terms:  # the line's frequency is known to a tenth of its width
@@ -671,7 +671,7 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
     time_shares = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
     coherences = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
     for shares, coherence, factor in itertools.product(time_shares, coherences, (1.0, 0.3)):
-        values, previous = {n: v if n == WHITE else factor * v for n, v in amplitudes.items()}, step
+        values, lower = {n: v if n == WHITE else factor * v for n, v in amplitudes.items()}, step
         if line:
             values[TONE_FREQ] = line[TONE_FREQ]
             values[TONE_TIME] = min(coherence * line[TONE_TIME], 0.7 * channel.longest)
@@ -680,8 +680,8 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curves))
             values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
-            fraction = math.log(time / previous) / math.log(channel.longest / previous)
-            values[f"noise.correlated{k}.place"], previous = float(ndtri(fraction)), time
+            fraction = math.log(time / lower) / math.log(channel.longest / lower)
+            values[f"noise.correlated{k}.place"], lower = float(ndtri(fraction)), time
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
@@ -715,14 +715,14 @@ def _draw_parameters(
     chosen, priors = v[rows], law.parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
-        coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.longest
-        if coherent.any():
-            frequency = float(np.median(parameters[TONE_FREQ][coherent])) * channel.spectrum.step
+        is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.longest
+        if is_coherent.any():
+            frequency = float(np.median(parameters[TONE_FREQ][is_coherent])) * channel.spectrum.step
             run = max(channel.columns, key=len)[:, -1]
             error = parameters[WHITE] / math.sqrt(len(run))
             error = error * np.random.default_rng(seed).standard_normal(len(error))
             amplitude = np.abs(_fit_line_rms(run, frequency) + error)
-            parameters[TONE_RMS] = np.where(coherent, amplitude, parameters[TONE_RMS])
+            parameters[TONE_RMS] = np.where(is_coherent, amplitude, parameters[TONE_RMS])
     return RestNoise(terms, parameters, law)
 
 
@@ -768,8 +768,8 @@ def _figures(
 
     white = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
     white = white if sums.count else np.full(1, math.nan)  # not even a bound
-    interior = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
-    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if interior else None
+    has_minimum = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
+    floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if has_minimum else None
     walks = pooled_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
     bound = [

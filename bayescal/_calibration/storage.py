@@ -90,8 +90,8 @@ def load_calibration(
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
     if not path.is_file():
-        found = f"{path} is a folder" if path.is_dir() else f"there is no file {path}"
-        raise InputError(f"{found}: give a calibration saved by bayescal, such as calibration.nc")
+        problem = f"{path} is a folder" if path.is_dir() else f"there is no file {path}"
+        raise InputError(f"{problem}: give a calibration saved by bayescal, such as calibration.nc")
     content = io.BytesIO(atomic_file.read_sealed(path, "a saved calibration", REPAIR_ADVICE))
     try:
         return _read_netcdf(path, content, effects, instruments)
@@ -219,8 +219,8 @@ def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
 
 def _instrument_effects(instrument: Instrument) -> dict[str, Effect]:
     """Return every effect of an instrument's structures and catalogue, by name."""
-    structural = [e for _, make in instrument.structures for e in make().effects]
-    return {**{e.name: e for e in structural}, **instrument.known}
+    structural_effects = [e for _, make in instrument.structures for e in make().effects]
+    return {**{e.name: e for e in structural_effects}, **instrument.known}
 
 
 def unknowns_of(effect: Effect) -> str:
@@ -259,10 +259,10 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
 def _restore_instrument(path: Path, metadata, readings: Measurements, instruments) -> Instrument:
     """Restore an instrument with its settings; raise InputError if it is not installed."""
     supplied, name = {i.name: i for i in instruments}, metadata["instrument"]
-    if name not in (available := list(dict.fromkeys([*installed_names(), *supplied]))):
+    if name not in (known_names := list(dict.fromkeys([*installed_names(), *supplied]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(available)}). Install the package that offers it"
+            f"{', '.join(known_names)}). Install the package that offers it"
         )
     instrument = supplied[name] if name in supplied else installed_instrument(name)
     if not (settings := metadata["settings"]):
@@ -288,9 +288,9 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
             f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
             f"that defines it: {EFFECT_FIX}"
         )
-    chosen = [catalogue[n].with_ranges(ranges.get(n, {})) for n in names]
-    chosen = [e.averaged if e.name in metadata["averaged"] else e for e in chosen]
-    model = Model(instrument, tuple(chosen), _restore_noise(path, metadata["noise"]), ())
+    model_effects = [catalogue[n].with_ranges(ranges.get(n, {})) for n in names]
+    model_effects = [e.averaged if e.name in metadata["averaged"] else e for e in model_effects]
+    model = Model(instrument, tuple(model_effects), _restore_noise(path, metadata["noise"]), ())
     for n, size in metadata["sizes"].items():
         model = model.resize(n, size)
     for used in model.effects:

@@ -38,8 +38,8 @@ def unknowns_parts(
     head = "unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"
     table = plain_table(head, rows.values()) if rows else "every unknown is fixed"
     model, lines = calibration.model, list[str]()
-    if fixed := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
-        lines.append(f"fixed: {fixed}")
+    if fixed_text := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
+        lines.append(f"fixed: {fixed_text}")
     if model.noise_as_stated:
         squares, dof, p = calibration.chi_squared
         lines.append(
@@ -59,8 +59,8 @@ def unknowns_parts(
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
         option = f"(--reference {hold_flag_name(stepped[0])}=0 interpolates linearly instead)"
         lines.append(f"constant between readings (set in steps): {', '.join(stepped)} {option}")
-    present = {s["name"]: given_text(s) for s in summary(calibration)[0] if s["name"] in rows}
-    if text := ", ".join(f"{name} {value}" for name, value in present.items() if value):
+    texts = {s["name"]: given_text(s) for s in summary(calibration)[0] if s["name"] in rows}
+    if text := ", ".join(f"{name} {value}" for name, value in texts.items() if value):
         lines.append(f"if the effect is present: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
@@ -99,8 +99,8 @@ def unknown_rows(
             rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
             (low, high), mean, sd = g["interval95"], g["mean"], g["sd"]
-            skewed = low > 0 and sd > 0.5 * mean
-            value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
+            is_skewed = low > 0 and sd > 0.5 * mean
+            value = f"about {number(mean, 2)}, skewed" if is_skewed else with_error(mean, sd)
             contraction = "–" if g["contraction"] is None else f"{g['contraction']:.3f}"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
     return rows
@@ -150,17 +150,17 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     coefficients, hyperparameters = list[dict[str, Any]](), list[dict[str, Any]]()
     for u in (u for u in calibration.unknowns if not u.held):
         values = calibration.samples(u.name)
-        present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
-        conditional = values[present] if present.sum() > 1 else values
-        values = conditional if u.kind == "shape" else values  # absent, a shape has no value
+        is_present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
+        subset = values[is_present] if is_present.sum() > 1 else values
+        values = subset if u.kind == "shape" else values  # absent, a shape has no value
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
         row = {
             "name": u.name,
             "effect": u.effect,
             "unit": u.unit,
-            "probability": float(present.mean()),
-            "given": {"mean": float(conditional.mean()), "sd": float(conditional.std(ddof=1))},
+            "probability": float(is_present.mean()),
+            "given": {"mean": float(subset.mean()), "sd": float(subset.std(ddof=1))},
             "mean": float(values.mean()),
             "sd": sd,
             "interval95": [float(low), float(high)],
@@ -212,8 +212,8 @@ def unidentified_claims(
         code = "direction.none" if len(order) == 1 else "direction.other"
         claims.append(Claim(code, *(names[i] for i in order), **numbers))
     if of_members:  # those of group deviations and unknown functions' coefficients
-        largest, single = np.max(np.abs(of_members), axis=0), is_single_coefficient(layout)
-        traced_entries = np.where(single, 0.0, largest) > NAMED_SHARE * largest.max()
+        largest, is_single = np.max(np.abs(of_members), axis=0), is_single_coefficient(layout)
+        traced_entries = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
         blocks = (b for b in layout.x_blocks if traced_entries[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
         numbers = {"count": len(of_members), "combination": ", ".join(effects)}
@@ -227,15 +227,15 @@ def null_vectors(
     """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""
     layout = linear.problem.layout
     single = is_single_coefficient(layout)
-    unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
-    whitened = linear.white_nuisance[:, : layout.size][:, unknown]
+    is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
+    whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
     exact = null_space.exact(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
     weak = null_space.weak(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
     classes: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):
         for direction in directions:
             vector = np.zeros(layout.size)
-            vector[unknown] = direction
+            vector[is_unknown] = direction
             # Directions without single coefficients are those of group deviations or curves.
             concerns = float(np.sum(vector[single] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
             classes[kind_index if concerns else 2].append(vector)

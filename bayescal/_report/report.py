@@ -164,10 +164,10 @@ def report(
     parts = chapters(results, effects)
     forewords = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
     pictures = Pictures()
-    written = write_text(render_page(parts, pictures, title, forewords), path)
+    output_path = write_text(render_page(parts, pictures, title, forewords), path)
     if pictures.failed:
         raise pictures.failed[0]
-    return written
+    return output_path
 
 
 def render_page(

@@ -247,29 +247,29 @@ def _list_failed_checks(chapter: Chapter) -> Iterator[str]:
 def _describe_additions(chapter: Chapter) -> str:
     """Describe the effects of the last model that the first lacks, with their coefficients."""
     c, data = chapter.calibration, chapter.data
-    latent = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
-    first = set(data["steps"][0]["effects"]) | latent[0] & latent[-1]
-    added = [e for e in c.model.effects if e.name not in first]
-    if not added:
+    latent_names = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
+    first_effects = set(data["steps"][0]["effects"]) | latent_names[0] & latent_names[-1]
+    added_effects = [e for e in c.model.effects if e.name not in first_effects]
+    if not added_effects:
         statement = "No effect was found missing from"
         if (data["search"] or {}).get("stopped"):
             statement = "When the search was ended, no effect had been found missing from"
         if not data["missing"]:
             statement = "No effect was searched beyond"
-        names = [n for n in c.model.names if n not in latent[-1]]
+        names = [n for n in c.model.names if n not in latent_names[-1]]
         is_long = len(names) > MAX_NAMED
         model = f"{len(names)} effects" if is_long else ", ".join(names) or "no effect"
         return f"{statement} the first model ({model})."
     texts = []
-    for effect in added:
+    for effect in added_effects:
         inclusion, qualifier = _first_probability(chapter, effect), ""
         if inclusion is not None and inclusion < settings().found_probability:
             qualifier = f"probably ({inclusion:.2f}) "
-        averaged = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
-        name = format_forms(effect.name, effect.family_name, averaged)
+        structures = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
+        name = format_forms(effect.name, effect.family_name, structures)
         texts.append(qualifier + _describe_effect(chapter.used, effect, name))
-    stated = " (± standard uncertainty)" * any("±" in text for text in texts)
-    return f"Found in addition to the first model{stated}: {'; '.join(texts)}."
+    unit_note = " (± standard uncertainty)" * any("±" in text for text in texts)
+    return f"Found in addition to the first model{unit_note}: {'; '.join(texts)}."
 
 
 PHYSICS = {  # description of an effect by the form of its dependence
@@ -345,13 +345,13 @@ def _format_errors(chapter: Chapter) -> str:
             return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]
 
-    (where, initial), (_, final) = select_error(first_step), select_error(last_step)
-    if len(steps) == 1 or initial is None or final is None:
+    (where, initial_rms), (_, final) = select_error(first_step), select_error(last_step)
+    if len(steps) == 1 or initial_rms is None or final is None:
         return f"The rms error {where} is {number(final or last_step['rmse_fitted'], 2)} {unit}."
-    first_text, last_text = number(initial, 2), number(final, 2)
+    first_text, last_text = number(initial_rms, 2), number(final, 2)
     if first_text == last_text:
         return f"The rms error {where} stayed at {last_text} {unit}."
-    change = "fell" if final < initial else "rose"
+    change = "fell" if final < initial_rms else "rose"
     return f"The rms error {where} {change} from {first_text} to {last_text} {unit}."
 
 
@@ -359,9 +359,9 @@ def _describe_residuals(chapter: Chapter) -> str:
     """Describe the residuals."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
-    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
-    if depends:
-        return f"The residuals still depend on {join_words(depends[:3])}."
+    covariates = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
+    if covariates:
+        return f"The residuals still depend on {join_words(covariates[:3])}."
     noise_text = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first_code = next(iter(gate.get("claims", ())), {"code": ""})["code"]

@@ -59,13 +59,13 @@ PACKAGES = (
 def result(path: SearchPath) -> dict[str, Any]:
     """Convert all results of a search path to plain data."""
     final = path.final.calibration
-    absent = {*path.calibration.model.names} - {*final.model.names}
+    excluded = {*path.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"] not in absent] for rows in summary(path.calibration)
+        [row for row in rows if row["effect"] not in excluded] for rows in summary(path.calibration)
     )
     for row in (*coefficients, *hyperparameters):
-        averaged = {k: row[k] for k in AVERAGED_KEYS}
-        row["averaged"] = None if path.average is None else averaged
+        averaged_values = {k: row[k] for k in AVERAGED_KEYS}
+        row["averaged"] = None if path.average is None else averaged_values
         del row["probability"], row["given"]  # trivial for a single structure
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(path.steps):
@@ -168,9 +168,9 @@ def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
     noise_parameters = set(calibration.model.noise.parameters())
-    fixed = {k: np.asarray(v) for k, v in calibration.model.fixed if k in noise_parameters}
+    fixed_noise = {k: np.asarray(v) for k, v in calibration.model.fixed if k in noise_parameters}
     names = (u.name for u in calibration.unknowns if u.kind == "noise")
-    noise = {**{n: calibration.samples(n) for n in names}, **fixed}
+    noise = {**{n: calibration.samples(n) for n in names}, **fixed_noise}
     noise |= calibration.model.noise.derived(noise)
     mean = {n: float(values.mean()) for n, values in noise.items()}
     return {
@@ -273,8 +273,8 @@ class Chapter:
 
 def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
     """Build report chapters from calibrations, search paths or chapters; raise InputError for others."""
-    user_effects, accepted, items = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
-    wrong_types = [type(g).__name__ for g in items if not isinstance(g, accepted)]
+    user_effects, types, items = tuple(effects), (Calibration, SearchPath, Chapter), [*results]
+    wrong_types = [type(g).__name__ for g in items if not isinstance(g, types)]
     if wrong_types or not items:
         raise InputError(
             f"a report needs calibrations or search paths, not {', '.join(wrong_types) or 'an empty list'}: give the "

@@ -30,10 +30,10 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
     """Name a folder for each channel, without characters that a file system may not accept."""
     folders: dict[str, str] = {}
     for name in names:
-        sanitised = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
-        used, folder, number = set(folders.values()), sanitised, 2
-        while folder in used:
-            folder, number = f"{sanitised}_{number}", number + 1
+        base_name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
+        used_names, folder, number = set(folders.values()), base_name, 2
+        while folder in used_names:
+            folder, number = f"{base_name}_{number}", number + 1
         folders[name] = folder
     return folders
 
@@ -135,8 +135,8 @@ def _unmodified(folder: Path) -> dict[str, str]:
         hashes = files_of(folder)
     except InputError:
         return {}
-    existing = {n: d for n, d in hashes.items() if (folder / n).is_file()}
-    return {n: d for n, d in existing.items() if sha256_of(folder / n) == d}
+    present_hashes = {n: d for n, d in hashes.items() if (folder / n).is_file()}
+    return {n: d for n, d in present_hashes.items() if sha256_of(folder / n) == d}
 
 
 def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:

@@ -142,8 +142,8 @@ class StepwiseSearch:
                     f"no effect or coefficient is called {name!r}; the model has {has}"
                 )
         # Without a search all effects are kept.
-        searchable = model.effects if self.max_effects > 0 else ()
-        self.reconsidered = tuple(e for e in searchable if self.is_reconsidered(e, model))
+        candidates = model.effects if self.max_effects > 0 else ()
+        self.reconsidered = tuple(e for e in candidates if self.is_reconsidered(e, model))
         model = reduce(sub, self.reconsidered, model)
         with deadline.finishing():  # whatever the time limit
             first = self.fit_step(model, self.step_method(model))
@@ -161,10 +161,10 @@ class StepwiseSearch:
             return effect.name in {e.name for e in discover.list_placeholders(model, readings)}
         has_baseline = {e.name for e in instrument.effects} <= {*model.names}
         baseline_effects = (*instrument.effects, *instrument.nuisances)
-        catalogued = {*instrument.known} - {e.name for e in baseline_effects}
+        catalogue_names = {*instrument.known} - {e.name for e in baseline_effects}
         is_free = (model - effect).fixed == model.fixed
         testable_here = why_untestable(effect, readings) is None
-        return has_baseline and effect.name in catalogued and is_free and testable_here
+        return has_baseline and effect.name in catalogue_names and is_free and testable_here
 
     def list_structures(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """List the structures to search beyond a fitted step."""
@@ -174,10 +174,10 @@ class StepwiseSearch:
         if not c.verdict.ok or first.check.contradicts_fixed:
             self.max_effects, widen_noise = 0, False
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
-        named = [e for e in self.reconsidered if not e.is_placeholder]
+        named_effects = [e for e in self.reconsidered if not e.is_placeholder]
         options = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
         structures, self.untestable = discover.enumerate_structures(
-            c.model, self.readings, c.reference, effects=(*effects, *named), **options
+            c.model, self.readings, c.reference, effects=(*effects, *named_effects), **options
         )
         self.library = Library(structures)
 
@@ -201,8 +201,8 @@ class StepwiseSearch:
 
     def step_method(self, model: Model) -> Method | None:
         """Return the method of all steps but the last: least squares, under heavy tails without a deadline `method`."""
-        limited = deadline.current().ends_at < math.inf
-        return QUICK if model.noise.gaussian or limited else self.method
+        has_limit = deadline.current().ends_at < math.inf
+        return QUICK if model.noise.gaussian or has_limit else self.method
 
     def run_search(self, follow: Callable[[], None] = lambda: None) -> None:
         """Search the structures to the end or the deadline."""
@@ -314,15 +314,15 @@ class StepwiseSearch:
             return step
         candidates = step.discovery.candidates if step.discovery else ()
         tested = (c for c in candidates if c.kind != "not testable")
-        detectable = {c.effect: c.minimum_detectable for c in tested}
-        undetected = []
+        detectable_sizes = {c.effect: c.minimum_detectable for c in tested}
+        deviations = []
         for name, effect in structures.base.instrument.known.items():
             c = effect.coefficients[0]
             if c.per != "run" or c.group_sd is None or effect.shapes or name in in_use.model.names:
                 continue
-            smallest = detectable.get(name)
-            undetected.append((effect, c.size if smallest is None else min(c.size, smallest)))
-        test = HoldoutTest(in_use, self.holdout, predict(in_use, self.holdout), tuple(undetected))
+            smallest = detectable_sizes.get(name)
+            deviations.append((effect, c.size if smallest is None else min(c.size, smallest)))
+        test = HoldoutTest(in_use, self.holdout, predict(in_use, self.holdout), tuple(deviations))
         return replace(step, holdout_test=test)
 
     def fit_structure(
@@ -381,7 +381,7 @@ def step_of(
     """Check a fit and return it as a step with its errors; raise InputError for readings without noise."""
     if message := judgement.explain_missing_noise(calibration):
         raise InputError(message)
-    checked, floor, prediction, test = check(calibration), noise_floor(calibration), None, None
+    checks, floor, prediction, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
         prediction = predict(calibration, holdout)
         test = HoldoutTest(calibration, holdout, prediction)
@@ -389,12 +389,12 @@ def step_of(
         calibration=calibration,
         added=None,
         rmse=predict(calibration).rmse,
-        rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
+        rmse_fitted=float(np.sqrt(np.mean(checks.residuals**2))),
         holdout_rmse=None if prediction is None else prediction.rmse,
         holdout_test=test,
         leave_one_group_out=leave_one_group_out(calibration),
         noise_floor=floor,
-        check=checked,
+        check=checks,
         discovery=None,
         failures=judgement.contradictions(calibration, floor, accepted),
         outlying_groups=tuple(judgement.group_conflicts(judgement.Subject(calibration, accepted))),

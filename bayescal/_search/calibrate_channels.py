@@ -67,8 +67,8 @@ class Channels(Printed):
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         searches = ((n, t.search) for n, t in self.search_paths.items() if t.search)
         parts += [f"{n}: {s.stopped}" for n, s in searches if not s.complete]
-        doubted = ((n, t.gate) for n, t in self.search_paths.items() if not t.ok)
-        return [*parts, *(f"{n}: result not reliable: {gate.reason}" for n, gate in doubted)]
+        doubtful_gates = ((n, t.gate) for n, t in self.search_paths.items() if not t.ok)
+        return [*parts, *(f"{n}: result not reliable: {gate.reason}" for n, gate in doubtful_gates)]
 
     def _brief(self) -> str:
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
@@ -127,11 +127,11 @@ def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
 def _shared_text(s: SharedShape) -> str:
     """Format the result for an effect whose shape the channels share, in one line."""
     (middle, low, high), unit = s.posterior, unit_label(s.shape.unit)
-    strong = [n for n in s.log_ratios if s.log_bayes_factor(n) > settings().strong_evidence]
-    showing = ", ".join(strong) or "none alone"
+    strong_names = [n for n in s.log_ratios if s.log_bayes_factor(n) > settings().strong_evidence]
+    channel_text = ", ".join(strong_names) or "none alone"
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
-        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {showing}"
+        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {channel_text}"
     )
 
 
@@ -261,15 +261,15 @@ class _Channel:
         earlier = {**old.previous_round, **old.visited}
         new = replace(self._set_priors(new_prior, changed), previous_round=earlier)
 
-        def odds_changed(s: Structure) -> float:
+        def prior_change(s: Structure) -> float:
             return new.log_prior(s) - old.log_prior(s)
 
-        def corrected(w: EvaluatedStructure, change: float = 0.0) -> EvaluatedStructure:
-            log_prior = w.log_prior + odds_changed(w.structure)
+        def correct_fit(w: EvaluatedStructure, change: float = 0.0) -> EvaluatedStructure:
+            log_prior = w.log_prior + prior_change(w.structure)
             return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + change)
 
-        unchanged = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed))
-        new.visited.update({w.structure: corrected(w) for w in unchanged})
+        unchanged_fits = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed))
+        new.visited.update({w.structure: correct_fit(w) for w in unchanged_fits})
         leaders, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
         for fit in reversed(leaders[:BEAM_STRUCTURES]):
             deadline.current().ask()
@@ -279,10 +279,10 @@ class _Channel:
         # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence, as
         # in the most probable structure that has exactly these of the effects with a new range.
         for s, fit in earlier.items():
-            earlier[s] = corrected(fit, changes.get(s.effects & changed, 0.0))
+            earlier[s] = correct_fit(fit, changes.get(s.effects & changed, 0.0))
             new.store_score(s, earlier[s].log_posterior)
         for s in old.scores.keys() - earlier.keys():
-            change = odds_changed(s) + changes.get(s.effects & changed, 0.0)
+            change = prior_change(s) + changes.get(s.effects & changed, 0.0)
             new.store_score(s, old.scores[s] + change)
         search = replace(self.search, library=Library(new))
         if needs_search:
@@ -346,8 +346,8 @@ class _Unit:
             any_changed = False
             for c in self.channels.values():
                 with stage(c.name):
-                    changed = c.update_prior(self.cavity_priors(c))
-                if changed:
+                    is_changed = c.update_prior(self.cavity_priors(c))
+                if is_changed:
                     any_changed = True
                     yield c.name
             if not any_changed:

@@ -113,8 +113,8 @@ def summarise_candidate(
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
         factor = fit_with.log_evidence - fit.log_evidence
-        refitted = _fitted_size(structures.candidates[form], fit_with)
-        return replace(candidate, log_bayes_factor=factor, source="refit", **refitted)
+        fitted_fields = _fitted_size(structures.candidates[form], fit_with)
+        return replace(candidate, log_bayes_factor=factor, source="refit", **fitted_fields)
     if not points:
         return candidate
     mean, variance = _scored_size(library, points)

@@ -275,8 +275,8 @@ def enumerate_structures(
     # A family that the model has in one form is not missing in another.
     base_families = {e.family_name for e in model.effects}
     reasons = {n: untestable(e) for n, e in by_name.items() if e.family_name not in base_families}
-    testable = {n: by_name[n] for n, reason in reasons.items() if reason is None}
-    families, untested = {by_name[n].family_name for n in testable}, dict[str, Candidate]()
+    testable_effects = {n: by_name[n] for n, reason in reasons.items() if reason is None}
+    families, untested = {by_name[n].family_name for n in testable_effects}, dict[str, Candidate]()
     for name, reason in reasons.items():
         family = by_name[name].family_name
         if reason and not by_name[name].is_placeholder and family not in families:
@@ -285,11 +285,11 @@ def enumerate_structures(
     frame = record.frame
     model = fill_amplitudes(model, readings, record)
     amplitudes = amplitude_range(model, readings, record)
-    testable = {n: e.with_open_ranges(*amplitudes) for n, e in testable.items()}
-    record.require_finite((*testable.values(), *model.effects))
+    testable_effects = {n: e.with_open_ranges(*amplitudes) for n, e in testable_effects.items()}
+    record.require_finite((*testable_effects.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
-    layout = bind(model, readings, testable.values(), reference)[0]
-    structures = Structures(model, layout, record, testable, laws)
+    layout = bind(model, readings, testable_effects.values(), reference)[0]
+    structures = Structures(model, layout, record, testable_effects, laws)
     if latent:
         with deadline.finishing():  # the first model needs them, whatever the time limit
             structures = with_spans(structures, amplitudes[0] * math.sqrt(record.size))
@@ -303,13 +303,13 @@ def restrict_causes(
     covariates: Collection[str] | None,
 ) -> Measurements:
     """Exclude the columns to ignore as causes; if covariates are given, all other undeclared columns, too."""
-    if common := sorted({*ignore}.intersection(covariates or ())):
-        raise InputError(f"{', '.join(common)}: in both ignore and covariates: remove it from one")
+    if names := sorted({*ignore}.intersection(covariates or ())):
+        raise InputError(f"{', '.join(names)}: in both ignore and covariates: remove it from one")
     if covariates is not None:
         for name in covariates:
             readings[name]
-        declared = {c.name for c in instrument.columns} | {"output_uncertainty"}
-        undeclared = {n for n in readings.columns if readings.unit(n) is not None} - declared
+        declared_names = {c.name for c in instrument.columns} | {"output_uncertainty"}
+        undeclared = {n for n in readings.columns if readings.unit(n) is not None} - declared_names
         readings = readings.without_causes(undeclared - {*covariates}, others=False)
     return readings.without_causes(ignore)
 
@@ -360,19 +360,19 @@ def summarise_discovery(
         refit = structures.visited.get(structure.with_effects(form))
         candidate = summarise_candidate(library, name, form, scores, evaluated, refit)
         # Confounded candidates have parallel fitted contributions, or share a finding.
-        confounded = parallel.get(name, set()).union(findings_by_name.get(name, ())) - {name}
+        confounded_names = parallel.get(name, set()).union(findings_by_name.get(name, ())) - {name}
         candidate = replace(
             candidate,
             # None: no score, and no structure with it was evaluated before the search ended early.
             probability=posterior.probability_of_names(name) or (0.0 if scores else None),
-            indistinguishable_from=tuple(sorted(confounded)),
+            indistinguishable_from=tuple(sorted(confounded_names)),
         )
         effect = structures.candidates[scores[0].effect] if scores else None
         tested.append(classify_candidate(candidate, name in findings_by_name, effect))
     ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     final = posterior.best if stopped else posterior.median_structure
-    added, model = final.effects - structure.effects, structures.evaluate(final).sized_model
-    best = [model.effect(name) for name in structures.candidates if name in added]
+    added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model
+    best = [model.effect(name) for name in structures.candidates if name in added_names]
     is_stated = scored and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_finding = list(findings[0].effects) if findings else []
@@ -381,10 +381,10 @@ def summarise_discovery(
     laws = {"": structures.base.noise, **structures.noise_laws} if structures.noise_laws else {}
     pairs = ((law, posterior.law_probability(name)) for name, law in laws.items())
     law_rows = [LawProbability(law.name, law.in_words, p) for law, p in pairs]
-    unseen, unnamed = [c.effect for c in tested if c.unseen], structures.substantial_unnamed
+    unseen_names, unnamed = [c.effect for c in tested if c.unseen], structures.substantial_unnamed
     noise = [f"{evaluated.problem.noise.name} noise"] * evaluated.has_unnamed_noise
     return Discovery(
-        nothing_missing=posterior.completeness(unseen) if is_stated else None,
+        nothing_missing=posterior.completeness(unseen_names) if is_stated else None,
         unnamed=(*sorted(unnamed(evaluated)), *noise),
         latent=tuple(sorted(structures.latent_effects(evaluated.structure))),
         equivalent=list_equivalence_claims(structures, evaluated.structure),
@@ -408,11 +408,11 @@ def _describe_findings(discovery: Discovery) -> list[str]:
         )
     for s in discovery.findings:
         names = " or ".join(s.effects)
-        tail = "" if len(s.effects) == 1 else " (one of these; these readings cannot tell which)"
+        suffix = "" if len(s.effects) == 1 else " (one of these; these readings cannot tell which)"
         form = next((c.form for c in discovery.candidates if (c.effect,) == s.effects), "")
         if form not in ("", *s.effects):
-            tail = f" (most probable form: {form.removeprefix(f'{s.effects[0]}.')})"
-        lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
+            suffix = f" (most probable form: {form.removeprefix(f'{s.effects[0]}.')})"
+        lines.append(f"missing: {names}, probability {probability(s.probability)}{suffix}")
     for c in discovery.candidates:
         if c.role == "freed" and c.probability is not None:
             others = (r for r in discovery.candidates if r.role != "freed")

@@ -54,17 +54,17 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     """
     structures = replace(structures, noise_floor=min(floor, _residual_sd(structures)))
     linear, columns = _whiten_candidates(structures)
-    latent, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
+    latent_names, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
     for name, whitened in columns.items():
         if not is_undecided(whitened.without_groups, whitened.without_model):
             separable[name] = whitened.without_model
-        elif widened := _list_widened(linear, RMS_SCALE_FACTOR * whitened.white):
-            latent[name] = widened
+        elif widened_names := _list_widened(linear, RMS_SCALE_FACTOR * whitened.white):
+            latent_names[name] = widened_names
     if separable:  # the triangle of a QR has the products of all columns, in few rows
         ends = np.cumsum([c.shape[1] for c in separable.values()])[:-1]
         triangle = np.linalg.qr(np.column_stack([*separable.values()]), mode="r")
         separable = dict(zip(separable, np.split(triangle, ends, axis=1), strict=True))
-    return replace(structures, spans=Spans(separable, latent))
+    return replace(structures, spans=Spans(separable, latent_names))
 
 
 def _residual_sd(structures: Structures) -> float:
@@ -135,8 +135,8 @@ def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tup
 def find_equivalents(spans: Spans) -> list[Equivalent]:
     """Return minimal sets of two or three equivalent candidates, and single ones equivalent to the model's effects."""
     sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
-    spanned = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
-    for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned):
+    spanned_names = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
+    for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned_names):
         for others in itertools.combinations([n for n in spans.left if n != name], count):
             subsets, members = itertools.combinations(others, count - 1), (name, *others)
             is_spanned = spans.is_spanned(name, others)
@@ -177,8 +177,8 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         readings = Measurements.from_arrays(instrument, **columns())
         stride = -(-len(readings) // MAX_EXPERIMENT_READINGS)
         readings = readings.select(np.arange(0, len(readings), stride))
-        named = {n: structures.candidates[n] for equivalent in sets for n in equivalent.effects}
-        candidates = {n: e for n, e in named.items() if why_untestable(e, readings) is None}
+        effects = {n: structures.candidates[n] for equivalent in sets for n in equivalent.effects}
+        candidates = {n: e for n, e in effects.items() if why_untestable(e, readings) is None}
         reference = reference_of(readings)
         layout = bind(structures.base, readings, candidates.values(), reference)[0]
         record = record_of(instrument, readings, reference)

@@ -80,12 +80,12 @@ def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
 def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
     """Compare terms of the first model, and for unnamed effects of the last model without any, with the last model."""
     last, terms = steps[-1].calibration, list[TermComparison]()
-    unnamed = {e.name for e in last.model.effects if e.unnamed}
-    plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
+    names = {e.name for e in last.model.effects if e.unnamed}
+    fits = [s.calibration for s in steps[:-1] if names.isdisjoint(s.calibration.model.names)]
     latent = steps[-1].discovery.latent if steps[-1].discovery else ()
-    if plain:
-        terms = [t for t in find_replaced_terms(plain[0], last, latent) if not t.is_unnamed]
-        terms += [t for t in find_replaced_terms(plain[-1], last, latent) if t.is_unnamed]
+    if fits:
+        terms = [t for t in find_replaced_terms(fits[0], last, latent) if not t.is_unnamed]
+        terms += [t for t in find_replaced_terms(fits[-1], last, latent) if t.is_unnamed]
     return sorted(terms, key=lambda term: -term.shift)
 
 
@@ -97,12 +97,12 @@ def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
     columns = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
-    added = {*model.names} - {*steps[0].calibration.model.names}
+    added_names = {*model.names} - {*steps[0].calibration.model.names}
     time_effects = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
-    warm = {e.name for e in time_effects if e.along == "elapsed" or {*columns} & {*e.columns}}
-    in_time = [e.name for e in time_effects if e.name in warm | added]
-    if columns and in_time:
-        yield Claim("thermometer.or_sensor", *in_time, columns=tuple(columns))
+    warm_up = {e.name for e in time_effects if e.along == "elapsed" or {*columns} & {*e.columns}}
+    time_names = [e.name for e in time_effects if e.name in warm_up | added_names]
+    if columns and time_names:
+        yield Claim("thermometer.or_sensor", *time_names, columns=tuple(columns))
 
 
 def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:
@@ -152,10 +152,10 @@ def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     unit, left_out = last.calibration.unit, last.leave_one_group_out
     # Under another noise law readings have other weights, and an effect's part may be noise: the error may be larger.
     noise = last.calibration.model.noise
-    comparable = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
-    lowest = min((s.rmse_fitted for s in comparable), default=math.inf)
-    if last.added is not None and last.rmse_fitted > WORSE_RATIO * lowest:
-        errors = {"then": lowest, "now": last.rmse_fitted, "unit": unit}
+    rivals = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
+    lowest_rms = min((s.rmse_fitted for s in rivals), default=math.inf)
+    if last.added is not None and last.rmse_fitted > WORSE_RATIO * lowest_rms:
+        errors = {"then": lowest_rms, "now": last.rmse_fitted, "unit": unit}
         yield Claim("step.raises_error", last.added, step=last.title, **errors)
     if left_out and (best := find_better_left_out(last, earlier)) and best.leave_one_group_out:
         prediction = f"each {left_out.group} from the others ({scheme(left_out.group)})"
@@ -176,12 +176,12 @@ def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     coefficients = (b.coefficient for b in calibration.layout.blocks)
     if left_out is None or left_out.group != "run" or not np.isfinite(left_out.residual).all():
         return
-    means, within = judgement.split_by_run(calibration, left_out.residual)
+    means, deviations = judgement.split_by_run(calibration, left_out.residual)
     has_run_effect = any(c.group_sd and not c.initial for c in coefficients)
-    if not has_run_effect and judgement.is_between_runs_only(left_out.residual, within):
+    if not has_run_effect and judgement.is_between_runs_only(left_out.residual, deviations):
         # Prediction from the mean of the n − 1 other runs has n/(n − 1) times the distance from the mean of all.
         distance = float(np.ptp(means)) * (1 - 1 / left_out.count)
-        sizes = {"apart": distance, "within": float(np.sqrt(np.mean(within**2)))}
+        sizes = {"apart": distance, "within": float(np.sqrt(np.mean(deviations**2)))}
         yield Claim("runs.unlike", **sizes, unit=calibration.unit)
 
 

@@ -35,10 +35,10 @@ def load_user_effects(path: Path | None) -> tuple[Effect, ...]:
     from bayescal._model.noise_law import Noise
 
     module = run_file(path)
-    defined = vars(module)
-    effects = defined.get("EFFECTS", [v for v in defined.values() if isinstance(v, Effect)])
+    definitions = vars(module)
+    effects = definitions.get("EFFECTS", [v for v in definitions.values() if isinstance(v, Effect)])
     effects = (effects,) if isinstance(effects, Effect) else tuple(effects)
-    laws = (v for v in defined.values() if isinstance(v, type) and issubclass(v, Noise))
+    laws = (v for v in definitions.values() if isinstance(v, type) and issubclass(v, Noise))
     has_law = any(law.__module__ == module.__name__ for law in laws)
     if not (effects or has_law) or not all(isinstance(e, Effect) for e in effects):
         raise InputError(

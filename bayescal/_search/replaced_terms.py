@@ -137,8 +137,8 @@ def has_repeated_profile(readings: Measurements, column: str) -> bool:
         is_inside = time <= first[-1]
         if is_inside.sum() < 3 or np.ptp(values[is_inside]) == 0:
             return False
-        other = np.interp(time[is_inside], first, first_values)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[is_inside])[0, 1] < correlation:
+        profile = np.interp(time[is_inside], first, first_values)
+        if np.ptp(profile) == 0 or np.corrcoef(profile, values[is_inside])[0, 1] < correlation:
             return False
     return True
 
@@ -163,5 +163,5 @@ def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
     values = calibration.readings[column]
     start = np.median([values[rows][0] for rows in calibration.readings.records.in_time])
     limits = sorted((values.max(), values.min()), key=lambda end: -abs(start - end))
-    farther, nearer = (number(float(end), 3) for end in limits)
-    return f"Another profile would separate them: a run from {farther} to {nearer} °C and back."
+    far_end, near_end = (number(float(end), 3) for end in limits)
+    return f"Another profile would separate them: a run from {far_end} to {near_end} °C and back."

@@ -162,8 +162,8 @@ class SearchPath(Printed):
         if search is None or not (search.complete or search.stopped):
             return ""
         if discovery is None:
-            reliable = self.steps[0].calibration.verdict.ok
-            why = "no effect may be added" if reliable else "the fit is not reliable"
+            is_reliable = self.steps[0].calibration.verdict.ok
+            why = "no effect may be added" if is_reliable else "the fit is not reliable"
             return search.stopped or f"No search was made: {why}."
         lines = [search.stopped] if search.stopped else []
         added, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
@@ -172,15 +172,15 @@ class SearchPath(Printed):
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
         tested = {n: p for n, p in probabilities.items() if p is not None}
-        closest = max(tested, key=tested.__getitem__, default="")
+        name = max(tested, key=tested.__getitem__, default="")
         level = settings().found_probability
-        if not closest:
+        if not name:
             lines += [] if lines else ["These readings can test no further candidate."]
-        elif tested[closest] >= level:
-            lines.append(f"Still missing: {closest}, probability {probability(tested[closest])}.")
+        elif tested[name] >= level:
+            lines.append(f"Still missing: {name}, probability {probability(tested[name])}.")
         else:
-            highest = f"{closest}, {probability(tested[closest])}"
-            lines.append(f"No further effect reaches probability {level:g} (highest: {highest}).")
+            best_text = f"{name}, {probability(tested[name])}"
+            lines.append(f"No further effect reaches probability {level:g} (highest: {best_text}).")
         return " ".join(lines)
 
     if TYPE_CHECKING:

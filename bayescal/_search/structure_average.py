@@ -198,15 +198,15 @@ def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     excluded = structures.excluded_candidates(Structure(noise=noise))
     findings = [frozenset(f.effects) for f in posterior.findings]
-    shares, covered, mass_sum = dict[frozenset[str], float](), 0.0, sum(mass.values())
+    shares, covered_mass, mass_sum = dict[frozenset[str], float](), 0.0, sum(mass.values())
     for effects, part in sorted(mass.items(), key=lambda m: -m[1]):
         families = posterior.space.families(effects)
-        is_credible = covered < settings().found_probability
+        is_credible = covered_mass < settings().found_probability
         is_likely = is_credible and part >= settings().averaged_probability
         holds_all = not any(f.isdisjoint(families) for f in findings)
         if is_likely and effects.isdisjoint(excluded) and holds_all:
             shares[effects] = part
-        covered += part / mass_sum
+        covered_mass += part / mass_sum
     averaged = sum(shares.values())
     return tuple(StructureShare(tuple(sorted(e)), p / averaged) for e, p in shares.items())
 
@@ -269,8 +269,8 @@ def _combine_draws(
     # Shapes and spreads of absent effects have no influence: the median leaves summaries unchanged.
     spreads = {b.group_sd_name for b in layout.blocks}
     for values, h in zip(v.T, layout.hypers, strict=True):
-        absent = ABSENT if h.name in spreads else np.nanmedian(values)
-        values[np.isnan(values)] = absent
+        fill_value = ABSENT if h.name in spreads else np.nanmedian(values)
+        values[np.isnan(values)] = fill_value
     order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
     order = order[: CHAINS * (total // CHAINS)]
     return replace(

@@ -114,8 +114,8 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     basis = np.linalg.qr(np.array(directions).T)[0]
     columns = linear(rows).white_nuisance[:, : len(basis)] @ basis
     effort = [sum(d != 0 for d in p.direction) for p in poses]
-    chosen, remaining = _choose_poses(columns.reshape(len(poses), -1, basis.shape[1]), effort)
-    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), remaining)
+    chosen, left_count = _choose_poses(columns.reshape(len(poses), -1, basis.shape[1]), effort)
+    return Undetermined(count, combinations, tuple(poses[i] for i in chosen), left_count)
 
 
 def _list_poses(
@@ -160,12 +160,12 @@ def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tup
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        undetermined = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
-        inner = undetermined @ undetermined.transpose(0, 2, 1)
+        open_columns = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
+        inner = open_columns @ open_columns.transpose(0, 2, 1)
         log_volumes = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
         log_volumes[chosen] = 0.0
         if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
-            return chosen, undetermined.shape[2]
+            return chosen, open_columns.shape[2]
         near_best = np.flatnonzero(log_volumes > SIMPLER_SHARE * log_volumes.max()).tolist()
         chosen.append(min(near_best, key=lambda i: (effort[i], i)))
         information = information + columns[chosen[-1]].T @ columns[chosen[-1]]
