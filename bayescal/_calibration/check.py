@@ -417,7 +417,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     the residuals' lag-1 autocorrelation and ρ its expectation for independent noise under this model, the coefficient
     is the difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
     """
-    order, step = calibration.problem.record.in_time
+    order, step = calibration.problem.record.time_order
     starts = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
     sorted_residuals = standardised[order]
     r0, r1 = sorted_residuals[starts], sorted_residuals[starts + 1]
@@ -478,7 +478,7 @@ def noise_floor(calibration: Fitted) -> float:
     residuals = calibration.linear.conditional_residuals
     readings = calibration.readings
     if readings.has("time"):
-        order, step = calibration.problem.record.in_time
+        order, step = calibration.problem.record.time_order
         has_previous = step >= 0
     else:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))

@@ -63,7 +63,7 @@ class RecordSubset(Record):
 
     def __init__(self, parent: Record, rows: np.ndarray) -> None:
         # In time order; a time step sums those of the omitted readings in between.
-        order, time_steps = parent.in_time
+        order, time_steps = parent.time_order
         row_number = np.full(parent.size, -1)
         row_number[rows] = np.arange(len(rows))
         in_time = np.flatnonzero(row_number[order] >= 0)

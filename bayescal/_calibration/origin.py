@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from bayescal._core.lazy_jax import jax, jnp
 from bayescal._data.measurements import Measurements
-from bayescal._inference.record import AFFINE, Record, record_of
+from bayescal._inference.record import AFFINE_TOLERANCE, Record, record_of
 from bayescal._model.effect import READING
 from bayescal._model.frame import Reference, origins_of, reference_name
 from bayescal._model.instrument import factor_of
@@ -86,6 +86,6 @@ def _has_unit_slope(record: Record, slot: str, output: int) -> bool:
                 return vector.equation({**slots, slot: value}, record.frame)(jnp.asarray(x))
 
             jacobian = np.asarray(jax.jvp(evaluate, (slots[slot],), (np.ones(record.size),))[1])
-        if not np.max(np.abs(jacobian - np.eye(jacobian.shape[1])[output])) <= AFFINE:
+        if not np.max(np.abs(jacobian - np.eye(jacobian.shape[1])[output])) <= AFFINE_TOLERANCE:
             return False
     return True

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from bayescal._inference.gaussian import Conditional, Gram, cholesky, condition, solve_tri
 from bayescal._inference.newton import NOWHERE, HessianGuess, NumericDensity
 from bayescal._inference.noise_on_record import (
-    Independent,
+    SdWhitening,
     Whitening,
     density_terms,
     total_log_density,
@@ -107,7 +107,7 @@ class Density(NumericDensity):
         """Return the variance of each reading from noisy inputs, output unit squared (n,), or 0."""
         return self.problem.extra(line) if self.input_variance is None else self.input_variance
 
-    def _whitening(self, line: Linearisation, hyper: Values) -> Whitening | Independent:
+    def _whitening(self, line: Linearisation, hyper: Values) -> Whitening | SdWhitening:
         return whitening(self.problem.noise, hyper, self.problem.record, self._input_variance(line))
 
     def whiten_at(
@@ -157,7 +157,7 @@ class Density(NumericDensity):
             groups += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
         hypers, column_sets = self.problem.hyper_of_each(vs), list[list[list[int]]]()
 
-        def yield_tables() -> Iterator[tuple[Whitening | Independent, np.ndarray]]:
+        def yield_tables() -> Iterator[tuple[Whitening | SdWhitening, np.ndarray]]:
             lines = self._linearise_many(vs[[i for group in groups for i in group]])
             line, first_table = None, np.empty(0)
             for group in groups:

@@ -16,7 +16,7 @@ from bayescal._inference.gaussian import cholesky, compute_column_scales
 from bayescal._inference.laplace import Mode, compute_flat_scales
 from bayescal._inference.noise_nodes import DCTNodes
 from bayescal._inference.noise_on_record import (
-    Independent,
+    SdWhitening,
     Whitening,
     normal_scores,
     variance,
@@ -58,7 +58,7 @@ class LinearModel:
     owners: tuple[str, ...]  # effect of each nuisance column (q,)
     # θ minus its prior mean, in prior standard deviations; 0 where the prior is flat (q,)
     z: Float[np.ndarray, "q"]
-    whiten: Whitening | Independent  # of the readings
+    whiten: Whitening | SdWhitening  # of the readings
     extra: Float[np.ndarray, "n"] | float  # variance from noisy inputs (n,), or 0
 
     @property
@@ -68,7 +68,7 @@ class LinearModel:
     @cached_property
     def at_rest(self) -> Record:
         """Return the residuals as a record of a channel at constant input, to fit noise laws."""
-        return self.problem.record.of_noise(self.residual)
+        return self.problem.record.residual_record(self.residual)
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """Whiten columns up to a common orthogonal rotation: inner products are right, rows are no readings."""
@@ -76,7 +76,7 @@ class LinearModel:
         if isinstance(law, Whitening) and not self.problem.noisy:
             nodes = law.record.nodes(law.law)
             if isinstance(nodes, DCTNodes):
-                return nodes.whitened(law.law, law.values, columns)
+                return nodes.whiten(law.law, law.values, columns)
         return law(columns)
 
     @cached_property

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from bayescal._data.averaging import mean_rows
 from bayescal._inference.linear_model import LinearModel
-from bayescal._inference.noise_on_record import Independent, Whitening
+from bayescal._inference.noise_on_record import SdWhitening, Whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import BY_READING
@@ -25,65 +25,66 @@ from bayescal._model.noise_law import WHITE
 class Means:
     """Block means of a record's readings, in the order of time within runs."""
 
-    of: Record  # the readings
-    record: Record  # the means
-    begins: Int[np.ndarray, "m"]  # index of each block's first reading, in time order
-    count: int  # readings per block, except at ends of runs
+    source: Record  # readings
+    record: Record  # block means
+    starts: Int[np.ndarray, "m"]  # index of each block's first reading, in time order
+    count: int  # readings per block, except in the last block of a run
 
     @classmethod
     def from_record(cls, record: Record, count: int) -> Means:
-        """Average blocks of `count` readings, fewer at the end of a run or label."""
+        """Average blocks of `count` readings; a block is shorter where a run ends or a group label changes."""
         frame = record.frame.in_time()
-        new = frame.step < 0
+        is_first = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):
-            new[1:] |= np.diff(labels) != 0
-        run_starts = np.flatnonzero(new)
-        position = np.arange(len(new)) - np.repeat(run_starts, np.diff(run_starts, append=len(new)))
-        begins = np.flatnonzero(position % count == 0)
-        clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), begins)
-        step = np.where(frame.step[begins] < 0, -1.0, np.diff(clock, prepend=0.0))
-        thin = frame.reordered(begins, np.arange(len(begins)), step)
+            is_first[1:] |= np.diff(labels) != 0
+        run_starts = np.flatnonzero(is_first)
+        lengths = np.diff(run_starts, append=len(is_first))
+        position = np.arange(len(is_first)) - np.repeat(run_starts, lengths)
+        starts = np.flatnonzero(position % count == 0)
+        clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), starts)
+        step = np.where(frame.step[starts] < 0, -1.0, np.diff(clock, prepend=0.0))
+        means = frame.reordered(starts, np.arange(len(starts)), step)
         averaged = {
-            n: {k: mean_rows(a, begins) for k, a in getattr(frame, n).items()}
+            n: {k: mean_rows(a, starts) for k, a in getattr(frame, n).items()}
             for n in BY_READING
             if n not in ("codes", "labels")  # constant within a block
         }
-        y = mean_rows(record.y[record.in_time[0]], begins)
-        return cls(record, Record(record.instrument, replace(thin, **averaged), y), begins, count)
+        y = mean_rows(record.y[record.time_order[0]], starts)
+        return cls(record, Record(record.instrument, replace(means, **averaged), y), starts, count)
 
     @cached_property
     def counts(self) -> Int[np.ndarray, "m"]:
-        """Return the number of readings of each mean."""
-        return np.diff(self.begins, append=self.of.size)
+        """Return the number of readings in each block (m,)."""
+        return np.diff(self.starts, append=self.source.size)
 
     def __call__(self, rows: Float[np.ndarray, "n *k"]) -> Float[np.ndarray, "m *k"]:
-        """Average rows, one per reading, over the blocks."""
-        order = self.of.in_time[0]
-        return mean_rows(rows if self.of.is_time_ordered else rows[order], self.begins)
+        """Average rows, one per reading, within each block (m, …)."""
+        order = self.source.time_order[0]
+        return mean_rows(rows if self.source.is_time_ordered else rows[order], self.starts)
 
     def within_fraction(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
-        """Return the fraction of each column's variance within blocks (k,)."""
+        """Return the fraction of each column's variance that is within blocks (k,)."""
         deviations = rows - rows.mean(axis=0)
         total = np.sum(deviations**2, axis=0)
         between = self.counts @ self(deviations) ** 2
         return np.where(total > 0, 1 - between / np.where(total > 0, total, 1.0), 0.0)
 
     def linear_model(self, line: LinearModel) -> LinearModel:
-        """Return the linear model of the block means, about the same mode."""
+        """Return the linear model of the block means, linearised about the mode of the readings' model."""
         problem, whiten = line.problem, line.whiten
-        if isinstance(whiten, Independent):
+        if isinstance(whiten, SdWhitening):
             precision = 1 / whiten.sd**2
             weight = self(precision)
-            whiten = Independent(1 / np.sqrt(self.counts * weight))
+            whiten = SdWhitening(1 / np.sqrt(self.counts * weight))
             residual = self(precision * line.residual) / weight
             nuisance = np.transpose([self(precision * c) / weight for c in line.nuisance.T])
         else:
             residual, nuisance = self(line.residual), self(line.nuisance)
             values = problem.hyper(line.mode.v)
             values |= {WHITE: values[WHITE] / math.sqrt(self.count)}
-            extra = self(np.broadcast_to(line.extra, line.size)) / self.count
-            whiten = Whitening(problem.noise, values, self.record, extra)
-        short = Problem(problem.layout, self.record, problem.size_factors)
-        of_means = replace(line, problem=short, residual=residual, nuisance=nuisance, whiten=whiten)
-        vars(of_means)["slopes"] = {n: self(s) for n, s in line.slopes.items()}
-        return of_means
+            variance = self(np.broadcast_to(line.extra, line.size)) / self.count
+            whiten = Whitening(problem.noise, values, self.record, variance)
+        problem = Problem(problem.layout, self.record, problem.size_factors)
+        result = replace(line, problem=problem, residual=residual, nuisance=nuisance, whiten=whiten)
+        vars(result)["slopes"] = {n: self(s) for n, s in line.slopes.items()}
+        return result

@@ -1,9 +1,9 @@
-"""Inner products weighted by Σ(θ)⁻¹ for any parameters θ of a noise law, interpolated in one variable.
+"""Inner products TᵀΣ(θ)⁻¹T of columns T for any parameters θ of a noise law, interpolated in one variable.
 
-After an orthonormal transform of the columns a covariance is Σ(θ) = D(θ) − U·M·Uᵀ, D diagonal and a smooth function of
-one variable z of each row. With ℓ_c Lagrange's polynomials at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that
+After an orthonormal transform of the rows the noise covariance is Σ(θ) = D(θ) − U·M·Uᵀ, with D diagonal and a smooth
+function of one variable z of each row. With Lagrange polynomials ℓ_c at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that
 
-    B_c = Σ_rows ℓ_c(z)·t·tᵀ,
+    B_c = Σ_rows ℓ_c(z)·t·tᵀ,   n_c = Σ_rows ℓ_c(z)   (t a transformed row of T)
 
 give TᵀΣ(θ)⁻¹T = Σ_c B_c/D(z_c) and log|Σ(θ)| = Σ_c n_c·log D(z_c), plus corrections at the ends of runs, for all θ.
 
@@ -33,32 +33,32 @@ from bayescal._inference.chebyshev import lagrange_at_nodes
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import compute_eigenvalues, transform_end
 
-WRITTEN_STEPS = 0.5  # tolerated rounding of times with an even clock, in steps
-SINGLE_FREQUENCIES = 16  # lowest frequencies of a run, each a node
+MAX_JITTER_STEPS = 0.5  # tolerated rounding of evenly spaced times, in steps
+LOWEST_NODE_COUNT = 16  # number of lowest frequencies of a run that are nodes
 SEGMENT_RATIO = 30.0  # ratio of λ across an interpolated segment of frequencies
 FINE_RATIO = 10**0.5  # ratio of distances from a singular point across a segment
 SEGMENT_NODES = 12  # Chebyshev nodes of a segment
-CHUNK_NUMBERS = 2_000_000  # array elements per batch
-SIGNS = (1, -1)  # e₊ and e₋, combinations of a run's ends
-COLUMN_NODES = 25  # Chebyshev nodes along a covariate, at least
-NODES_PER_UNIT = 6  # and per unit of it, which may be a logarithm
+MAX_ELEMENTS = 2_000_000  # array elements per batch
+SIGNS = (1, -1)  # of e± = (e₁ ± eₙ)/√2, the ends of a run of n readings
+MIN_COLUMN_NODES = 25  # Chebyshev nodes along a covariate
+NODES_PER_UNIT = 6  # Chebyshev nodes per unit of a (possibly logarithmic) covariate
 
 Columns = Float[np.ndarray, "n k"]
-Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) for s settings
+Values = Mapping[str, Any]  # parameters of a law by name: a number, or (s,) for s parameter sets
 
 
 class Weights(NamedTuple):
-    """Weights of the nodes at s settings of a noise law; `ends` and `inner` by (run length, sign)."""
+    """Weights of interpolation nodes for s parameter sets of a noise law; `ends` and `inner` by (run length, sign)."""
 
     inverse: Float[np.ndarray, "s j"]  # 1/D at the nodes
     log_det: Float[np.ndarray, "s"]  # log|Σ|
-    # 1/D times the end functions at the nodes of each length of run
+    # 1/D times the end functions (`SpectralTerm.ends`) at the nodes of each run length
     ends: dict[tuple[int, int], Float[np.ndarray, "s q i"]]
     inner: dict[tuple[int, int], Float[np.ndarray, "s q q"]]  # (I − M·Z)⁻¹·M
 
 
-class OneNode:
-    """Homoscedastic independent noise: a single node. Base class of all sets of nodes."""
+class SingleNode:
+    """Set of one node, for homoscedastic independent noise; base class of all sets of interpolation nodes."""
 
     count = 1
 
@@ -66,31 +66,31 @@ class OneNode:
         self.size = size
 
     def transform(self, columns: Columns) -> list[Columns]:
-        """Transform columns (n, k) by the orthonormal transform, one array per run."""
+        """Transform columns (n, k) orthonormally, so that the noise covariance is diagonal; one array per run."""
         return [columns]
 
     def products(self, a: list[Columns], b: list[Columns]) -> Float[np.ndarray, "j ka kb"]:
-        """Return the inner products of transformed columns at the nodes, B_c."""
+        """Return the inner products B_c of transformed columns at each node c (j, ka, kb)."""
         return (a[0].T @ b[0])[None]
 
     def end_products(self, a: list[Columns]) -> dict[tuple[int, int], Float[np.ndarray, "r i k"]]:
-        """Return the products of transformed columns with the end vectors of each run, by (length, sign)."""
+        """Return the inner products of transformed columns with the end vectors of each run, by (run length, sign)."""
         return {}
 
     def weights(self, law: Noise, values: Values) -> Weights:
-        """Return the weights of the nodes at s settings of the law's parameters."""
+        """Return the weights of the nodes for s parameter sets of the noise law."""
         variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
         return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
 
 
-class ColumnNodes(OneNode):
-    """Nodes for independent noise whose variance is a smooth function of z (`Noise.variance_place`)."""
+class ColumnNodes(SingleNode):
+    """Interpolation nodes for independent noise whose variance is a smooth function of z (`Noise.variance_place`)."""
 
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
         low, high = float(np.min(z)), float(np.max(z))
         high = high if high > low else low + 1.0
-        self.count = max(COLUMN_NODES, math.ceil(NODES_PER_UNIT * (high - low)))
+        self.count = max(MIN_COLUMN_NODES, math.ceil(NODES_PER_UNIT * (high - low)))
         self.nodes, self.lagrange = lagrange_at_nodes(low, high, self.count, z)
         self.rows = self.lagrange.sum(axis=0)
 
@@ -99,26 +99,26 @@ class ColumnNodes(OneNode):
         return (weighted @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
     def weights(self, law, values):
-        settings = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        variance = law.variance_along(settings, self.nodes)
+        parameters = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        variance = law.variance_along(parameters, self.nodes)
         return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
 class Segment(NamedTuple):
-    """A segment of a run's frequencies, interpolated between its nodes."""
+    """A segment of a run's frequencies, with its interpolation nodes."""
 
     rows: slice
-    places: Float[np.ndarray, "c"]  # frequency indices of the nodes, real
+    frequencies: Float[np.ndarray, "c"]  # real frequency indices of the nodes
     lagrange: Float[np.ndarray, "k c"]  # Lagrange polynomials of the nodes at the frequencies
 
 
-class DCTNodes(OneNode):
-    """Nodes in frequency (cosine transform) for stationary noise on evenly spaced runs of any lengths.
+class DCTNodes(SingleNode):
+    """Interpolation nodes in frequency (cosine transform) for stationary noise on evenly spaced runs of any lengths.
 
     Attributes:
-        runs: rows of each run, in the order of time.
+        runs: rows of each run, in time order.
         step: sampling interval, s.
-        lam: λ of each node (j,), grouped by run length.
+        lam: Laplacian eigenvalue λ of each node (j,), grouped by run length.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class DCTNodes(OneNode):
         step: float,
         segments: Callable[[int], Iterator[Segment]] | None = None,
     ) -> None:
-        """Set up the nodes; `segments`: run length → segments of its frequencies, if not the default."""
+        """Set up the nodes; `segments`: function that maps a run length to its frequency segments."""
         super().__init__(sum(map(len, runs)))
         self.runs, self.step = list(runs), step
         lengths = [len(run) for run in runs]
@@ -135,21 +135,21 @@ class DCTNodes(OneNode):
         self.segments, self.node_slices, lam = dict[int, list[Segment]](), dict[int, slice](), []
         for n in self.run_counts:
             first = sum(map(len, lam))
-            self.segments[n] = [*(segments or _segments)(n)]
-            lam += [compute_eigenvalues(n, s.places) for s in self.segments[n]]
+            self.segments[n] = [*(segments or _list_segments)(n)]
+            lam += [compute_eigenvalues(n, s.frequencies) for s in self.segments[n]]
             self.node_slices[n] = slice(first, sum(map(len, lam)))
         self.lam = np.concatenate(lam)
         self.count = len(self.lam)
         self.rows = np.zeros(self.count)
         self.end_squares = {}
         for n, times in self.run_counts.items():
-            self.rows[self.node_slices[n]] = times * self._onto_nodes(n, np.ones((n, 1)))[:, 0]
+            self.rows[self.node_slices[n]] = times * self._project(n, np.ones((n, 1)))[:, 0]
             for sign in SIGNS:
                 squares = transform_end(n, sign)[:, None] ** 2
-                self.end_squares[n, sign] = self._onto_nodes(n, squares)[:, 0]
+                self.end_squares[n, sign] = self._project(n, squares)[:, 0]
 
-    def _onto_nodes(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
-        """Return Σ_rows ℓ_c·values at the nodes of a run of n readings (i, k)."""
+    def _project(self, n: int, values: Columns) -> Float[np.ndarray, "i k"]:
+        """Return Σ_rows ℓ_c·values (i, k), ℓ_c the Lagrange polynomials of the nodes of a run of n readings."""
         return np.concatenate([s.lagrange.T @ values[s.rows] for s in self.segments[n]])
 
     def transform(self, columns):
@@ -157,19 +157,19 @@ class DCTNodes(OneNode):
 
     def products(self, a, b):
         products = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
-        for run, first, second in zip(self.runs, a, b, strict=True):
+        for run, run_a, run_b in zip(self.runs, a, b, strict=True):
             node = self.node_slices[len(run)].start
-            for rows, places, lagrange in self.segments[len(run)]:
-                nodes, node = range(node, node + len(places)), node + len(places)
+            for rows, frequencies, lagrange in self.segments[len(run)]:
+                nodes, node = range(node, node + len(frequencies)), node + len(frequencies)
                 if lagrange.shape[0] == lagrange.shape[1]:  # each frequency is a node
-                    products[nodes.start : nodes.stop] += first[rows, :, None] * second[rows, None]
+                    products[nodes.start : nodes.stop] += run_a[rows, :, None] * run_b[rows, None]
                     continue
-                count = max(1, CHUNK_NUMBERS // first[rows].size)  # nodes side by side
+                count = max(1, MAX_ELEMENTS // run_a[rows].size)  # nodes side by side
                 for c in range(0, len(nodes), count):
-                    ells = lagrange[:, c : c + count].T
-                    weighted = (ells[:, None] * first[rows].T).reshape(-1, len(lagrange))
-                    part = (weighted @ second[rows]).reshape(len(ells), first.shape[1], -1)
-                    products[nodes[c] : nodes[c] + len(ells)] += part
+                    weights = lagrange[:, c : c + count].T
+                    weighted = (weights[:, None] * run_a[rows].T).reshape(-1, len(lagrange))
+                    part = (weighted @ run_b[rows]).reshape(len(weights), run_a.shape[1], -1)
+                    products[nodes[c] : nodes[c] + len(weights)] += part
         return products
 
     def end_products(self, a):
@@ -177,13 +177,13 @@ class DCTNodes(OneNode):
         for n, sign in self.end_squares:
             end = transform_end(n, sign)[:, None]
             columns = [t for run, t in zip(self.runs, a, strict=True) if len(run) == n]
-            products[n, sign] = np.array([self._onto_nodes(n, end * t) for t in columns])
+            products[n, sign] = np.array([self._project(n, end * t) for t in columns])
         return products
 
     def weights(self, law, values):
-        settings = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        terms = law.spectrum(settings, self.step, self.lam)
-        diagonal = settings[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
+        parameters = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        terms = law.spectrum(parameters, self.step, self.lam)
+        diagonal = parameters[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
         inverse, count = 1 / diagonal, len(diagonal)
         log_det = np.log(diagonal) @ self.rows
         ends, inner = {}, {}
@@ -191,61 +191,61 @@ class DCTNodes(OneNode):
         if not functions:
             return Weights(inverse, log_det, ends, inner)
         u = np.stack(functions, axis=1)  # (s, q, j)
-        whitened = u * inverse[:, None]
+        whiten = u * inverse[:, None]
         for (n, sign), squares in self.end_squares.items():
             nodes = self.node_slices[n]
-            m = _block_diagonal([t.correction(n, sign) for t in terms], count)
-            z = (whitened[:, :, nodes] * squares) @ u[:, :, nodes].transpose(0, 2, 1)
+            m = _assemble_blocks([t.correction(n, sign) for t in terms], count)
+            z = (whiten[:, :, nodes] * squares) @ u[:, :, nodes].transpose(0, 2, 1)
             core = np.eye(u.shape[1]) - m @ z
-            positive, log_core = np.linalg.slogdet(core)
-            log_det = log_det + self.run_counts[n] * np.where(positive > 0, log_core, np.inf)
+            sign_det, log_core = np.linalg.slogdet(core)
+            log_det = log_det + self.run_counts[n] * np.where(sign_det > 0, log_core, np.inf)
             core = np.where(np.isfinite(core), core, np.eye(len(core[0])))
             inner[n, sign] = np.linalg.solve(core, m)
-            ends[n, sign] = whitened[:, :, nodes]
+            ends[n, sign] = whiten[:, :, nodes]
         return Weights(inverse, log_det, ends, inner)
 
-    def whitened(self, law: Noise, values: Values, columns: Columns) -> Columns:
-        """Return a square root of Σ⁻¹ times columns at one setting, in frequency, run after run.
+    def whiten(self, law: Noise, values: Values, columns: Columns) -> Columns:
+        """Multiply columns (n, k) by a square root of Σ⁻¹ for one parameter set; rows are frequencies, run by run.
 
         A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
         """
-        settings = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
+        parameters = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
         weights, roots, parts = self.weights(law, values), dict[int, Any](), []
         for run in self.runs:
             n = len(run)
             if n not in roots:
-                terms = law.spectrum(settings, self.step, compute_eigenvalues(n, np.arange(n)))
-                scale = 1 / np.sqrt(settings[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
+                terms = law.spectrum(parameters, self.step, compute_eigenvalues(n, np.arange(n)))
+                scale = 1 / np.sqrt(parameters[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
                 u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
                 ends = np.concatenate([scale * u * transform_end(n, sign) for sign in SIGNS])
                 base, r = np.linalg.qr(ends.T)
                 core = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
-                size, vectors = np.linalg.eigh(r @ core @ r.T)
-                roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + size)[:, None] - 1
+                eigenvalues, vectors = np.linalg.eigh(r @ core @ r.T)
+                roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + eigenvalues)[:, None] - 1
             scale, base, root_factor = roots[n]
-            whitened = scale * dct(columns[run], axis=0, norm="ortho")
-            parts.append(whitened + base @ (root_factor * (base.T @ whitened)))
+            white = scale * dct(columns[run], axis=0, norm="ortho")
+            parts.append(white + base @ (root_factor * (base.T @ white)))
         return np.concatenate(parts)
 
 
 def dct_nodes(time_order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
-    """Return the nodes of stationary noise; None if steps are uneven or a run has fewer than 3 readings.
+    """Return the nodes for stationary noise; None if time steps are uneven or a run has fewer than 3 readings.
 
-    Small jitter, and rounding of times that does not accumulate, count as even. `step`: time since the previous reading
-    in time order, s; −1 at a run's first.
+    Small jitter, and rounding of times that does not accumulate, are tolerated. step: time since the previous reading,
+    s; −1 at the first of a run.
     """
-    first, steps = np.flatnonzero(step < 0), step[step >= 0]
-    runs = np.split(time_order, first[1:])
+    run_starts, steps = np.flatnonzero(step < 0), step[step >= 0]
+    runs = np.split(time_order, run_starts[1:])
     if min(map(len, runs)) < 3 or (mean_step := float(np.mean(steps))) <= 0:
         return None
     if np.max(np.abs(steps - np.median(steps))) <= EVEN_STEPS * mean_step:
         return DCTNodes(runs, mean_step)
     # Regression of each run's times on their indices, both centred.
-    times = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), first[1:])]
+    times = [t - t.mean() for t in np.split(np.cumsum(np.maximum(step, 0.0)), run_starts[1:])]
     indices = [np.arange(len(t)) - 0.5 * (len(t) - 1) for t in times]
     period = sum(map(np.dot, indices, times)) / sum(i @ i for i in indices)
     deviation = max(float(np.ptp(t - period * i)) for t, i in zip(times, indices, strict=True))
-    return DCTNodes(runs, period) if deviation <= WRITTEN_STEPS * period else None
+    return DCTNodes(runs, period) if deviation <= MAX_JITTER_STEPS * period else None
 
 
 class Products:
@@ -253,105 +253,105 @@ class Products:
 
     def __init__(
         self,
-        at_nodes: Float[np.ndarray, "j r r"],
+        node_products: Float[np.ndarray, "j r r"],
         ends: Mapping[tuple[int, int], Float[np.ndarray, "u i r"]],
     ) -> None:
-        self.width = at_nodes.shape[1]
-        self._runs = {k: e.transpose(1, 0, 2).reshape(e.shape[1], -1) for k, e in ends.items()}
-        self._flat = np.ascontiguousarray(at_nodes).reshape(len(at_nodes), -1)
+        self.width = node_products.shape[1]
+        self._end_table = {k: e.transpose(1, 0, 2).reshape(e.shape[1], -1) for k, e in ends.items()}
+        self._node_table = np.ascontiguousarray(node_products).reshape(len(node_products), -1)
 
     @classmethod
-    def of(cls, nodes: OneNode, columns: Columns) -> Products:
-        """Compute the inner products of columns (n, r)."""
+    def from_columns(cls, nodes: SingleNode, columns: Columns) -> Products:
+        """Compute the inner products of columns (n, r) at the nodes and run ends."""
         transformed = nodes.transform(columns)
         return cls(nodes.products(transformed, transformed), nodes.end_products(transformed))
 
-    def _at_ends(
+    def _multiply_ends(
         self, weights: Weights, settings: slice
     ) -> Iterator[tuple[Float[np.ndarray, "s q x"], Float[np.ndarray, "s q x"]]]:
-        """Yield UᵀD⁻¹T of all runs of one length (s, q, runs·r), and (I − M·Z)⁻¹·M times it."""
-        for key, runs in self._runs.items():
+        """Yield UᵀD⁻¹T of all runs of one length (s, q, runs·r), and (I − M·Z)⁻¹·M times that."""
+        for key, runs in self._end_table.items():
             if key in weights.inner:
                 ends, inner = weights.ends[key][settings], weights.inner[key][settings]
                 # One matrix product instead of many small ones.
-                at_ends = (ends.reshape(-1, ends.shape[2]) @ runs).reshape(*ends.shape[:2], -1)
-                yield at_ends, inner @ at_ends
+                columns = (ends.reshape(-1, ends.shape[2]) @ runs).reshape(*ends.shape[:2], -1)
+                yield columns, inner @ columns
 
     def gram(self, weights: Weights, settings: slice = slice(None)) -> Float[np.ndarray, "s r r"]:
-        """Return TᵀΣ⁻¹T at selected settings (s, r, r)."""
-        gram = (weights.inverse[settings] @ self._flat).reshape(-1, self.width, self.width)
-        pairs = [*self._at_ends(weights, settings)]
+        """Return TᵀΣ⁻¹T for the selected parameter sets (s, r, r)."""
+        gram = (weights.inverse[settings] @ self._node_table).reshape(-1, self.width, self.width)
+        pairs = [*self._multiply_ends(weights, settings)]
         if pairs:
-            first, second = (
+            left, right = (
                 np.concatenate([a.reshape(len(a), -1, self.width) for a in arrays], axis=1)
                 for arrays in zip(*pairs, strict=True)
             )
-            gram += first.transpose(0, 2, 1) @ second
+            gram += left.transpose(0, 2, 1) @ right
         return gram
 
     def traces(self, weights: Weights, e: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "s"]:
-        """Return tr(E·TᵀΣ⁻¹T) at all settings (s,)."""
-        traces = weights.inverse @ (self._flat @ e.ravel())
-        for at_ends, by in self._at_ends(weights, slice(None)):
-            product = at_ends.reshape(*at_ends.shape[:2], -1, self.width) @ e
-            traces = traces + np.sum(by * product.reshape(by.shape), axis=(1, 2))
+        """Return tr(E·TᵀΣ⁻¹T) for all parameter sets (s,), E a symmetric matrix (r, r)."""
+        traces = weights.inverse @ (self._node_table @ e.ravel())
+        for columns, weighted in self._multiply_ends(weights, slice(None)):
+            product = columns.reshape(*columns.shape[:2], -1, self.width) @ e
+            traces = traces + np.sum(weighted * product.reshape(weighted.shape), axis=(1, 2))
         return traces
 
 
-def _segments(n: int) -> Iterator[Segment]:
-    """Yield segments of a run's frequencies: the lowest as single nodes, then a factor of 30 in λ each."""
-    symbol, start = compute_eigenvalues(n, np.arange(n)), 0
+def _list_segments(n: int) -> Iterator[Segment]:
+    """Yield segments of a run's frequencies: the 16 lowest, each a node, then one per factor of 30 in λ."""
+    lam, start = compute_eigenvalues(n, np.arange(n)), 0
     while start < n:
         if start == 0:
-            stop = min(SINGLE_FREQUENCIES, n)
+            stop = min(LOWEST_NODE_COUNT, n)
         else:
-            stop = max(start + 1, int(np.searchsorted(symbol, symbol[start] * SEGMENT_RATIO)))
+            stop = max(start + 1, int(np.searchsorted(lam, lam[start] * SEGMENT_RATIO)))
             stop = n if stop > 0.8 * n else stop
-        rows, places = slice(start, stop), np.arange(start, stop)
-        if start == 0 or len(places) <= SEGMENT_NODES + 2:
-            yield Segment(rows, places, np.eye(len(places)))
+        rows, frequencies = slice(start, stop), np.arange(start, stop)
+        if start == 0 or len(frequencies) <= SEGMENT_NODES + 2:
+            yield Segment(rows, frequencies, np.eye(len(frequencies)))
         else:
-            x = np.log(symbol[rows])
+            x = np.log(lam[rows])
             nodes, lagrange = lagrange_at_nodes(x[0], x[-1], SEGMENT_NODES, x)
             angle = np.arcsin(0.5 * np.exp(0.5 * nodes))
             yield Segment(rows, 2 * n / np.pi * angle, lagrange)
         start = stop
 
 
-def _fine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
-    """Yield segments of the frequencies 1 … n − 1 of a run, refined at narrow lines.
+def _refine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
+    """Yield segments of the frequencies 1 … n − 1 of a run, refined near narrow lines (frequency indices `lines`).
 
     A spectrum is singular near λ = 0 (random walk), λ = 4 (moving average) and narrow lines. Frequencies next to these
-    points are nodes, farther ones are interpolated at Chebyshev nodes in the logarithm of the distance.
+    points are nodes; others are interpolated at Chebyshev nodes in the logarithm of the distance.
     """
-    singular = sorted({0, n, *(round(k) for k in lines if 0 < round(k) < n)})
-    graded = [0, *_graded_distances(n)]
-    for low, high in itertools.pairwise(singular):
+    singular_points = sorted({0, n, *(round(k) for k in lines if 0 < round(k) < n)})
+    distances = [0, *_list_distances(n)]
+    for low, high in itertools.pairwise(singular_points):
         midpoint = (high - low) // 2
         for point, sign, limit in ((low, 1, midpoint), (high, -1, high - low - midpoint)):
-            cuts = [d for d in graded if d < limit] + [limit]
+            cuts = [d for d in distances if d < limit] + [limit]
             for start, stop in itertools.pairwise(cuts):
-                begin, end = sorted((point + sign * start, point + sign * stop))
-                begin = max(begin, 1)
-                places = np.arange(begin, end)
-                if start == 0 or len(places) <= SEGMENT_NODES + 2:
-                    yield Segment(slice(begin, end), places, np.eye(len(places)))
+                first, last = sorted((point + sign * start, point + sign * stop))
+                first = max(first, 1)
+                frequencies = np.arange(first, last)
+                if start == 0 or len(frequencies) <= SEGMENT_NODES + 2:
+                    yield Segment(slice(first, last), frequencies, np.eye(len(frequencies)))
                     continue
-                x = np.log(np.abs(places - point))
+                x = np.log(np.abs(frequencies - point))
                 nodes, lagrange = lagrange_at_nodes(x.min(), x.max(), SEGMENT_NODES, x)
-                yield Segment(slice(begin, end), point + sign * np.exp(nodes), lagrange)
+                yield Segment(slice(first, last), point + sign * np.exp(nodes), lagrange)
 
 
-def _graded_distances(n: int) -> Iterator[int]:
-    """Yield the distances from a singular point at which segments begin, in frequency indices."""
-    distance: float = SINGLE_FREQUENCIES
+def _list_distances(n: int) -> Iterator[int]:
+    """Yield the distances from a singular point at which frequency segments begin, in frequency indices."""
+    distance: float = LOWEST_NODE_COUNT
     while distance < n:
         yield round(distance)
         distance *= FINE_RATIO
 
 
-def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
-    """Assemble blocks (k, k, s) to block-diagonal matrices (s, q, q)."""
+def _assemble_blocks(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
+    """Assemble blocks (k, k, s) into block-diagonal matrices (s, q, q)."""
     size, start = sum(map(len, parts)), 0
     matrices = np.zeros((count, size, size))
     for part in parts:
@@ -361,7 +361,7 @@ def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q 
 
 
 class EvenSpectrum:
-    """Restricted likelihood of noise laws on evenly spaced runs, with run levels and further columns marginalised.
+    """Restricted likelihood of stationary noise laws on evenly spaced runs, with levels and columns integrated out.
 
     The frequency k = 0 is omitted, which marginalises the level of each run under a flat prior.
 
@@ -372,23 +372,23 @@ class EvenSpectrum:
     def __init__(
         self, runs: Sequence[Float[np.ndarray, "n r"]], step: float, lines: Sequence[float] = ()
     ) -> None:
-        """Transform the runs' columns, the last of which is the output; `lines`: frequencies of narrow lines, Hz."""
+        """Transform each run's columns, the last of which is the output; `lines`: frequencies of narrow lines, Hz."""
 
         def segments(n: int) -> Iterator[Segment]:
-            return _fine_segments(n, [2 * f * step * n for f in lines])
+            return _refine_segments(n, [2 * f * step * n for f in lines])
 
         self.step, self._width = step, runs[0].shape[1]
         rows = np.split(np.arange(sum(map(len, runs))), np.cumsum([*map(len, runs)])[:-1])
         self._nodes = DCTNodes(rows, step, segments)
-        self._products = Products.of(self._nodes, np.concatenate(runs))
+        self._products = Products.from_columns(self._nodes, np.concatenate(runs))
 
     def log_likelihood(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
-        """Return the restricted log likelihood of a stationary law at settings (s,), up to a constant."""
-        settings = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
-        chunk = max(1, CHUNK_NUMBERS // (12 * self._nodes.count))
-        chunks = [slice(at, at + chunk) for at in range(0, len(settings[WHITE]), chunk)]
+        """Return the restricted log likelihood of a stationary law for s parameter sets (s,), up to a constant."""
+        parameters = {name: np.reshape(np.asarray(v, float), -1) for name, v in values.items()}
+        chunk = max(1, MAX_ELEMENTS // (12 * self._nodes.count))
+        chunks = [slice(start, start + chunk) for start in range(0, len(parameters[WHITE]), chunk)]
         with np.errstate(all="ignore"):
-            parts = [self._evaluate(law, {n: v[c] for n, v in settings.items()}) for c in chunks]
+            parts = [self._evaluate(law, {n: v[c] for n, v in parameters.items()}) for c in chunks]
         return np.concatenate(parts)
 
     def _evaluate(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:

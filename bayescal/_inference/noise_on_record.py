@@ -1,8 +1,8 @@
-"""Whitening, densities and draws of a noise law on a record, by compiled programs with NumPy input and output.
+"""Whitening, log densities and draws of a noise law on a record, by compiled programs with NumPy input and output.
 
 A program is compiled per law (without priors), padded number of readings and padded number of columns, independent of
 the model. Padding readings are separate runs of zeros: they whiten to zero, and their log determinant or density is
-dropped.
+discarded.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from bayescal._model.noise_law import LOG_2PI, Noise, add_variance, log_density_
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Batch = Mapping[str, Any]  # φ by name, one number per draw, or one for all
-MIN_TABLE_COLUMNS = 8  # columns that a table is padded to, doubled until sufficient
-MAX_CELLS = 2_000_000  # array elements per batch
-SMALL_BATCH = 8  # draws per batch, if few
-RESIDUAL_DIFFERENCE = 1e-4  # difference step, in standard deviations of a reading
-KEY_BATCH = 4096  # random keys per program
+MIN_TABLE_COLUMNS = 8  # of a padded table; doubled until sufficient
+MAX_BATCH_ELEMENTS = 2_000_000  # array elements per batch
+BATCH_DRAWS = 8  # draws of a small batch
+DIFF_STEP_SD = 1e-4  # difference step of a residual, standard deviations of a reading
+KEY_BATCH_SIZE = 4096  # PRNG keys generated at once
 
 
 class Whitening(NamedTuple):
-    """Whitening by L⁻¹ of the Cholesky factor L·Lᵀ = Σ, at one φ."""
+    """Whitening by L⁻¹, L the Cholesky factor of the noise covariance Σ = L·Lᵀ, at one φ."""
 
     law: Noise
     values: Values  # its parameters
@@ -39,20 +39,20 @@ class Whitening(NamedTuple):
     extra: Float[np.ndarray, "n"] | float = 0.0  # additional variance of each reading
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-        """Return L⁻¹·table; row i is reading i."""
+        """Return L⁻¹·table, with rows in the order of the readings."""
         return self.whiten(table)[0]
 
     def whiten(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
-        """Return L⁻¹·table and log|Σ|."""
+        """Return the whitened table L⁻¹·table, rows in the order of the readings, and log|Σ|."""
         ((white, logdet),) = _whiten_all([(self, table)])
         return _to_record_order(self.law, self.record, white), logdet
 
 
-class Independent(NamedTuple):
+class SdWhitening(NamedTuple):
     """Whitening of independent readings: division by their standard deviations."""
 
     sd: Float[np.ndarray, "n"]
-    excess: float = 0.0  # of a non-Gaussian law: −2·log density minus squares minus log|Σ|
+    excess: float = 0.0  # −2·log density minus whitened squares minus log|Σ|; not 0 if not Gaussian
 
     def __call__(self, table: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
         return table / self.sd[:, None]
@@ -67,43 +67,44 @@ def whitening(
     record: Record,
     extra: Float[np.ndarray, "n"] | float = 0.0,
     residual: Float[np.ndarray, "n"] | None = None,
-) -> Whitening | Independent:
+) -> Whitening | SdWhitening:
     """Return the whitening of readings under a noise law at given parameters.
 
-    Under a non-Gaussian law a reading has the scale-mixture precision at its `residual`; if None, inverse variance.
+    Under a non-Gaussian law a reading's precision is that of the Gaussian scale mixture at its `residual`, or the
+    inverse variance if `residual` is None.
     """
     if not law.independent:
         return Whitening(law, values, record, extra)
     if law.gaussian or residual is None:
-        return Independent(np.sqrt(variance(law, values, record) + extra))
+        return SdWhitening(np.sqrt(variance(law, values, record) + extra))
     terms = density_terms(law, values, record, residual, extra)
-    # Under a scale mixture a reading with the residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
+    # Under a scale mixture of log density f a residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
     # J. Taylor, JASA 84 (1989) 881): EM, so that reducing the weighted squares reduces −2·log density.
     weight = np.maximum(terms.weight(residual), np.finfo(float).tiny)
     total = terms.squares + terms.logdet
     logdet = -float(np.sum(np.log(weight)))
     # `excess` makes squares + log|Σ| + excess = −2·log density for these weights.
-    return Independent(1 / np.sqrt(weight), total - logdet - float(residual @ (weight * residual)))
+    return SdWhitening(1 / np.sqrt(weight), total - logdet - float(residual @ (weight * residual)))
 
 
 def _to_law_order(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
-    """Sort an array of readings by time if the law is correlated."""
+    """Sort an array by time of the readings along an axis, if the noise law is correlated."""
     if law.independent or record.is_time_ordered:
         return array
-    return np.take(array, record.in_time[0], axis=axis)
+    return np.take(array, record.time_order[0], axis=axis)
 
 
 def _to_record_order(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
-    """Restore the order of the readings; inverse of `_to_law_order`."""
+    """Restore the readings' order in a time-sorted array; inverse of `_to_law_order`."""
     if law.independent or record.is_time_ordered:
         return array
     ordered = np.empty_like(array)
-    ordered[record.in_time[0]] = array
+    ordered[record.time_order[0]] = array
     return ordered
 
 
 def _pad_table(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
-    """Sort a table to the law's order and pad it with rows and columns of zeros."""
+    """Sort a table's rows by time if the law is correlated, and pad it with rows and columns of zeros."""
     n, m = table.shape
     padded = np.zeros((record.padded_size, _width(table)))
     padded[:n, :m] = _to_law_order(law, record, table, 0)
@@ -126,29 +127,29 @@ def _whitened(law: Noise, frame: Frame, tables, extras, values):
 
 
 def whitened_grams(
-    pairs: Iterable[tuple[Whitening | Independent, Float[np.ndarray, "n m"]]],
+    pairs: Iterable[tuple[Whitening | SdWhitening, Float[np.ndarray, "n m"]]],
 ) -> Iterator[tuple[Float[np.ndarray, "m m"], float]]:
-    """Yield the Gram matrix of each whitened table, and log|Σ|; all tables of one law.
+    """Yield the Gram matrix of each whitened table, and log|Σ|; all tables are of one noise law.
 
-    Laws with several Kalman states are evaluated in small batches.
+    Laws with several Kalman states are evaluated in small batches of tables.
     """
     for _, group in groupby(pairs, lambda pair: _width(pair[1])):
         for white, table in (members := iter(group)):
-            if isinstance(white, Independent):
+            if isinstance(white, SdWhitening):
                 whitened, logdet = white.whiten(table)
                 yield whitened.T @ whitened, logdet
                 continue
             part: list[Any] = [(white, table)]
-            if white.law.several_states and SMALL_BATCH * table.size <= MAX_CELLS:
-                part += islice(members, SMALL_BATCH - 1)
+            if white.law.several_states and BATCH_DRAWS * table.size <= MAX_BATCH_ELEMENTS:
+                part += islice(members, BATCH_DRAWS - 1)
             yield from ((whitened.T @ whitened, logdet) for whitened, logdet in _whiten_all(part))
 
 
 def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield each whitened table in the law's order, and log|Σ|; tables of one padded width."""
+    """Yield each whitened table, rows in time order for a correlated law, and log|Σ|; tables of one padded width."""
     (white, first), record = part[0], part[0][0].record
-    # Batches of one or of `SMALL_BATCH`: two programs to compile.
-    padding = SMALL_BATCH - len(part) if len(part) > 1 else 0
+    # Batches of one or of `BATCH_DRAWS`: two programs to compile.
+    padding = BATCH_DRAWS - len(part) if len(part) > 1 else 0
     law, pairs = white.law, part + part[-1:] * padding
     is_shared = all(table is first for _, table in part)
     tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_shared else pairs)]
@@ -205,7 +206,7 @@ def density_terms(
     if (slopes := law.by_residual(r, phi, frame)) is not None:
         density, highest = (law.log_density(e, 0.0 * e, phi, frame) for e in (r, 0.0 * r))
         return DensityTerms(density, highest, *slopes)
-    h = RESIDUAL_DIFFERENCE * np.sqrt(np.asarray(law.variance(phi, frame)))
+    h = DIFF_STEP_SD * np.sqrt(np.asarray(law.variance(phi, frame)))
     ends = np.stack([r - h, r, r + h, 0.0 * r])
     low, middle, high, highest = np.asarray(law.log_density(record.y, record.y - ends, phi, frame))
     return DensityTerms(middle, highest, (low - high) / (2 * h), (2 * middle - low - high) / h**2)
@@ -218,7 +219,7 @@ def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
         return log_density_with_extra(law, y, y - residual, extra, phi, frame)
 
     # A filter step of several states is a few small matrix products: vectorise over several φ.
-    batch_size = SMALL_BATCH if law.several_states else None
+    batch_size = BATCH_DRAWS if law.several_states else None
     return jax.lax.map(log_density, (residuals, extra, values), batch_size=batch_size)
 
 
@@ -256,7 +257,7 @@ def log_densities(
         return _log_densities_numpy(law, record, residuals, hyper, extra)
     y = record.pad(_to_law_order(law, record, record.y, 0))
     variance = extra if np.ndim(extra) else None
-    return _run_by_draws(_densities, law, record, hyper, residuals, variance, fixed=(y,))
+    return _run_batches(_densities, law, record, hyper, residuals, variance, shared=(y,))
 
 
 def _as_column(values: Any) -> Any:
@@ -285,9 +286,9 @@ def draw_samples(
         normal = np.random.default_rng(seed).standard_normal(means.shape)
         return means + np.sqrt(variances(law, hyper, record)) * normal
     # A key is independent of the number of keys: generate them in fixed batches, by one program.
-    count = -(-len(means) // KEY_BATCH) * KEY_BATCH
+    count = -(-len(means) // KEY_BATCH_SIZE) * KEY_BATCH_SIZE
     keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))
-    return _run_by_draws(_samples, law, record, hyper, means, plain=(keys[: len(means)],))
+    return _run_batches(_samples, law, record, hyper, means, keys=(keys[: len(means)],))
 
 
 def normal_scores(
@@ -301,10 +302,10 @@ def normal_scores(
     return _to_record_order(law, record, np.asarray(scores))
 
 
-def _run_by_draws(
-    what, law: Noise, record: Record, hyper: Batch, *arrays, fixed: tuple = (), plain: tuple = ()
+def _run_batches(
+    run, law: Noise, record: Record, hyper: Batch, *arrays, shared: tuple = (), keys: tuple = ()
 ) -> Float[np.ndarray, "b n"]:
-    """Run a program over draws in batches; the last batch is padded with its last draw."""
+    """Run a compiled function over draws in batches; the last batch is padded with its last draw."""
     names = list(law.parameters())
     arrays_given = [a for a in arrays if a is not None]
     count = max([*(np.size(hyper[n]) for n in names), *map(len, arrays_given), 1])
@@ -312,17 +313,17 @@ def _run_by_draws(
     arrays = tuple(a if a is None else _to_law_order(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
     # Batches of one, eight or many draws: three programs to compile.
-    most = max(1, MAX_CELLS // record.padded_size)
-    is_few = count <= 8 * SMALL_BATCH
-    batch_size = 1 if count == 1 else SMALL_BATCH if is_few else min(256, most)
+    max_batch = max(1, MAX_BATCH_ELEMENTS // record.padded_size)
+    is_few = count <= 8 * BATCH_DRAWS
+    batch_size = 1 if count == 1 else BATCH_DRAWS if is_few else min(256, max_batch)
     for start in range(0, count, batch_size):
         draws = np.minimum(start + np.arange(batch_size), count - 1)
         inputs: list[Any] = [
             a if a is None else record.pad(a[draws if len(a) > 1 else 0 * draws]) for a in arrays
         ]
-        inputs += [p[draws] for p in plain]
+        inputs += [p[draws] for p in keys]
         values = {n: v[draws] for n, v in phi.items()}
-        outputs = np.asarray(what(*record.prepare_for_law(law), *fixed, *inputs, values))
+        outputs = np.asarray(run(*record.prepare_for_law(law), *shared, *inputs, values))
         stop = min(start + batch_size, count)
         output[:, start:stop] = outputs[: stop - start, : record.size].T
     return _to_record_order(law, record, output).T
@@ -335,7 +336,7 @@ def total_log_density(
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(residuals)])
     phi, totals = {n: np.broadcast_to(hyper[n], (count,)) for n in names}, []
-    for draws in np.array_split(np.arange(count), -(-count * record.size // MAX_CELLS)):
+    for draws in np.array_split(np.arange(count), -(-count * record.size // MAX_BATCH_ELEMENTS)):
         variance = extra[draws] if np.ndim(extra) else extra
         part = residuals[draws] if len(residuals) > 1 else residuals
         values = {n: v[draws] for n, v in phi.items()}

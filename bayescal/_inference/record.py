@@ -1,4 +1,4 @@
-"""A record: one set of readings with a cache of basis columns, responses and expansions computed on them."""
+"""A record: one set of readings with cached basis columns, responses and expansions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayescal._inference import programs
 from bayescal._inference.column_table import ColumnTable
 from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
-from bayescal._inference.noise_nodes import ColumnNodes, OneNode, dct_nodes
+from bayescal._inference.noise_nodes import ColumnNodes, SingleNode, dct_nodes
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Basis, Effect
@@ -29,30 +29,30 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 from bayescal._model.terms import ColumnSpec
 
-CACHE_BYTES = 256 * 2**20  # of cached columns at shapes, and of expansions
-DIFFERENCE = 1e-4  # difference step of a column, in ranges of the column
-AFFINE = 1e-9  # relative change of derivatives, below which a response counts as affine
-DRAWS_A_CALL = 48  # draws per call of a program, at most,
-CALL_NUMBERS = 16_384  # or this many draws × readings, below which the overhead of a call dominates
+MAX_CACHE_BYTES = 256 * 2**20  # of columns of effects with shapes, and of expansions
+DIFF_STEP_RANGES = 1e-4  # difference step of a column over the column's range
+AFFINE_TOLERANCE = 1e-9  # largest relative change of the derivatives of an affine response
+MAX_CALL_DRAWS = 48  # per call of a program
+MIN_CALL_ELEMENTS = 16_384  # draws × readings below which the overhead of a call dominates
 
 Arrays = Mapping[str, np.ndarray]  # by name of a slot or column: (n,), or (b, n) for b draws
 
 
 @dataclass(eq=False)
 class Record:
-    """Readings of one instrument, outputs y (n,), with cached basis columns and derivatives of the response."""
+    """Readings of one instrument (frame, outputs y) with cached basis columns and derivatives of the response."""
 
     instrument: Instrument
     frame: Frame
     y: np.ndarray
-    _fixed: dict[Basis, np.ndarray] = field(default_factory=dict)
-    _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
-    _bytes: int = 0
+    _basis_columns: dict[Basis, np.ndarray] = field(default_factory=dict)
+    _shape_columns: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
+    _cached_bytes: int = 0
     _expansions: dict[Any, Expansions] = field(default_factory=dict)
-    _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
-    _last: tuple[Any, Any] | None = None  # latest slot values, and the response with derivatives
-    _for_laws: dict[Noise, tuple[Noise, Frame]] = field(default_factory=dict)
-    of: Any = None  # the record or readings that this record was made from
+    _nodes: dict[Any, SingleNode | None] = field(default_factory=dict)
+    _latest: tuple[Any, Any] | None = None  # latest slot values, and the response with derivatives
+    _frames: dict[Noise, tuple[Noise, Frame]] = field(default_factory=dict)
+    source: Any = None  # the record or readings that this record was made from
 
     @cached_property
     def size(self) -> int:
@@ -60,9 +60,9 @@ class Record:
 
     @cached_property
     def padded(self) -> Frame:
-        of = self.of
-        if isinstance(of, Record) and of.frame is self.frame:
-            return of.padded
+        source = self.source
+        if isinstance(source, Record) and source.frame is self.frame:
+            return source.padded
         return programs.pad_frame(self.frame)
 
     @cached_property
@@ -70,45 +70,45 @@ class Record:
         return HostColumns(self.frame)
 
     def prepare_for_law(self, law: Noise) -> tuple[Noise, Frame]:
-        """Return a noise law without priors and the padded columns that it needs, sorted, as arguments of programs."""
-        if law not in self._for_laws:
+        """Return the noise law without priors and its sorted, padded columns, as arguments of compiled programs."""
+        if law not in self._frames:
             frame = self.frame.select_columns(law.needs)
             frame = programs.pad_frame(frame if law.independent else frame.in_time())
-            self._for_laws[law] = law.plain, frame
-        return self._for_laws[law]
+            self._frames[law] = law.plain, frame
+        return self._frames[law]
 
     def with_frame(self, frame: Frame | None = None) -> Record:
-        """Return a record of the same readings with a shared cache, or with another frame."""
-        shared = {"_fixed": self._fixed, "of": self}
-        record = Record(self.instrument, self.frame if frame is None else frame, self.y, **shared)
+        """Return a record of the same readings that shares cached columns, with another frame if one is given."""
+        fields = {"_basis_columns": self._basis_columns, "source": self}
+        record = Record(self.instrument, self.frame if frame is None else frame, self.y, **fields)
         if frame is None:
-            same = {"_for_laws": self._for_laws, "_nodes": self._nodes}
-            vars(record).update(codes=self.codes, host_columns=self.host_columns, **same)
+            caches = {"_frames": self._frames, "_nodes": self._nodes}
+            vars(record).update(codes=self.codes, host_columns=self.host_columns, **caches)
         return record
 
     def require_finite(self, effects: Iterable[Effect]) -> None:
-        """Raise if a user's own effect has a column that is not finite, as by a division by zero.
+        """Check that user-defined effects have finite columns.
 
         Raises:
-            ModelError: an effect is not finite in a reading, at the prior median of its shapes.
+            ModelError: an effect is not finite in a reading, at the prior medians of its shapes.
         """
         catalogue, affected = self.instrument.known, self.instrument.shown_by(self.frame, effects)
         for effect in (e for e in affected if not (e.name in catalogue or e.is_placeholder)):
-            of = ColumnSpec.from_effect(effect)
-            middle = tuple(float(prior.value(0.0)) for prior in of.priors)
-            lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
-            if not len(lost):
+            spec = ColumnSpec.from_effect(effect)
+            medians = tuple(float(prior.value(0.0)) for prior in spec.priors)
+            rows = np.flatnonzero(~np.isfinite(self.columns(spec, medians)).all(axis=1))
+            if not len(rows):
                 continue
             columns = [c for c in effect.columns if c in self.frame.columns]
-            at = ", ".join(f"{c} {self.frame[c][lost[0]]:.6g}" for c in columns)
+            location = ", ".join(f"{c} {self.frame[c][rows[0]]:.6g}" for c in columns)
             raise ModelError(
-                f"Effect {effect.name!r} is not finite in {len(lost)} of {self.size} readings, first in reading "
-                f"{lost[0] + 1} ({at}): look where it divides by zero, or takes the root of a negative number"
+                f"Effect {effect.name!r} is not finite in {len(rows)} of {self.size} readings, first in reading "
+                f"{rows[0] + 1} ({location}): check it for divisions by zero and roots of negative numbers"
             )
 
-    def of_noise(self, residual: Float[np.ndarray, "n"]) -> Record:
-        """Return residuals as the record of a channel at constant input, to fit noise laws alone."""
-        record = Record(CHANNEL, self.frame, residual, _for_laws=self._for_laws, _nodes=self._nodes)
+    def residual_record(self, residual: Float[np.ndarray, "n"]) -> Record:
+        """Return a record of residuals, as the output of a channel at constant input, to fit noise laws to."""
+        record = Record(CHANNEL, self.frame, residual, _frames=self._frames, _nodes=self._nodes)
         channel = {slot: np.ones(self.size) for slot in record.slots}
         vars(record)["affine"] = np.zeros(self.size), channel  # nothing to compile
         return record
@@ -118,30 +118,30 @@ class Record:
         return {name: np.asarray(codes, dtype=np.intp) for name, codes in self.frame.codes.items()}
 
     @cached_property
-    def in_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices that sort readings by time within runs, and the time steps, s; −1 at a run's first."""
+    def time_order(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices that sort readings by time within runs, and the sorted time steps, s (−1 begins a run)."""
         return np.asarray(self.frame.order), np.asarray(self.frame.step)
 
     @cached_property
     def is_time_ordered(self) -> bool:
         """Return whether the readings are sorted by time within runs."""
-        return bool(np.all(np.diff(self.in_time[0]) == 1))
+        return bool(np.all(np.diff(self.time_order[0]) == 1))
 
     @cached_property
     def table(self) -> ColumnTable:
-        """Return the table of columns and their inner products that all structures with an affine output share."""
+        """Return the table of columns and inner products shared by all structures, for an affine response."""
         return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
     def clear_cache(self) -> None:
-        """Clear cached columns at shapes and the shared table; they are recomputed on demand."""
-        self._shaped, self._bytes, self._expansions = OrderedDict(), 0, {}
+        """Clear cached columns of effects with shapes, expansions, and the column table."""
+        self._shape_columns, self._cached_bytes, self._expansions = OrderedDict(), 0, {}
         if self.affine is not None:
             self.table.clear()
 
     def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
-        """Return the expansions of an effect's columns in its free shapes; `fixed`: value or None of each."""
+        """Return the expansions of an effect's columns in its free shapes; fixed: each shape's fixed value, or None."""
         key = effect.key, fixed
-        if sum(e.nbytes for e in self._expansions.values()) > CACHE_BYTES:
+        if sum(e.nbytes for e in self._expansions.values()) > MAX_CACHE_BYTES:
             self._expansions.clear()
         if key not in self._expansions:
 
@@ -158,31 +158,31 @@ class Record:
             self._expansions[key] = Expansions(columns, sum(h is None for h in fixed))
         return self._expansions[key]
 
-    def nodes(self, law: Noise) -> OneNode | None:
-        """Return the interpolation nodes for inner products under a noise law; None if it has none on this record."""
-        place = law.variance_place(self.frame)
+    def nodes(self, law: Noise) -> SingleNode | None:
+        """Return the nodes that interpolate inner products in the noise parameters; None if the law has none here."""
+        coordinate = law.variance_place(self.frame)
         if law.even(self.frame):
             key: Any = "even"
-        elif place is not None:
-            key = place.tobytes()
+        elif coordinate is not None:
+            key = coordinate.tobytes()
         elif UNCERTAINTY in self.frame.columns or not law.stationary:
             return None
         else:
             key = "in frequency"
         if key not in self._nodes:
             if key == "even":
-                self._nodes[key] = OneNode(self.size)
-            elif place is not None:
-                self._nodes[key] = ColumnNodes(place)
+                self._nodes[key] = SingleNode(self.size)
+            elif coordinate is not None:
+                self._nodes[key] = ColumnNodes(coordinate)
             else:
-                self._nodes[key] = dct_nodes(*self.in_time)
+                self._nodes[key] = dct_nodes(*self.time_order)
         return self._nodes[key]
 
     @cached_property
     def response_columns(self) -> frozenset[str]:
         """Return the columns of the readings that the instrument's response uses directly."""
-        if isinstance(self.of, Record):
-            return self.of.response_columns
+        if isinstance(self.source, Record):
+            return self.source.response_columns
         return find_response_columns(self.instrument, self.frame)
 
     @cached_property
@@ -196,23 +196,23 @@ class Record:
     def columns(self, effect: ColumnSpec, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Return an effect's columns at values of its shapes, on uncorrected readings, cached (n, k); read-only."""
         if not effect.shapes:
-            if effect.basis not in self._fixed:
-                self._fixed[effect.basis] = self.host_columns.evaluate(effect.basis, {}, {})
-            return self._fixed[effect.basis]
+            if effect.basis not in self._basis_columns:
+                self._basis_columns[effect.basis] = self.host_columns.evaluate(effect.basis, {}, {})
+            return self._basis_columns[effect.basis]
         key = (effect.key, values)
-        columns = self._shaped.pop(key, None)
+        columns = self._shape_columns.pop(key, None)
         if columns is None:
             columns = self._compute_columns(effect, [np.array([v]) for v in values], {})[0]
-            self._bytes += columns.nbytes
-            while self._bytes > CACHE_BYTES and self._shaped:
-                self._bytes -= self._shaped.popitem(last=False)[1].nbytes
-        self._shaped[key] = columns
+            self._cached_bytes += columns.nbytes
+            while self._cached_bytes > MAX_CACHE_BYTES and self._shape_columns:
+                self._cached_bytes -= self._shape_columns.popitem(last=False)[1].nbytes
+        self._shape_columns[key] = columns
         return columns
 
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Return the expected output and its gradient in slots and shifted columns, (n,), or (b, n) for draws."""
+        """Return the expected output (n,), or (b, n) for draws, and its derivatives by slot or shifted column."""
         if not shifts and self.affine is not None:
             base, slopes = self.affine
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
@@ -233,7 +233,7 @@ class Record:
     def _expand(
         self, slots: Arrays, shifts: Arrays
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
-        """Evaluate an affine response and its derivatives by NumPy: complex step by slots, differences by shifts."""
+        """Evaluate an affine response and its derivatives by NumPy: complex steps in slots, differences in shifts."""
         slopes = {n: self._respond({n: np.full(self.size, 1j)}, shifts).imag for n in self.slots}
         for name, shift in shifts.items():
             h = self._difference_step(name)
@@ -243,69 +243,69 @@ class Record:
 
     def _difference_step(self, column: str) -> float:
         """Return the difference step for derivatives with respect to a column, in its unit."""
-        return DIFFERENCE * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
+        return DIFF_STEP_RANGES * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
     def _cached_response(self, slots, shifts):
         """Return the response and its derivatives at one set of slot values and shifts; the latest is cached."""
         key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *shifts.items())]
-        last = self._last
-        if last is None or last[0] != key:
-            full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-            padded = ({n: self.pad(v) for n, v in arrays.items()} for arrays in (full, shifts))
+        latest = self._latest
+        if latest is None or latest[0] != key:
+            all_slots = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+            padded = ({n: self.pad(v) for n, v in arrays.items()} for arrays in (all_slots, shifts))
             outputs = programs.differentiate(self._spec, self.padded, *padded)
-            self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], outputs)
-        return last[1]
+            self._latest = latest = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], outputs)
+        return latest[1]
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """Return the response at zero slot values and its derivatives if it is affine in the slots; else None.
+        """Return the response at zero slot values and its derivatives; None if it is not affine in the slots.
 
         Affinity is tested at two random sets of slot values.
         """
-        if isinstance(self.of, Record):
-            return self.of.affine
-        if (host := self._host_affine) is not None:
-            return host
+        if isinstance(self.source, Record):
+            return self.source.affine
+        if (affine := self._host_affine) is not None:
+            return affine
         base, slopes = self._cached_response({}, {})
         for slots in self._random_slots(slopes):
-            _, slopes_there = self._cached_response(slots, {})
+            _, new_slopes = self._cached_response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
-                change = np.abs(slopes_there[name] - slopes[name])
+                change = np.abs(new_slopes[name] - slopes[name])
                 # `not <=`: NaN, as outside the domain of an arcsine, counts as not affine
-                if not np.max(change, initial=0.0) <= AFFINE * scale:
+                if not np.max(change, initial=0.0) <= AFFINE_TOLERANCE * scale:
                     return None
         return base, slopes
 
     @cached_property
     def _host_affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """Return `affine` computed by NumPy; None if the response needs JAX or is not affine."""
-        if isinstance(self.of, Record):
-            return self.of._host_affine
+        if isinstance(self.source, Record):
+            return self.source._host_affine
         try:
             with np.errstate(all="ignore"):
                 base, slopes = self._expand({}, {})
                 for slots in self._random_slots(slopes):
                     change = sum((slopes[n] * v for n, v in slots.items()), np.zeros(self.size))
                     error = np.abs(self._respond(slots, {}) - base - change)
-                    if not np.max(error) <= AFFINE * np.max(np.abs(change)):
+                    if not np.max(error) <= AFFINE_TOLERANCE * np.max(np.abs(change)):
                         return None
         except Exception:  # the response does not accept NumPy arrays
             return None
         return base, slopes
 
     def _random_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
-        """Yield two random sets of slot values, scaled to change the output by its range, to test for affinity."""
-        random, span = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
-        steepest = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
-        amplitudes = {n: min(1.0, span / s) if s > 0 else 1.0 for n, s in steepest.items()}
+        """Yield two random sets of slot values that change the output by about its range, to test for affinity."""
+        rng, span = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
+        max_slopes = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
+        amplitudes = {n: min(1.0, span / s) if s > 0 else 1.0 for n, s in max_slopes.items()}
         for _ in range(2):
-            yield {n: amplitudes[n] * random.standard_normal(self.size) for n in self.slots}
+            yield {n: amplitudes[n] * rng.standard_normal(self.size) for n in self.slots}
 
     def columns_of_draws(
         self, effect: ColumnSpec, values: Sequence[Any], shifts: Arrays
     ) -> Float[np.ndarray, "*b n k"]:
-        """Return an effect's columns for several draws (b, n, k); (n, k) if nothing depends on the draw.
+        """Return an effect's columns for several draws (b, n, k); (n, k) if they do not depend on the draw.
 
         Values of shapes are (b,) each, or one number for all; shifts of columns are (b, n) each.
         """
@@ -317,19 +317,19 @@ class Record:
 
     def _compute_columns(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
         count = max(len(v) for v in (*values, *shifts.values()))
-        for name, shift in self._path_shifts(effect, values).items():
+        for name, shift in self._compute_path_shifts(effect, values).items():
             shifts = {**shifts, name: shifts.get(name, 0.0) + shift}
         pairs = zip(effect.basis_shapes, values, strict=False)
         shapes = {n: np.broadcast_to(v, (count,)) for n, v in pairs}
         return self.host_columns.evaluate_many(effect.basis, shapes, shifts)
 
-    def _path_shifts(
+    def _compute_path_shifts(
         self, effect: ColumnSpec, values: Sequence[Any]
     ) -> dict[str, Float[np.ndarray, "*b n"]]:
-        """Return the shifts of whole columns by the corrections in an effect's spec, at values of its shapes."""
-        shifts, at = dict[str, np.ndarray](), len(effect.basis_shapes)
+        """Return the column shifts due to an effect's corrections of other columns, at values of their shapes."""
+        shifts, start = dict[str, np.ndarray](), len(effect.basis_shapes)
         for c in effect.corrections:
-            shapes, at = values[at : at + len(c.spec.shapes)], at + len(c.spec.shapes)
+            shapes, start = values[start : start + len(c.spec.shapes)], start + len(c.spec.shapes)
             if any(np.ndim(v) for v in shapes):
                 columns = self.columns_of_draws(c.spec, shapes, {})
             else:  # one draw: cached
@@ -339,7 +339,7 @@ class Record:
         return shifts
 
     def differentiate_columns(self, effect: ColumnSpec, values: Sequence[Any], shifts: Any) -> Any:
-        """Return `columns_of_draws` and their numerical derivatives in each shift, (b, n, k) each."""
+        """Return an effect's columns and their derivatives with respect to each shift, for draws, (b, n, k) each."""
         slopes = {}
         for name, shift in shifts.items():
             h = self._difference_step(name)
@@ -348,29 +348,29 @@ class Record:
             slopes[name] = (up - down) / (2 * h)
         return self.columns_of_draws(effect, values, shifts), slopes
 
-    def _run(self, program, what: Any, slots: Arrays, shifts: Arrays) -> Any:
+    def _run(self, program, argument: Any, slots: Arrays, shifts: Arrays) -> Any:
         """Run a program over draws in batches, on padded readings; the last batch is padded with its last draw."""
         count = max(len(v) for v in (*slots.values(), *shifts.values()) if np.ndim(v) > 1)
-        inputs = {name: slots.get(name, 0.0) for name in self.slots}, shifts
-        full = [
+        sources = {name: slots.get(name, 0.0) for name in self.slots}, shifts
+        inputs = [
             {n: np.broadcast_to(v, (count, self.size)) for n, v in arrays.items()}
-            for arrays in inputs
+            for arrays in sources
         ]
         # Full and half batches, and a sixth for long records: few batch sizes to compile.
-        limit = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
-        parts = (6, 2, 1) if DRAWS_A_CALL * self.padded_size > 2 * CALL_NUMBERS else (2, 1)
+        limit = max(MAX_CALL_DRAWS, MIN_CALL_ELEMENTS // self.padded_size)
+        parts = (6, 2, 1) if MAX_CALL_DRAWS * self.padded_size > 2 * MIN_CALL_ELEMENTS else (2, 1)
         size = next((limit // n for n in parts if count <= limit // n), limit)
-        merged = None
+        result = None
         for start in range(0, count, size):
             stop = min(start + size, count)
             draws = np.minimum(np.arange(start, start + size), count - 1)[:, None]
-            batch = ({n: v[draws, self._pad_index] for n, v in arrays.items()} for arrays in full)
-            outputs = program(what, self.padded, *batch)
-            if merged is None:
-                merged = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), outputs)
-            for target, arrays in zip(*map(jax.tree.leaves, (merged, outputs)), strict=True):
+            batch = ({n: v[draws, self._pad_index] for n, v in arrays.items()} for arrays in inputs)
+            outputs = program(argument, self.padded, *batch)
+            if result is None:
+                result = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), outputs)
+            for target, arrays in zip(*map(jax.tree.leaves, (result, outputs)), strict=True):
                 target[start:stop] = np.asarray(arrays)[: stop - start, : self.size]
-        return merged
+        return result
 
     def pad(self, values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "... m"]:
         """Pad values of the readings to the padded length by repeating the last one."""
@@ -385,21 +385,21 @@ class Record:
         return np.minimum(np.arange(self.padded_size), self.size - 1)
 
 
-_LIVE: WeakValueDictionary[Any, Record] = WeakValueDictionary()
+_RECORDS: WeakValueDictionary[Any, Record] = WeakValueDictionary()
 
 
 def record_of(instrument: Instrument, readings: Measurements, reference: Reference) -> Record:
-    """Return the record of readings; frame and shape-independent columns are shared by all their records."""
-    key = id(readings), instrument, _as_value(reference)
-    base = _LIVE.get(key)
+    """Return a record of readings; all records of the same readings share frame and shape-independent columns."""
+    key = id(readings), instrument, _make_hashable(reference)
+    base = _RECORDS.get(key)
     if base is None:
         frame = build_frame(readings, reference)
-        base = _LIVE[key] = Record(instrument, frame, np.asarray(frame["output"]))
-        base.of = readings  # a reference, so that their `id` in the key stays unique
+        base = _RECORDS[key] = Record(instrument, frame, np.asarray(frame["output"]))
+        base.source = readings  # a reference, so that their `id` in the key stays unique
     return base.with_frame()
 
 
-def _as_value(of: Any) -> Any:
-    if isinstance(of, Mapping):
-        return tuple(sorted((name, _as_value(value)) for name, value in of.items()))
-    return of
+def _make_hashable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return tuple(sorted((name, _make_hashable(value)) for name, value in value.items()))
+    return value

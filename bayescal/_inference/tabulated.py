@@ -34,7 +34,7 @@ from bayescal._inference.expansion import (
     PolynomialColumns,
 )
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
-from bayescal._inference.noise_nodes import OneNode, Products, Weights
+from bayescal._inference.noise_nodes import Products, SingleNode, Weights
 from bayescal._inference.noise_on_record import variances
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import expand_members
@@ -57,7 +57,7 @@ class Evaluation(NamedTuple):
     curvature: Float[np.ndarray, "d d"] | None = None
 
 
-class TabulatedEffect(NamedTuple):
+class EffectBlock(NamedTuple):
     """One effect of a structure; its basis columns are one block of the table."""
 
     key: int  # identifier of its columns in the table, common to equal effects
@@ -79,7 +79,7 @@ class TabulatedDensity:
     def __init__(
         self,
         problem: Problem,
-        nodes: OneNode,
+        nodes: SingleNode,
         x: Float[np.ndarray, "p"],
         expansion_point: Float[np.ndarray, "d"],
     ) -> None:
@@ -96,7 +96,7 @@ class TabulatedDensity:
             self.table = self._linearise_table(x, expansion_point)
         self.origin = self._choose_origin()
 
-    def _list_parts(self, table: ColumnTable) -> list[TabulatedEffect]:
+    def _list_parts(self, table: ColumnTable) -> list[EffectBlock]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.effect), []).append(t)
@@ -113,7 +113,7 @@ class TabulatedDensity:
             ]
             multipliers = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             parts.append(
-                TabulatedEffect(
+                EffectBlock(
                     table.number((terms[0].columns.key, fixed_shapes, *config)),
                     problem.record.expansions(terms[0].columns, fixed_shapes),
                     tuple(terms),
@@ -124,15 +124,13 @@ class TabulatedDensity:
             )
         return parts
 
-    def _get_block(self, part: TabulatedEffect, expansion: Expansion) -> int:
+    def _get_block(self, part: EffectBlock, expansion: Expansion) -> int:
         """Return the table's block number of an effect's columns, `rank` columns per coefficient and group member."""
         return self.table.block(
             (part.key, expansion.number), lambda: self._list_columns(part, expansion)
         )
 
-    def _list_columns(
-        self, part: TabulatedEffect, expansion: Expansion
-    ) -> Float[np.ndarray, "n w"]:
+    def _list_columns(self, part: EffectBlock, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
         for t in part.terms:
             column = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
@@ -142,7 +140,7 @@ class TabulatedDensity:
         return np.concatenate(columns, axis=1)
 
     @cached_property
-    def _static_parts(self) -> dict[int, TabulatedEffect]:
+    def _static_parts(self) -> dict[int, EffectBlock]:
         """Return the φ-independent effects by block number, without Gaussian processes (nearly collinear)."""
         medians = np.zeros(len(self.problem.hypers))
         return {
@@ -167,7 +165,7 @@ class TabulatedDensity:
             else:
                 factors = expansion.factors(v[part.shapes]).value
                 residual += self._list_columns(part, expansion) @ np.kron(coefficients, factors)
-        self.table.removed = subtracted
+        self.table.fitted_coefficients = subtracted
         return self.table
 
     def _choose_origin(self) -> Float[np.ndarray, "p"]:
@@ -180,7 +178,7 @@ class TabulatedDensity:
         for members in problem.sizes.learned_sd_masks.values():
             sd[members > 0] = np.inf
         for key, part in self._static_parts.items():
-            if (coefficients := self.table.removed.get(key)) is not None:
+            if (coefficients := self.table.fitted_coefficients.get(key)) is not None:
                 is_in_x = part.owners < problem.size
                 indices, coefficients = part.owners[is_in_x], coefficients[is_in_x]
                 is_near = np.abs(coefficients - origin[indices]) < MAX_ORIGIN_SD * sd[indices]
@@ -445,19 +443,19 @@ class _StructureRows:
             is_in_x = part.owners < p
             origin = tabulated.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0
             offset = np.where(is_in_x, -origin, 0.0)
-            offset += table.removed.get(key, 0.0)
+            offset += table.fitted_coefficients.get(key, 0.0)
             offset = np.repeat(offset, r)
             nonzero = np.flatnonzero(offset)
             column.append(columns[nonzero])
             owner.append(np.full(len(nonzero), p))
             factors.append(offset[nonzero])
             start += len(columns)
-        for key in table.removed.keys() - set(keys):
-            width = table.removed[key].size
+        for key in table.fitted_coefficients.keys() - set(keys):
+            width = table.fitted_coefficients[key].size
             keys.append(key)
             column.append(start + np.arange(width))
             owner.append(np.full(width, p))
-            factors.append(table.removed[key])
+            factors.append(table.fitted_coefficients[key])
             start += width
         self.column = np.concatenate([*column, [start]]).astype(int)
         self.owner = np.concatenate([*owner, [p]]).astype(int)

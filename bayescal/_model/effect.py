@@ -83,8 +83,8 @@ class Coefficient:
         if self.per == READING and self.group_sd is not None:
             raise ValueError("a `group_sd` of single readings is noise: give it to the noise law")
         if self.per == READING and not isinstance(self.prior, Normal):
-            why = "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
-            raise ValueError(why)
+            message = "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
+            raise ValueError(message)
 
     @property
     def flat(self) -> bool:
@@ -115,12 +115,12 @@ class Shape:
 
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
-        unit: the unit in which the basis takes it and in which it is reported.
-        low, high: plausible range, in `unit`; `OPEN` for one to be taken from the readings.
+        unit: unit in which the basis receives it and in which it is reported.
+        low, high: plausible range, in `unit`; `OPEN`: estimated from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one, "bounded" for a
-            log-uniform one: `low` and `high` are then a definition, beyond which it would be another effect.
+            log-uniform one: `low` and `high` are then limits by definition, beyond which it is another effect.
         ragged: whether the evidence has many local maxima, as for a period: the search starts from more points.
-        shared: whether all channels of a device share its value, as the time constant of a common body.
+        shared: whether all channels of a device share its value, as for the time constant of a common body.
         own_prior: prior in place of a range: LogNormal, Normal, or a NumPyro distribution such as TruncatedNormal.
     """
 
@@ -183,23 +183,23 @@ class Effect:
 
     Attributes:
         name: canonical name, `slot.cause`.
-        slot: what it adds to. A slot named after a column corrects that before other effects (errors in variables).
+        slot: quantity it adds to. A slot named after a column corrects that column first (errors in variables).
         basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
             one for each coefficient. It gets columns in the units that the instrument declares, others in base
             units; coefficient × basis is in the slot's unit, converted between the units declared.
-        coefficients: the unknowns, in the order of the basis columns.
+        coefficients: coefficients, in the order of the basis columns.
         shapes: unknowns in which the basis is nonlinear.
         columns: columns that the readings must have.
         equation, source: text for reports; the source is a document, data sheet, standard or script.
-        varies: a column that must take more than one value for the effect to be testable.
+        varies: columns that must take more than one value for the effect to be testable.
         weights: function of shapes that the basis does not take (keywords): prior sd of each coefficient over its size.
-        measure: shape that is the amplitude of standard normal coefficients; None if the first coefficient is it.
-        untestable: function of readings that have these columns: the reason why they cannot test the effect, or None.
+        measure: shape that is the amplitude of standard normal coefficients; None: the first coefficient is.
+        untestable: function of readings with these columns that returns why they cannot test the effect, or None.
         along: covariate, if not the first of `columns`: a column, "elapsed", or a rate ("temperature rate").
         forms: alternative forms of the effect, which a search evaluates in its place, one at a time.
         family: name of the effect of which this is a form; empty if none.
-        general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
-        kind: dependence on the covariate, as reports describe it; empty if none of `Kind`.
+        general: form of which it is a special case, at one value of a shape; ignored where that form was evaluated.
+        kind: dependence on the covariate, one of `Kind`, for reports; empty if none of them.
         frees: name of the effect of which this is a copy with a wide prior, in case its stated value is wrong.
     """
 
@@ -253,7 +253,7 @@ class Effect:
 
     @property
     def family_name(self) -> str:
-        """Return the name in a search's report: of the effect, or of the family of which it is a form."""
+        """Return the name shown in a search report: the family's if the effect is one of its forms."""
         return self.family or self.name
 
     @property
@@ -263,17 +263,17 @@ class Effect:
 
     @property
     def is_placeholder(self) -> bool:
-        """Return whether this is a generic dependence without a physical cause, scaled by an amplitude parameter."""
+        """Return whether the effect is a generic dependence without a physical cause (with an amplitude shape)."""
         return self.measure is not None
 
     @property
     def is_reference_error(self) -> bool:
-        """Return whether this is the error of a reference standard by its certificate, which does not act in use."""
+        """Return whether the effect is the reference standard's error by its certificate, absent in use."""
         return self.name == f"{self.slot}.certificate"
 
     @property
     def unnamed(self) -> bool:
-        """Return whether the functional form has no physical cause: a curve, a step, a fourth power; not a line."""
+        """Return whether the form has no physical interpretation: a curve, step or fourth power, not a line."""
         return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property
@@ -283,7 +283,7 @@ class Effect:
 
     @property
     def open(self) -> bool:
-        """Return whether the plausible amplitude is to be estimated from the readings."""
+        """Return whether the plausible range of a shape is to be estimated from the readings."""
         return any(s.open for s in self.shapes)
 
     @property
@@ -293,19 +293,19 @@ class Effect:
 
     @property
     def averaged(self) -> Effect:
-        """Return the effect for a model average, where its known coefficients are zero in models without it."""
+        """Return the effect with its known coefficients marked as zero in models without it, for a model average."""
         parts = list(self.coefficients)
         for i in self.constant_indices:
             parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))
         return replace(self, coefficients=tuple(parts)) if self.constant_indices else self
 
     def with_open_ranges(self, low: float, high: float) -> Effect:
-        """Replace the range of shapes whose range is open by (low, high), in the shape's unit."""
+        """Return the effect with (low, high) as the plausible range of shapes that have none."""
         return self.with_ranges({s.name: (low, high) for s in self.shapes if s.open})
 
     @cached_property
     def weight_shapes(self) -> tuple[str, ...]:
-        """Return the names of the shapes that scale the prior standard deviations and are no arguments of the basis."""
+        """Return the names of the shapes that scale prior standard deviations, which are not arguments of the basis."""
         return () if self.weights is None else tuple(inspect.signature(self.weights).parameters)
 
     @cached_property
@@ -319,7 +319,7 @@ class Effect:
         return next((s for s in self.column_shapes if s.shared), None)
 
     def with_ranges(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
-        """Replace plausible ranges of shapes, name → (low, high)."""
+        """Return the effect with other plausible ranges of shapes, name → (low, high)."""
         limits = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
         shapes = ((s, *limits[s.name]) for s in self.shapes)
         return replace(self, shapes=tuple(replace(s, low=a, high=b) for s, a, b in shapes))
@@ -347,12 +347,12 @@ class Effect:
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
-        """Return the names of its coefficients, learned standard deviations and shapes."""
+        """Return the names of the effect's coefficients, learned standard deviations and shapes."""
         names = (self.coefficient_name(i) for i in range(len(self.coefficients)))
         return (*names, *self.group_sd_names, *map(self.shape_name, self.shapes))
 
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
-        """Evaluate the basis as a matrix (n, p), a column per coefficient; ModelError if it has another number."""
+        """Evaluate the basis as a matrix (n, p), one column per coefficient; raise ModelError for another number."""
         values = {s.name: shapes[s.name] for s in self.column_shapes}
         return evaluate_basis(self.basis, len(self.coefficients), self.name, frame, values)
 
@@ -380,7 +380,7 @@ def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
         yield from (effect, *effect.forms)
 
 
-Basis = tuple[Callable[..., Any], int, str]  # a basis, its number of columns, its effect's name
+Basis = tuple[Callable[..., Any], int, str]  # basis, its number of columns, its effect's name
 
 
 def evaluate_basis(

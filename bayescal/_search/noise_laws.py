@@ -72,7 +72,7 @@ NO_FIT = ResidualFit(-math.inf, {})
 
 @on_one_thread
 def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT) -> ResidualFit:
-    """Fit a law to residuals (`Record.of_noise`) by the Laplace approximation, without effects.
+    """Fit a law to residuals (`Record.residual_record`) by the Laplace approximation, without effects.
 
     The log evidence is −∞ where all residuals are zero. A `previous` fit to other residuals gives the start.
     """
@@ -121,7 +121,7 @@ def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
         scales = (scale, 1.5 * float(np.median(np.abs(residuals))))
         return [{next(iter(law.parameters())): s} for s in scales if s > 0]
     # Slow noise hardly changes between neighbouring readings: their differences are mainly those of the white part.
-    sorted_residuals = residuals[record.in_time[0]]
+    sorted_residuals = residuals[record.time_order[0]]
     white_sd = float(np.median(np.abs(np.diff(sorted_residuals)))) or scale
     starts = law.starts(record.frame.in_time(), sorted_residuals) if white_sd > 0 else []
     return [{WHITE: white_sd, **values} for values in starts]

@@ -107,7 +107,7 @@ def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
     tau = values.pop(CORRELATION_TIME)
     (diffusion,) = values.values()
     sd = diffusion * np.sqrt(0.5 * tau)
-    order, step = record.in_time
+    order, step = record.time_order
     noise, value = np.zeros(record.size), 0.0
     for place, since in zip(order, step, strict=True):
         decay = 0.0 if since < 0 else float(np.exp(-since / tau))

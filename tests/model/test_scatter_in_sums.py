@@ -48,7 +48,7 @@ def gain(readings: bc.Measurements) -> float:
     frame = frame_of(readings)
     record = Record(SENSOR, frame, np.asarray(readings["output"]))
     left = readings["output"] - readings["output"].mean()
-    with_it, without = (fit_to_residuals(one, record.of_noise(left)) for one in (law(), law("")))
+    with_it, without = (fit_to_residuals(x, record.residual_record(left)) for x in (law(), law("")))
     return with_it.log_evidence - without.log_evidence
 
 
@@ -119,7 +119,7 @@ def evidence_of_tone(amplitude: float, seed: int) -> tuple[float, dict[str, floa
         for terms in (("correlated",), ("correlated", "tone"))
     }
     plain, with_it = (
-        fit_to_residuals(law, fit.problem.record.of_noise(left)) for law in sums.values()
+        fit_to_residuals(law, fit.problem.record.residual_record(left)) for law in sums.values()
     )
     priors = sums["correlated", "tone"].parameters()
     values = {name: float(priors[name].value(v)) for name, v in with_it.start.items()}

@@ -182,10 +182,10 @@ def test_evidence_gain_of_a_law_on_residuals_equals_that_of_a_refit() -> None:
         made = structures(hidden(seed))
         base = made.evaluate(Structure())
         left = linear_model(base.problem, base.mode).residual
-        own = fit_to_residuals(made.base.noise, made.record.of_noise(left)).log_evidence
+        own = fit_to_residuals(made.base.noise, made.record.residual_record(left)).log_evidence
         for name, law in made.noise_laws.items():
             if law.independent:
-                found = fit_to_residuals(law, made.record.of_noise(left))
+                found = fit_to_residuals(law, made.record.residual_record(left))
                 refit = made.evaluate(Structure(noise=name), base, (found.start,))
                 gain = refit.log_evidence - base.log_evidence
                 assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name
