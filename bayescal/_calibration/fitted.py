@@ -23,7 +23,7 @@ from bayescal._core.renamed import renamed
 from bayescal._data.dataset_checks import MIN_CHANGES, find_grid_step
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
-from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.linear_model import LinearModel, linearise_model
 from bayescal._inference.method import CHAINS, Draws, Verdict
 from bayescal._inference.noise_on_record import Batch, draw_samples, log_densities, variances
 from bayescal._inference.problem import Problem
@@ -156,7 +156,7 @@ class Fitted:
     @cached_property
     def linear(self) -> LinearModel:
         """Return the fitted structure linearised at its mode."""
-        return linear_model(self.problem, self.mode)
+        return linearise_model(self.problem, self.mode)
 
     @property
     def chi_squared(self) -> tuple[float, int, float]:
@@ -206,7 +206,7 @@ class Fitted:
     def _probe_frame(self) -> Frame:
         """Return a frame of eight evenly spaced readings, to test effects numerically."""
         rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
-        return self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        return self.frame.reorder(rows, np.arange(len(rows)), self.frame.step[rows])
 
     def _basis(self, effect: Effect, frame: Frame) -> Any:
         """Return an effect's basis columns at the posterior mode of its shape parameters."""

@@ -69,7 +69,7 @@ class RecordSubset(Record):
         in_time = np.flatnonzero(row_number[order] >= 0)
         subset_steps = np.diff(np.cumsum(np.maximum(time_steps, 0.0))[in_time], prepend=0.0)
         subset_steps[np.diff(np.cumsum(time_steps < 0)[in_time], prepend=-1) != 0] = -1.0
-        frame = parent.frame.reordered(rows, row_number[order[in_time]], subset_steps)
+        frame = parent.frame.reorder(rows, row_number[order[in_time]], subset_steps)
         super().__init__(parent.instrument, frame, parent.y[rows])
         self.parent, self.rows = parent, rows
 

@@ -29,30 +29,28 @@ from bayescal._model.model import Model
 from bayescal._model.noise_law import WHITE
 from bayescal._model.parameters import bind
 
-STEP = 1e-4  # of a shape's coordinate, for derivatives by central differences
-RANK = 1e-12  # smallest eigenvalue of a fitted direction, relative to the largest
+DIFF_STEP = 1e-4  # central-difference step of a shape's coordinate
+RANK_TOLERANCE = 1e-12  # smallest eigenvalue of an identified direction, relative to the largest
+GAUSS_NEWTON_STEPS = 4  # sufficient for an order of magnitude
 
-GAUSS_NEWTON = 4  # iterations: sufficient for an order of magnitude
 
-
-def learned_amplitude(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
-    """Return an effect's learned amplitude or group deviation and its standard uncertainty; None if not learned."""
-    learned = effect.measure_name or effect.group_sd_name(0)
-    names = learned in problem.layout.index_in_phi
-    return problem.value_and_sd(learned, mode.v, mode.covariance) if names else None
+def find_amplitude(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
+    """Return the estimate and standard uncertainty of an effect's amplitude or between-group sd; None if not in φ."""
+    name = effect.measure_name or effect.group_sd_name(0)
+    is_learned = name in problem.layout.index_in_phi
+    return problem.value_and_sd(name, mode.v, mode.covariance) if is_learned else None
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Linear model of the readings about a mode, y = μ + nuisance·δθ + noise."""
+    """Linear model of the readings about a mode θ̂, y = μ + nuisance·(θ − θ̂)/sd + noise, θ = (x, shapes)."""
 
     problem: Problem  # the model on its readings
     mode: Mode
     mean: Float[np.ndarray, "n"]  # the expected output at the mode
     residual: Float[np.ndarray, "n"]  # at the posterior mean of θ, output unit (n,)
-    nuisance: Float[
-        np.ndarray, "n q"
-    ]  # Jacobian by x and by shapes, times prior standard deviations
+    # Jacobian with respect to x and shapes, times prior standard deviations.
+    nuisance: Float[np.ndarray, "n q"]
     weight: Float[np.ndarray, "q"]  # 1 where the prior is proper, 0 where it is flat (q,)
     sd: Float[np.ndarray, "q"]
     owners: tuple[str, ...]  # effect of each nuisance column (q,)
@@ -71,7 +69,7 @@ class LinearModel:
         return self.problem.record.residual_record(self.residual)
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Whiten columns up to a common orthogonal rotation: inner products are right, rows are no readings."""
+        """Whiten columns up to a common orthogonal rotation, which preserves inner products; rows are not readings."""
         law = self.whiten
         if isinstance(law, Whitening) and not self.problem.noisy:
             nodes = law.record.nodes(law.law)
@@ -89,31 +87,31 @@ class LinearModel:
 
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
         """Return an effect's contribution to the expected output relative to its prior means, output unit (n,)."""
-        is_own = np.array([owner == name for owner in self.owners])
-        x = np.flatnonzero(is_own[: self.problem.size])
-        return self.nuisance[:, x] @ self.z[x]
+        is_of_effect = np.array([owner == name for owner in self.owners])
+        indices = np.flatnonzero(is_of_effect[: self.problem.size])
+        return self.nuisance[:, indices] @ self.z[indices]
 
     @cached_property
-    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+    def _decomposition(self) -> tuple[np.ndarray, np.ndarray]:
         """Return R with R·Rᵀ the pseudo-inverse of AᵀA + W, A the whitened nuisances, W the weights; and A·R."""
         white = self.white_nuisance
         precision = white.T @ white + np.diag(self.weight)
-        # Scaled to a unit diagonal, so that `RANK` is independent of units.
+        # Scaled to a unit diagonal, so that `RANK_TOLERANCE` is independent of units.
         norms = np.sqrt(np.diag(precision))
         norms = np.where(norms > 0, norms, 1.0)
-        weights, vectors = np.linalg.eigh(precision / norms / norms[:, None])
-        is_known = weights > RANK * weights[-1:]
-        root = np.where(is_known, 1 / np.sqrt(np.where(is_known, weights, 1.0)), 0.0)
+        eigenvalues, vectors = np.linalg.eigh(precision / norms / norms[:, None])
+        is_identified = eigenvalues > RANK_TOLERANCE * eigenvalues[-1:]
+        root = np.where(is_identified, 1 / np.sqrt(np.where(is_identified, eigenvalues, 1.0)), 0.0)
         root = vectors * root / norms[:, None]
         return root, white @ root
 
     @property
     def root(self) -> Float[np.ndarray, "q q"]:
-        """Return R, with R·Rᵀ the covariance of all unknowns in units of their priors."""
-        return self._eigen[0]
+        """Return R with R·Rᵀ the posterior covariance of θ, in prior standard deviations (q, q)."""
+        return self._decomposition[0]
 
     def uncertainty(self, i: int) -> float:
-        """Return the posterior standard uncertainty of the unknown of column i, in its unit."""
+        """Return the posterior standard uncertainty of the unknown of nuisance column i, in its unit."""
         return float(np.linalg.norm(self.root[i]) * self.sd[i])
 
     @property
@@ -123,14 +121,14 @@ class LinearModel:
         H = A·(AᵀA + W)⁻¹·Aᵀ, A the whitened nuisances and W their prior weights (0 where flat). Whitened readings have
         the covariance I + A·W⁻¹·Aᵀ, and (I − H)·(I + A·W⁻¹·Aᵀ)·(I − H) = I − H.
         """
-        return self._eigen[1]
+        return self._decomposition[1]
 
     @cached_property
     def conditional_residuals(self) -> Float[np.ndarray, "n"]:
-        """Return the residuals after one joint Gauss–Newton step of all θ, shapes included, output unit (n,)."""
+        """Return the residuals after one Gauss–Newton step of all coefficients and shapes, output unit (n,)."""
         # The step is (AᵀA + W)⁻¹(Aᵀr − W·z).
-        pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
-        return self.residual - self.nuisance @ (self.root @ (self.root.T @ pull))
+        rhs = self.white_nuisance.T @ self.white_residual - self.weight * self.z
+        return self.residual - self.nuisance @ (self.root @ (self.root.T @ rhs))
 
     @cached_property
     def white_conditional(self) -> Float[np.ndarray, "n"]:
@@ -148,7 +146,7 @@ class LinearModel:
     def normal_eqs(
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
-        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns C and conditional residuals r, nuisances not projected out."""
+        """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns C and conditional residuals r, without projecting nuisances out."""
         white = self.whiten(np.column_stack([columns, self.conditional_residuals]))
         return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
 
@@ -160,7 +158,7 @@ class LinearModel:
 
     @cached_property
     def rss(self) -> float:
-        """Return the whitened residual sum of squares plus the prior's penalty zᵀWz."""
+        """Return the whitened residual sum of squares plus the prior's penalty Σ z² (proper priors only)."""
         white = self.decorrelate(self.residual[:, None])
         return float(np.sum(white**2)) + float(self.weight @ self.z**2)
 
@@ -202,15 +200,15 @@ def explained_sum_of_squares(
     """
     # The log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|; the determinant from the Cholesky factor L·Lᵀ = I + K.
     chol = cholesky(information + np.eye(u.shape[-1]))
-    failed = np.isnan(chol).any(axis=(-2, -1))
-    chol = np.where(failed[..., None, None], np.eye(u.shape[-1]), chol)
-    solved = np.linalg.solve(chol, u[..., None])[..., 0]
+    is_nan = np.isnan(chol).any(axis=(-2, -1))
+    chol = np.where(is_nan[..., None, None], np.eye(u.shape[-1]), chol)
+    scores = np.linalg.solve(chol, u[..., None])[..., 0]
     half_log_det = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.where(failed, np.inf, half_log_det), np.where(failed, 0.0, np.sum(solved**2, axis=-1))
+    return np.where(is_nan, np.inf, half_log_det), np.where(is_nan, 0.0, np.sum(scores**2, axis=-1))
 
 
-def linear_model(problem: Problem, mode: Mode) -> LinearModel:
-    """Linearise a model about its mode."""
+def linearise_model(problem: Problem, mode: Mode) -> LinearModel:
+    """Return a fitted model linearised about its mode."""
     density = Density(problem, mode.x, mode.flat, mode.v)
     hyper = problem.hyper(mode.v)
     line = problem.linearise(mode.x, hyper)
@@ -223,8 +221,8 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     def mean(shapes: np.ndarray) -> np.ndarray:
         return problem.linearise(x, problem.hyper(overwrite(shapes, problem.moving, mode.v))).mean
 
-    # To first order a shape is one more coefficient: its column is the derivative by its coordinate, of prior sd 1.
-    slopes = differentiate(mean, mode.v[problem.moving], STEP)
+    # To first order a shape is one more coefficient of prior sd 1; its column is ∂output/∂coordinate.
+    slopes = differentiate(mean, mode.v[problem.moving], DIFF_STEP)
     nuisance = np.empty((len(residual), problem.size + len(slopes)))
     np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
@@ -248,23 +246,23 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
 
 
 def linearise_at_priors(problem: Problem, noise: float | None = None) -> LinearModel:
-    """Linearise a model about its prior means; `noise`: standard deviation of the white noise."""
+    """Return a model linearised about its prior means; noise: standard deviation of the white noise, output unit."""
     v, x = np.zeros(len(problem.hypers)), problem.start
     for i, h in enumerate(problem.hypers):
         if h.name == WHITE and noise is not None:
             v[i] = float(h.prior.coordinate(noise))
     flat = compute_flat_scales(problem, x, v)
-    return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
+    return linearise_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
 
 def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Model:
-    """Fill in the plausible amplitude ranges of placeholder effects, estimated from the readings.
+    """Return the model with plausible amplitude ranges of placeholder effects, estimated from the readings.
 
-    From the detection limit, noise over √n, to ten times half the range of the residuals of all other effects, which
-    may have absorbed a part.
+    A range extends from the detection limit, noise over √n, to ten times half the range of the residuals of a fit of
+    the other effects, which may have absorbed a part.
 
     Raises:
-        ModelError: one adds to a slot that is not in the output's unit.
+        ModelError: a placeholder adds to a slot that is not in the output's unit.
     """
     if not (placeholders := [e for e in model.effects if e.open]):
         return model
@@ -274,27 +272,27 @@ def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Mod
                 f"Effect {e.name!r} adds to {e.slot!r}, which is not in the output's unit [{model.instrument.unit}]: "
                 "give its plausible amplitudes, low and high"
             )
-    reduced = replace(model, effects=tuple(e for e in model.effects if not e.open))
-    low_high = amplitude_range(reduced, readings, record)
-    effects = tuple(e.with_open_ranges(*low_high) if e.open else e for e in model.effects)
+    reduced_model = replace(model, effects=tuple(e for e in model.effects if not e.open))
+    limits = guess_amplitudes(reduced_model, readings, record)
+    effects = tuple(e.with_open_ranges(*limits) if e.open else e for e in model.effects)
     return replace(model, effects=effects)
 
 
-def amplitude_range(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
-    """Return the plausible amplitudes (low, high) of effects that a model lacks, output unit."""
+def guess_amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
+    """Return the plausible range (low, high) of the amplitude of effects that a model lacks, output unit."""
     frame, y = record.frame, record.y
     residual = _least_squares_residual(Problem(bind(model, readings)[0], record.with_frame()))
     # Robust noise estimate: 1.4826·median|difference of neighbours|/√2; missing effects change little between readings.
-    change, step = np.diff(residual[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
-    change = change[step > 0] if np.any(step > 0) else change
-    noise = 1.4826 * float(np.median(np.abs(change))) / math.sqrt(2) if len(change) else 0.0
+    diffs, step = np.diff(residual[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
+    diffs = diffs[step > 0] if np.any(step > 0) else diffs
+    noise_sd = 1.4826 * float(np.median(np.abs(diffs))) / math.sqrt(2) if len(diffs) else 0.0
     half_range = _half_range(residual) or _half_range(y) or 1.0
-    low = (noise or half_range) / math.sqrt(len(residual))
+    low = (noise_sd or half_range) / math.sqrt(len(residual))
     return tuple(float(f"{v:.2g}") for v in (min(low, half_range), 10 * half_range))  # pyright: ignore
 
 
 def _half_range(values: Float[np.ndarray, "n"]) -> float:
-    """Return half of the range between the 0.5 % and 99.5 % quantiles."""
+    """Return half of the difference between the 99.5 % and 0.5 % quantiles."""
     low, high = np.quantile(values, [0.005, 0.995])
     return 0.5 * float(high - low)
 
@@ -305,13 +303,13 @@ def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
     x, y = problem.start, problem.record.y
     indices = [t.x_slice.start for t in problem.in_x if t.per is None and t.group_sd_name is None]
     residual = y - np.mean(y)
-    for _ in range(GAUSS_NEWTON):
+    for _ in range(GAUSS_NEWTON_STEPS):
         line = problem.linearise(x, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
         residual = y - line.mean
         columns = line.jacobian[:, indices]
-        # Columns of unit rms, so that `RANK` is independent of units and priors.
+        # Columns of unit rms, so that `RANK_TOLERANCE` is independent of units and priors.
         scale = compute_column_scales(columns)
-        x[indices] += scale * np.linalg.lstsq(columns * scale, residual, rcond=RANK)[0]
+        x[indices] += scale * np.linalg.lstsq(columns * scale, residual, rcond=RANK_TOLERANCE)[0]
     return residual

@@ -17,7 +17,7 @@ from bayescal._inference.linear_model import LinearModel
 from bayescal._inference.noise_on_record import SdWhitening, Whitening
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.frame import BY_READING
+from bayescal._model.frame import ROW_FIELDS
 from bayescal._model.noise_law import WHITE
 
 
@@ -43,10 +43,10 @@ class Means:
         starts = np.flatnonzero(position % count == 0)
         clock = mean_rows(np.cumsum(np.maximum(frame.step, 0.0)), starts)
         step = np.where(frame.step[starts] < 0, -1.0, np.diff(clock, prepend=0.0))
-        means = frame.reordered(starts, np.arange(len(starts)), step)
+        means = frame.reorder(starts, np.arange(len(starts)), step)
         averaged = {
             n: {k: mean_rows(a, starts) for k, a in getattr(frame, n).items()}
-            for n in BY_READING
+            for n in ROW_FIELDS
             if n not in ("codes", "labels")  # constant within a block
         }
         y = mean_rows(record.y[record.time_order[0]], starts)

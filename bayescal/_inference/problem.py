@@ -1,4 +1,4 @@
-"""A model bound to readings: its expected output, Jacobian and priors, from cached basis columns."""
+"""A model bound to readings: expected output, Jacobian and priors, from cached basis columns."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 from bayescal._inference.gaussian import Gram, Prior, XDraws, draw_x
 from bayescal._inference.record import Record
 from bayescal._model.composition import (
-    Composed,
     Linearisation,
+    ResponseArguments,
     compose,
     compute_input_variance,
     differentiate_output,
@@ -30,11 +30,11 @@ from bayescal._model.terms import PriorDeviations, Term, terms_of
 
 Values = dict[str, float]
 Arrays = Mapping[str, Any]
-ABSENT = -30.0  # coordinate that stands for a standard deviation of zero (1e-13 of its scale)
+ZERO_SD_COORDINATE = -30.0  # coordinate of a negligible standard deviation (1e-13 of its scale)
 
 
 class Host:
-    """Column source (see `composition`) that reads cached columns and responses of a record, for one or many draws."""
+    """Source of a record's cached basis columns and responses in NumPy, for one or many draws (a `ColumnSource`)."""
 
     xp = np
 
@@ -45,16 +45,16 @@ class Host:
         self.codes: Mapping[str, Any] = record.codes
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: Arrays, with_grad: bool) -> Any:
-        of, record = term.columns, self.record
+        spec, record = term.columns, self.record
         if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in shifts.values()):
             if with_grad:
-                return record.differentiate_columns(of, shapes, shifts)
-            return record.columns_of_draws(of, shapes, shifts), {}
+                return record.differentiate_columns(spec, shapes, shifts)
+            return record.columns_of_draws(spec, shapes, shifts), {}
         if not shifts:
-            return record.columns(of, tuple(map(float, shapes))), {}
+            return record.columns(spec, tuple(map(float, shapes))), {}
         values = [np.atleast_1d(float(s)) for s in shapes]
         shifts = {n: m[None] for n, m in shifts.items()}
-        columns, derivatives = record.differentiate_columns(of, values, shifts)
+        columns, derivatives = record.differentiate_columns(spec, values, shifts)
         return columns[0], {n: d[0] for n, d in derivatives.items()}
 
     def response(self, slots: Arrays, shifts: Arrays) -> np.ndarray:
@@ -66,7 +66,7 @@ class Host:
 
 @dataclass(eq=False)
 class Problem:
-    """A model bound to a record; `size_factors` multiplies prior deviations of coefficients, by effect."""
+    """A model bound to a record of readings; size_factors: effect → factor of its prior standard deviations."""
 
     layout: Layout
     record: Record
@@ -80,13 +80,13 @@ class Problem:
         self.host: Host = Host(self.record)
         self.hypers: tuple[Unknown, ...] = layout.hypers
         self.size: int = sum(t.size for t in self.terms if t.place == "x")
-        self.noisy: bool = any(t.place == "input" for t in self.terms)  # an input
+        self.noisy: bool = any(t.place == "input" for t in self.terms)  # has noise on an input
         self.noise: Noise = layout.model.noise
         self.fixed_values: dict[str, float] = dict(layout.model.fixed)
         # A promoted coefficient in units of a learned standard deviation changes with it.
-        scaled = {t.group_sd_name for t in self.terms if t.place == "phi"}
+        group_sd_names = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds: list[str] = [h.kind for h in self.hypers]
-        moving = (h.kind in NONLINEAR or h.name in scaled for h in self.hypers)
+        moving = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
         self.moving: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
 
@@ -97,7 +97,7 @@ class Problem:
         return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
 
     def hyper_of_each(self, vs: Float[np.ndarray, "b d"]) -> list[dict[str, float]]:
-        """Return `hyper` at each of several coordinates."""
+        """Return hyper-parameters and fixed unknowns by name, at each of several coordinates of φ (b, d)."""
         columns = {n: np.broadcast_to(v, len(vs)) for n, v in self.hyper(vs.T).items()}
         return [{n: float(c[i]) for n, c in columns.items()} for i in range(len(vs))]
 
@@ -114,7 +114,7 @@ class Problem:
         origin: Float[np.ndarray, "p"],
         normal: Float[np.ndarray, "b p"] | float = 0.0,
     ) -> XDraws:
-        """Return draws of x given each of several φ by standard normal numbers (0: the mean), with log marginals."""
+        """Map standard normal numbers (0: the mean) to draws of x given each of several φ; with log marginals."""
         prior = self.prior(self.hyper(vs.T), flat_scales, (len(vs),))
         normal = np.broadcast_to(normal, (len(vs), self.size))
         return draw_x(gram, self.record.size, prior, origin, normal)
@@ -125,7 +125,7 @@ class Problem:
         return np.sum(parts, axis=0) if parts else np.zeros(len(v))
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """Return one entry of φ and its standard uncertainty, propagated from the covariance of coordinates."""
+        """Return the value of one entry of φ and its standard uncertainty, given the covariance of coordinates."""
         i = self.layout.index_in_phi[name]
         prior = self.hypers[i].prior
         return float(prior.value(v[i])), abs(slope(prior, v[i])) * math.sqrt(covariance[i, i])
@@ -157,7 +157,7 @@ class Problem:
     def prior(
         self, hyper: Mapping[str, Any], flat_scales: np.ndarray, count: tuple[int, ...] = ()
     ) -> Prior:
-        """Return the prior of x given φ, or given each of `count` φ; `flat`: scales of flat priors (p,)."""
+        """Return the prior of x given φ, or given each of `count` φ; flat_scales: scales of flat priors (p,)."""
         sd = np.where(self.weight_of_x > 0, self.sizes.evaluate(hyper, count), flat_scales)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
@@ -170,29 +170,29 @@ class Problem:
 
     @property
     def start(self) -> Float[np.ndarray, "p"]:
-        """Return x at its prior means, coefficients with an origin at the origin (p,)."""
+        """Return the starting point of x: prior means, or the origin for coefficients that have one (p,)."""
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
                 x[b.x_slice] = 0.0
         return x
 
-    def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
-        """Map another model's x to this one's coefficients; missing ones at their prior mean (p,)."""
-        x_own, slices = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
+    def map_x(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
+        """Map the coefficients x of another problem to this one's (p,); missing ones are at their prior means."""
+        mapped_x, slices = self.start, {(t.effect.name, t.index): t.x_slice for t in other.in_x}
         for t in self.in_x:
-            if (at := slices.get((t.effect.name, t.index))) is not None:
-                x_own[t.x_slice] = x[at]
-        return x_own
+            if (x_slice := slices.get((t.effect.name, t.index))) is not None:
+                mapped_x[t.x_slice] = x[x_slice]
+        return mapped_x
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
         """Return a term's coefficient at each reading (…, n), or one for all (…, 1)."""
         return expand_coefficient(self.host, t, x, hyper)
 
-    def composed(
+    def compose(
         self, terms: Sequence[Term], x: Any, hyper: Mapping[str, Any], with_grad: bool = False
-    ) -> Composed:
-        """Compose terms at x (p,), or at draws of x (b, p)."""
+    ) -> ResponseArguments:
+        """Return the response's arguments, sums of terms, at x (p,) or at draws of x (b, p)."""
         values = [self.value(t, x, hyper) for t in terms]
         return compose(self.host, terms, values, hyper, with_grad)
 
@@ -203,23 +203,23 @@ class Problem:
 
     @cached_property
     def _dynamic_terms(self) -> tuple[Term, ...]:
-        """Return the terms to compose at each φ: those that depend on φ if the output is affine, else all."""
+        """Return the terms to evaluate at each φ: those that depend on φ if the output is affine in x, else all."""
         affine = self.affine
         return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
-        """Return the Jacobian by φ-independent terms, zero elsewhere, and the indices of the other terms in x."""
-        places = np.arange(self.size)
+        """Return the Jacobian of φ-independent terms, zero for the others, and the indices of the others in x."""
+        indices = np.arange(self.size)
         dynamic = np.concatenate(
-            [places[:0], *(places[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
+            [indices[:0], *(indices[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
         )
         jacobian = np.zeros((self.record.size, self.size), order="F")
         if self.affine:
             terms = [t for t in self.in_x if not t.shape_names]
-            none = np.zeros(self.size), self.fixed_values
-            static = linearise_output(self.host, terms, self.composed(terms, *none, with_grad=True))
-            jacobian[:, np.setdiff1d(places, dynamic)] = static.jacobian
+            point = np.zeros(self.size), self.fixed_values
+            static = linearise_output(self.host, terms, self.compose(terms, *point, with_grad=True))
+            jacobian[:, np.setdiff1d(indices, dynamic)] = static.jacobian
         return jacobian, dynamic
 
     def slopes(
@@ -227,11 +227,11 @@ class Problem:
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
         """Return the derivatives of the expected output with respect to each slot and corrected column, (n,) each."""
         terms = () if self.affine else self.terms
-        composed = self.composed(terms, x, hyper, with_grad=True)
+        composed = self.compose(terms, x, hyper, with_grad=True)
         return differentiate_output(self.host, terms, composed)[1]
 
     def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearisation:
-        """Return expected output and Jacobian at x, or at draws of x, output unit per reported unit."""
+        """Return expected output and Jacobian at x, or at draws of x, in the output unit per reported unit."""
         line = self.linearise_dynamic(x, hyper)
         if not self.affine:
             return line
@@ -248,9 +248,9 @@ class Problem:
         hyper: Mapping[str, Any],
         terms: Sequence[Term] | None = None,
     ) -> Linearisation:
-        """Return expected output and Jacobian of the φ-dependent terms alone (`_dynamic_terms`), or of `terms`."""
+        """Return the expected output and Jacobian of φ-dependent terms only (`_dynamic_terms`), or of given terms."""
         terms = self._dynamic_terms if terms is None else terms
-        return linearise_output(self.host, terms, self.composed(terms, x, hyper, with_grad=True))
+        return linearise_output(self.host, terms, self.compose(terms, x, hyper, with_grad=True))
 
     def extra(self, line: Linearisation) -> Float[np.ndarray, "n"] | float:
         """Return the variance of each reading from noisy inputs, output unit squared (n,), or 0."""
@@ -260,7 +260,7 @@ class Problem:
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Return the expected output of joint draws, output unit (b, n)."""
-        mean = evaluate_output(self.host, self.composed(self._dynamic_terms, x, hyper))
+        mean = evaluate_output(self.host, self.compose(self._dynamic_terms, x, hyper))
         if self.affine:
             return mean + x @ self._static_jacobian[0].T
         return np.broadcast_to(mean, (len(x), self.record.size))  # one row if there are no terms
@@ -268,13 +268,13 @@ class Problem:
     def expected_with_slopes(
         self, x: Any, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
-        """Return the expected output of joint draws, and its derivatives in the terms, as if all were of one member."""
-        corrects = any(t.slot not in self.host.slots for t in terms)
-        composed = self.composed(self.terms, x, hyper, corrects)
+        """Return the expected output of joint draws, and its derivatives with respect to each term at every reading."""
+        with_grad = any(t.slot not in self.host.slots for t in terms)
+        composed = self.compose(self.terms, x, hyper, with_grad)
         mean, by_slot = differentiate_output(self.host, self.terms, composed)
-        chosen = {id(t) for t in terms}
+        term_ids = {id(t) for t in terms}
         pairs = zip(self.terms, composed.columns, strict=True)
-        return mean, [by_slot[t.slot] * column for t, column in pairs if id(t) in chosen]
+        return mean, [by_slot[t.slot] * column for t, column in pairs if id(t) in term_ids]
 
     def expected_and_extra(
         self, x: Any, hyper: Mapping[str, Any]
@@ -284,12 +284,12 @@ class Problem:
             return self.expected(x, hyper), 0.0
         inputs = [t for t in self.terms if t.place == "input"]
         mean, derivatives = self.expected_with_slopes(x, hyper, inputs)
-        added = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, derivatives, strict=True)]
-        return mean, np.broadcast_to(sum(added), mean.shape)
+        variances = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, derivatives, strict=True)]
+        return mean, np.broadcast_to(sum(variances), mean.shape)
 
 
 def differentiate(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) -> np.ndarray:
-    """Return the gradient of f by central differences, with one step or one per coordinate."""
+    """Return the gradient of f at a point by central differences; step: one number, or one per coordinate."""
     shifts = np.diag(np.broadcast_to(step, point.shape))
     return np.array([(f(point + s) - f(point - s)) / (2 * s.sum()) for s in shifts])
 

@@ -33,7 +33,7 @@ class ColumnSource(Protocol):
     codes: Mapping[str, Any]  # group → index of each reading's member (n,), −1 for none
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
-        """Return the basis columns of a term's effect (…, n, k), and their derivatives in each corrected column."""
+        """Return the basis columns of a term's effect (…, n, k), and their derivatives by corrected column."""
         ...
 
     def response(self, slots: dict, shifts: dict) -> Any:
@@ -45,7 +45,7 @@ class ColumnSource(Protocol):
         ...
 
 
-class Composed(NamedTuple):
+class ResponseArguments(NamedTuple):
     """Arguments of the instrument's response: slot values and column corrections, with the terms they sum."""
 
     slots: dict[str, Any]  # slot → sum of its terms (…, n), slot unit; absent if it has none
@@ -58,7 +58,7 @@ class Composed(NamedTuple):
 class Linearisation(NamedTuple):
     """First-order expansion of the expected output about one point.
 
-    mean: expected output (…, n); jacobian: by x (…, n, p); inputs: by each noisy input (…, n, k).
+    mean: expected output (…, n). jacobian, inputs: derivatives with respect to x (…, n, p), to noisy inputs (…, n, k).
     """
 
     mean: Any
@@ -99,8 +99,8 @@ def compose(
     values: list[Any],
     hyper: Hyper,
     with_grad: bool = False,
-) -> Composed:
-    """Sum the terms of each slot; `with_grad` also differentiates basis columns by column corrections.
+) -> ResponseArguments:
+    """Sum the terms of each slot; with_grad: differentiate basis columns with respect to column corrections too.
 
     Bases of effects that correct a column are evaluated on the recorded columns, all others on corrected ones.
     """
@@ -122,7 +122,7 @@ def compose(
                 columns[i] = basis[..., t.index] * t.factor
                 grads[i] = {name: g[..., t.index] * t.factor for name, g in basis_grads.items()}
             _add_terms(source.xp, totals, [(terms[i], columns[i], values[i]) for i in members])
-    return Composed(slots, shifts, values, columns, grads)
+    return ResponseArguments(slots, shifts, values, columns, grads)
 
 
 def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, Any]]) -> None:
@@ -139,37 +139,37 @@ def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, A
             totals[slot] = totals[slot] + column * v if slot in totals else column * v
 
 
-def evaluate_output(source: ColumnSource, composed: Composed) -> Any:
+def evaluate_output(source: ColumnSource, composed: ResponseArguments) -> Any:
     """Return the expected output, output unit (…, n)."""
     return source.response(composed.slots, composed.shifts)
 
 
 def differentiate_output(
-    source: ColumnSource, terms: Sequence[Term], composed: Composed
+    source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> tuple[Any, dict[str, Any]]:
     """Return the expected output and its derivatives with respect to slots and corrected columns (…, n) each."""
     mean, partials = source.differentiate_output(composed.slots, composed.shifts)
-    by_name = dict(partials)
+    derivatives = dict(partials)
     # Chain rule: dμ/dcolumn = ∂μ/∂column + Σ ∂μ/∂slot·∂slot/∂column.
     for t, grads, v in zip(terms, composed.column_grads, composed.values, strict=True):
         for name, grad in grads.items():
-            by_name[name] = by_name[name] + by_name[t.slot] * grad * v
-    return mean, by_name
+            derivatives[name] = derivatives[name] + derivatives[t.slot] * grad * v
+    return mean, derivatives
 
 
 def linearise_output(
-    source: ColumnSource, terms: Sequence[Term], composed: Composed
+    source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> Linearisation:
-    """Linearise the expected output in the coefficients of `terms`; `composed` must hold derivatives."""
-    mean, by_slot = differentiate_output(source, terms, composed)
+    """Return the expected output linearised in the coefficients of `terms`; `composed` must contain derivatives."""
+    mean, derivatives = differentiate_output(source, terms, composed)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
-    triples = [(t, c, by_slot[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]
+    triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]
     groups = ([t for t in triples if t[0].place == place] for place in ("x", "input"))
     return Linearisation(mean, *(assemble(source, mean, group) for group in groups))
 
 
 def compute_input_variance(terms: Sequence[Term], linearisation: Linearisation) -> Any:
-    """Propagate the noise of inputs to the variance of each reading, first order, output unit squared (…, n).
+    """Return the variance of each reading due to noise on inputs, to first order, output unit squared (…, n).
 
     Source: JCGM 100:2008, 5.1.2.
     """
@@ -209,14 +209,14 @@ def _member_codes(source: ColumnSource, t: Term) -> Any:
 
 
 def expand_members(column: Any, codes: Any, size: int) -> Any:
-    """Expand a basis column (…, n) to one column per group member (…, n, size); `codes` None: no group."""
+    """Expand a basis column (…, n) to one column per group member (…, n, size); codes: None if there is no group."""
     if codes is None:
         return column[..., None]
     return column[..., None] * (codes[:, None] == np.arange(size))
 
 
 class TracedColumns:
-    """Column source in a JAX program, for one draw: evaluates effects and instrument, differentiable throughout."""
+    """Source of basis columns and responses in a JAX program, for one draw; differentiable (a `ColumnSource`)."""
 
     xp = jnp
 
@@ -246,8 +246,8 @@ class TracedColumns:
             path_shifts[c.column + PATH] = path_shifts.get(c.column + PATH, 0.0) + column
 
         def evaluate(shifts: dict) -> Any:
-            moves = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
-            return self.matrix(spec.basis, self.frame.shift_columns(moves), basis_shapes)
+            totals = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
+            return self.matrix(spec.basis, self.frame.shift_columns(totals), basis_shapes)
 
         if not (shifts and with_grad):
             return evaluate(shifts), {}
@@ -272,7 +272,7 @@ class TracedColumns:
 def differentiate_response(
     response: Any, slots: dict[str, Any], shifts: dict[str, Any], reverse_mode: bool
 ) -> tuple[Any, dict[str, Any]]:
-    """Return a response (n,) and its gradient in slots and column shifts; reverse mode is faster for many slots."""
+    """Return a response (n,) and its derivatives by slot and column shift; reverse mode is faster for many slots."""
     if reverse_mode and not shifts:
         mean, vjp = jax.vjp(lambda values: response(values, {}), slots)
         return mean, vjp(jnp.ones_like(mean))[0]
@@ -291,13 +291,13 @@ def _unit_tangent(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def find_response_columns(instrument: Instrument, frame: Frame) -> frozenset[str]:
     """Evaluate the response once and return the names of the columns of the readings that it uses."""
-    names_read = set[str]()
+    used_names = set[str]()
 
     class RecordingDict(dict[str, Any]):
         def __getitem__(self, name: str) -> Any:
-            names_read.add(name)
+            used_names.add(name)
             return super().__getitem__(name)
 
     slots = {s.name: np.zeros(frame.size) for s in instrument.slots}
     instrument.response(slots, replace(frame, columns=RecordingDict(frame.columns)))
-    return frozenset(names_read)
+    return frozenset(used_names)

@@ -48,7 +48,7 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
 
 def compose_at(
     layout: Layout, frame: Frame, x: Array, hyper: Values, with_grad: bool = False
-) -> tuple[composition.TracedColumns, tuple[Term, ...], composition.Composed]:
+) -> tuple[composition.TracedColumns, tuple[Term, ...], composition.ResponseArguments]:
     """Compose the model at (x, φ); return its column source, its terms and the slot values."""
     source = composition.TracedColumns(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)

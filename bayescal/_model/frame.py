@@ -1,7 +1,7 @@
-"""Frames: readings as JAX arrays, with group codes and quantities derived from time.
+"""Frames: readings as arrays, with group codes and quantities derived from time: arguments of basis functions.
 
-A frame is built once from measurements and a reference. The reference holds the constants of the bases (T0,
-the mean time, the span): stored at the fit and never recomputed on new readings.
+A frame is built once from measurements and a reference. The reference holds the constants of basis functions (T0, mean
+time, time span), which are stored at the fit and never recomputed on new readings.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from bayescal._data.records import solve_recursion
 
 # groups of every data set; label columns of an instrument are further groups
 GROUPS = ("run", "cell", "axis", "device")
-NEVER_STEPPED = ("output", UNCERTAINTY, "time", "temperature_point")  # never piecewise constant
-BY_READING = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
+NEVER_STEPPED = ("output", UNCERTAINTY, "time", "temperature_point")  # not set in steps
+ROW_FIELDS = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
 PATH = " path"  # suffix of a column replaced as a whole time series, as temperature by that of a lagging body
 Reference = dict[str, float | dict[str, float]]
 
@@ -34,7 +34,7 @@ Reference = dict[str, float | dict[str, float]]
 @renamed(only="select_columns", moved="shift_columns")
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Readings as the argument of basis functions, all columns in the instrument's fixed units.
+    """Readings as the argument of basis functions, with all columns in the instrument's fixed units.
 
     Arrays are JAX arrays in a compiled program, NumPy arrays otherwise.
 
@@ -45,10 +45,10 @@ class Frame:
         codes: index of each reading's group member, −1 where it belongs to none.
         reference: scalars such as T0.
         order: permutation that sorts the readings by run and time.
-        step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
+        step: time since the previous reading of the same run, in sorted order, s; −1 at the first of a run.
         record: the columns as measured, without corrections.
         silence: longest time between readings over which a temperature is interpolated, s.
-        path: whole time series that replace a measured column, such as a body's temperature, (*s, n) each.
+        path: time series that replace a measured column, such as a body's temperature, (*s, n) each.
     """
 
     columns: dict[str, Float[Any, "n"]]
@@ -93,7 +93,7 @@ class Frame:
         return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
-        """Scale a covariate to 0 … 1 over its range at the fit; a rate is called "temperature rate"."""
+        """Scale a covariate, a column or a rate such as "temperature rate", to 0 … 1 over its range at the fit."""
         values = self.columns[name] if name in self.columns else self.rates[strip_rate(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
@@ -115,11 +115,11 @@ class Frame:
 
     @property
     def progress(self) -> Float[Array, "n"]:
-        """Return (t − t̄)/(tmax − tmin) over the data set of the fit."""
+        """Return the time (t − t̄)/(tmax − tmin), relative to the readings of the fit."""
         return (self.columns["time"] - self.reference["time_mean"]) / self.reference["time_span"]
 
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """Return T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
+        """Return T̃ − T, °C, where τ·dT̃/dt = T − T̃ and T̃ equals T at the first reading of each run.
 
         T is linear between readings, or constant from each to the next if set in steps (reference constant "…_held"
         is 1); the recursion is exact for both. Over a gap longer than `silence` (the soak before a tumble) T jumps at
@@ -129,7 +129,7 @@ class Frame:
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """Return T̃ − T of the recorded column, without corrections, °C; see `lag` for the equation."""
+        """Return the lag T̃ − T, °C, of the recorded column without corrections, by the equation of `lag`."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
         is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
@@ -152,7 +152,7 @@ class Frame:
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
     ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-        """Return the direction of a column's change, −1 … 1, reversed within `width`, and the initial state's decay.
+        """Return a column's direction of change, −1 … 1, reversed within `width`, and the decay of the initial state.
 
         Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings and
         independent of the rate of change. Its input is the recorded column, or a lagging body's temperature.
@@ -174,26 +174,26 @@ class Frame:
             f"{n}{rate}_{end}" for n in columns for rate in ("", " rate") for end in ("low", "high")
         }
 
-        def select(values: Mapping[str, Any], chosen: Collection[str] = columns) -> dict[str, Any]:
-            return {name: value for name, value in values.items() if name in chosen}
+        def select(values: Mapping[str, Any], subset: Collection[str] = columns) -> dict[str, Any]:
+            return {name: value for name, value in values.items() if name in subset}
 
         parts = {name: select(getattr(self, name)) for name in ("columns", "rates", "record")}
         reference = select(self.reference, constants)
         return replace(self, **parts, labels={}, codes={}, reference=reference)
 
-    def reordered(self, rows: Any, order: Any, step: Any) -> Frame:
-        """Select rows; `order` and `step` are those of the selected readings."""
-        sorted_arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
+    def reorder(self, rows: Any, order: Any, step: Any) -> Frame:
+        """Return a frame of selected rows; `order` and `step`: those of the selected readings."""
+        sorted_arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in ROW_FIELDS}
         return replace(self, **sorted_arrays, order=order, step=step)
 
     def in_time(self) -> Frame:
-        """Sort the readings by time within runs."""
+        """Return a frame with the readings sorted by time within runs."""
         order = self.order
         identity = xp.arange(self.size, dtype=order.dtype)
-        return self.reordered(order, identity, self.step)
+        return self.reorder(order, identity, self.step)
 
     def shift_columns(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
-        """Add corrections to measured columns (rates stay those of the record)."""
+        """Return a frame with corrections added to measured columns; rates remain those of the record."""
         columns, path = dict(self.columns), dict(self.path)
         for name, shift in moves.items():
             column = name.removesuffix(PATH)
@@ -207,7 +207,7 @@ when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in f
 
 
 def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
-    """Run the linear recursion x ← decay·x + drive over the readings, from x = 0."""
+    """Return the states x of the linear recursion x ← decay·x + drive over the readings, from x = 0 (*s, n)."""
     if is_traced((decay, drive)):
 
         def advance(state, row):
@@ -220,9 +220,9 @@ def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float
 
 
 def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
-    """List possible covariates: numeric columns except the output, time in the run, "temperature rate", °C/s.
+    """Return possible covariates by name: numeric columns except the output, time in the run, temperature rates.
 
-    Columns declared as no possible cause are omitted unless `with_no_causes`.
+    Columns that are declared not to be causes are omitted unless `with_no_causes`.
     """
     omitted = {"output", "output_uncertainty", "temperature_point"}
     omitted |= set() if with_no_causes else readings.no_causes
@@ -249,7 +249,7 @@ def hold_flag_name(column: str) -> str:
 
 
 def reference_of(readings: Measurements) -> Reference:
-    """Compute the constants of the bases for these readings: T0, L0, mean time and span, ranges, held columns."""
+    """Return the reference constants of basis functions on these readings: T0, L0, mean time, time span, ranges."""
     scalars: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
@@ -315,7 +315,7 @@ def build_frame(
 
 
 def origins_of(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the origins subtracted from outputs, output unit: reference constant → coefficient → value."""
+    """Return the origins subtracted from outputs, output unit, as reference constant → coefficient → value."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 
@@ -325,17 +325,17 @@ def _subtract_origins(
     """Subtract origins from output columns and their ranges, and from a scalar output composed of three axes."""
     names = {reference_name(n): n for n in columns}
     offsets = {names[n]: sum(parts.values()) for n, parts in origins_of(reference).items()}
-    shifted = {n: columns[n] - origin for n, origin in offsets.items()}
+    outputs = {n: columns[n] - origin for n, origin in offsets.items()}
     scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
     for name, origin in offsets.items():
         ends = (n for n in (f"{name}_low", f"{name}_high") if n in scalars)
         scalars |= {n: scalars[n] - origin for n in ends}
-    if shifted and "output" not in shifted:
-        length = np.linalg.norm(np.array([*shifted.values()]), axis=0)
+    if outputs and "output" not in outputs:
+        length = np.linalg.norm(np.array([*outputs.values()]), axis=0)
         projections = np.array([columns.get(n, 0 * length) for n in ACROSS])
         projected_output = columns["output"] - np.array([*offsets.values()]) @ projections
-        shifted["output"] = np.where(np.any(projections != 0, axis=0), projected_output, length)
-    return {**columns, **shifted}, scalars
+        outputs["output"] = np.where(np.any(projections != 0, axis=0), projected_output, length)
+    return {**columns, **outputs}, scalars
 
 
 def label_groups(readings: Measurements) -> list[str]:

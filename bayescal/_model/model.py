@@ -25,7 +25,7 @@ from bayescal._model.static import static
 
 @static
 class Model(Printed):
-    """An instrument, the effects taken to be present, and a noise law. Immutable; `+` and `-` return new models.
+    """An instrument, a set of effects and a noise law. Immutable; `+` and `-` return new models.
 
         model = instrument.baseline() + "bias.thermal_lag" - "bias.temperature"
 
@@ -33,7 +33,7 @@ class Model(Printed):
         instrument: columns, slots and measurement equation.
         effects: effects of the model, in order of addition.
         noise: noise law.
-        fixed: unknowns held at a value, (name, value in its reported unit).
+        fixed: unknowns fixed at a value, (name, value in its reported unit).
     """
 
     instrument: Instrument
@@ -112,7 +112,7 @@ class Model(Printed):
         return replace(self, effects=effects, fixed=fixed)
 
     def with_nuisances(self, readings: Measurements) -> Model:
-        """Add the instrument's nuisance effects that these readings can test."""
+        """Return the model with the instrument's nuisance effects that these readings can test."""
         missing_effects = (e for e in self.instrument.nuisances if e.name not in self.names)
         return self + [e for e in missing_effects if why_untestable(e, readings) is None]
 
@@ -154,19 +154,19 @@ class Model(Printed):
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
-        """Change the plausible size of an effect's first coefficient, in its unit; others in proportion.
+        """Return the model with another plausible size of an effect's first coefficient, in its unit; others scale.
 
         Raises:
             ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
         """
         effect, first = self.effect(name), self.effect(name).coefficients[0]
         if effect.is_placeholder or first.flat or not 0 < size < math.inf:
-            stated = "; it is estimated from the readings, or the prior is flat" * (size > 0)
-            raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
+            reason = "; it is estimated from the readings, or the prior is flat" * (size > 0)
+            raise ModelError(f"{name!r} cannot be given the plausible size {size}{reason}")
         # rounded, so that a saved size makes the same priors again
         ratios = ((c, float(f"{c.size / first.size:.12g}")) for c in effect.coefficients)
-        resized = replace(effect, coefficients=tuple(_resize(c, r * size) for c, r in ratios))
-        return replace(self, effects=tuple(resized if e is effect else e for e in self.effects))
+        new_effect = replace(effect, coefficients=tuple(_resize(c, r * size) for c, r in ratios))
+        return replace(self, effects=tuple(new_effect if e is effect else e for e in self.effects))
 
     @property
     def noise_as_stated(self) -> bool:
@@ -181,11 +181,11 @@ class Model(Printed):
     def _require_unknowns(self, names: Iterable[str]) -> None:
         for name in names:
             if name not in self.unknowns:
-                why = f"the model has no unknown {name!r}; it has: {', '.join(self.unknowns)}"
-                raise ModelError(why)
+                message = f"the model has no unknown {name!r}; it has: {', '.join(self.unknowns)}"
+                raise ModelError(message)
 
     def require(self, readings: Measurements) -> None:
-        """Raise ModelError for readings in another unit than the model's, or without a column that an effect needs."""
+        """Raise ModelError if the readings are in another unit than the model's, or lack a column that it needs."""
         model_unit, unit = self.instrument.unit, readings.unit(readings.output)
         if model_unit == ANY:
             raise ModelError(
@@ -216,10 +216,10 @@ class Model(Printed):
                     f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
                     "or use White() noise"
                 )
-        if why := self.noise.why_not(readings[readings.output]):
+        if reason := self.noise.why_not(readings[readings.output]):
             raise ModelError(
-                f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{model_unit}], or use "
-                "White() noise"
+                f"{self.noise.name} noise does not fit {readings.file}: {reason}. Give the step in [{model_unit}], or "
+                "use White() noise"
             )
         covariates = list_covariates(readings, with_no_causes=True) if self.noise.covariates else {}
         for name in self.noise.covariates:
@@ -252,7 +252,7 @@ Instrument.baseline = baseline  # attached here: `instrument` cannot import `mod
 
 
 def _require_known_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
-    """Raise ModelError for a coefficient per member of a group that the instrument does not have."""
+    """Raise ModelError if an effect has a coefficient per member of a group that the instrument does not have."""
     if group is None or group in instrument.groups:
         return
     raise ModelError(
@@ -270,8 +270,8 @@ def _resize(c: Coefficient, size: float) -> Coefficient:
 
 def why_untestable(effect: Effect, readings: Measurements) -> str | None:
     """Return the reason why these readings cannot test the effect, as a message; None if they can."""
-    if missing := [c for c in effect.columns if not readings.has(c)]:
-        return f"needs the column {', '.join(missing)}"
+    if missing_columns := [c for c in effect.columns if not readings.has(c)]:
+        return f"needs the column {', '.join(missing_columns)}"
     for column in effect.varies:
         values = readings[column]
         if (values == values[0]).all():

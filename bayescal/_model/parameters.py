@@ -1,4 +1,4 @@
-"""Layout of a model's unknowns in two vectors: coefficients x, Gaussian given φ, and hyper-parameters φ.
+"""Layout of a model's unknowns in two vectors: coefficients x (Gaussian given φ) and hyper-parameters φ.
 
 x holds the coefficients, in their reported units. φ holds noise parameters, standard deviations between group members,
 nonlinear parameters (shapes), and coefficients *promoted* to φ because they multiply another unknown. Each entry of φ
@@ -40,7 +40,7 @@ def member_name(name: str, member: object) -> str:
 
 @dataclass(frozen=True)
 class CoefficientBlock:
-    """One coefficient of the model with all its group members, and where it is stored."""
+    """One coefficient of the model with all its group members, and its indices in x."""
 
     effect: Effect
     index: int
@@ -216,7 +216,7 @@ class Layout:
         return {h.name: i for i, h in enumerate(self.hypers)}
 
     def shared_indices(self, other: Layout) -> tuple[list[int], list[int]]:
-        """Return the indices in x and in φ of the unknowns that `other` has too."""
+        """Return the indices in x and in φ of the unknowns that another layout has as well."""
         shared = {b.name for b in other.x_blocks}
         shared_blocks = (b for b in self.x_blocks if b.name in shared)
         in_x = [i for b in shared_blocks for i in range(b.start, b.start + b.size)]
@@ -254,9 +254,9 @@ def bind(
     more: Iterable[Effect] = (),
     reference: Mapping[str, Any] = NO_REFERENCE,
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
-    """Lay out the model's unknowns for these readings; return the layout and the members of each group.
+    """Return the layout of the model's unknowns for these readings, and the members of each group.
 
-    Groups of effects that may be added later (`more`) are included; `reference` gives the origins of outputs.
+    more: effects that may be added later, whose groups are included. reference: contains the origins of outputs.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.

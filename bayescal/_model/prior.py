@@ -21,12 +21,12 @@ from bayescal._model.static import static
 
 _LOG_2 = math.log(2.0)
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-SLOPE_STEP = 1e-3  # step of numerical derivatives with respect to a coordinate v
-_EDGE = 1e-15  # probability within which a bounded value counts as at its bound: Φ⁻¹ is ±7.9 there
+DIFF_STEP = 1e-3  # step of numerical derivatives with respect to a coordinate v
+_TAIL = 1e-15  # tail probability to which Φ(v) is clipped at a bound: v = ±7.9
 
 
 class _StandardNormalPrior:
-    """A prior whose coordinate is standard normal."""
+    """Base class of priors with a standard normal coordinate."""
 
     coordinate_variance: ClassVar[float] = 1.0  # infinite if improper
 
@@ -37,7 +37,7 @@ class _StandardNormalPrior:
 
 @static
 class _ScaledPrior:
-    """A prior of a positive quantity with a scale, in its own unit; its coordinate is log(value/scale)."""
+    """Base class of priors of a positive quantity with a scale, in its own unit; the coordinate is log(value/scale)."""
 
     scale: float = 1.0
 
@@ -110,9 +110,9 @@ class LogUniform(_StandardNormalPrior):
         return self.low * xp.exp(math.log(self.high / self.low) * fraction)
 
     def coordinate(self, value: Any) -> Any:
-        """Return the coordinate of a value; finite at the bounds, where rounding may have put it."""
+        """Return the coordinate of a value; finite also for a value at a bound."""
         fraction = xp.log(value / self.low) / math.log(self.high / self.low)
-        return special_functions(value).ndtri(xp.clip(fraction, _EDGE, 1 - _EDGE))
+        return special_functions(value).ndtri(xp.clip(fraction, _TAIL, 1 - _TAIL))
 
 
 @static
@@ -129,11 +129,11 @@ class NumpyroPrior(_StandardNormalPrior):
         return getattr(dist, self.name)(**dict(self.parameters))
 
     def value(self, v: Any) -> Any:
-        value = self.distribution.icdf(xp.clip(special_functions(v).ndtr(v), _EDGE, 1 - _EDGE))
+        value = self.distribution.icdf(xp.clip(special_functions(v).ndtr(v), _TAIL, 1 - _TAIL))
         return value if is_traced(v) else np.asarray(value)
 
     def coordinate(self, value: Any) -> Any:
-        probability = xp.clip(self.distribution.cdf(value), _EDGE, 1 - _EDGE)
+        probability = xp.clip(self.distribution.cdf(value), _TAIL, 1 - _TAIL)
         return special_functions(probability).ndtri(probability)
 
 
@@ -219,16 +219,16 @@ def convert(prior: Any, of_shape: bool = False) -> Any:
             name, names = "TruncatedNormal", names | {"loc", "scale"}
         try:
             values = {n: float(getattr(prior, n, getattr(base, n, None))) for n in sorted(names)}
-            lower_bound, reason = float(prior.icdf(_EDGE)), "it may be negative"
+            lower_bound, reason = float(prior.icdf(_TAIL)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
             lower_bound, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
         allowed_types = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
-        if values and (kind := next((k for k in allowed_types if k.__name__ == name), None)):
-            return kind(*values.values())
+        if values and (prior_class := next((k for k in allowed_types if k.__name__ == name), None)):
+            return prior_class(*values.values())
         if lower_bound >= 0:
             return NumpyroPrior(name, tuple(values.items()))
-    takes = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
-    raise ModelError(f"prior {name}: {reason}. {takes} Normal or a positive distribution with icdf")
+    hint = "Coefficients take Normal, standard deviations HalfNormal or HalfCauchy, shapes"
+    raise ModelError(f"prior {name}: {reason}. {hint} Normal or a positive distribution with icdf")
 
 
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
@@ -245,6 +245,6 @@ def scale_prior(prior: Positive, factor: float) -> Positive:
 
 
 def slope(prior: Any, v: Any) -> Any:
-    """Return d(prior's value)/d(coordinate), by central differences of fourth order."""
-    value, h = prior.value, SLOPE_STEP
+    """Return the derivative of a prior's value with respect to its coordinate, by fourth-order central differences."""
+    value, h = prior.value, DIFF_STEP
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)

@@ -1,4 +1,4 @@
-"""Terms of a model structure: its coefficients, how their basis columns are computed, their prior deviations."""
+"""Terms of a model structure: its coefficients, the specification of their basis columns, and prior deviations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayescal._model.prior import Known
 class ColumnSpec(NamedTuple):
     """Specification of an effect's basis columns: the basis, its shapes, and corrections of its input columns.
 
-    `shapes` lists the nonlinear parameters of the basis, then those of the corrections; `priors` theirs.
+    shapes: names of the nonlinear parameters of the basis, then of the corrections. priors: of each shape.
     """
 
     basis: Basis
@@ -41,7 +41,7 @@ class ColumnSpec(NamedTuple):
 
     @property
     def key(self) -> Any:
-        """Return a hashable key: equal keys have equal columns."""
+        """Return a hashable key; specifications with equal keys have equal columns."""
         return self.basis, self.priors, self.corrections
 
     @classmethod
@@ -69,7 +69,7 @@ class Correction(NamedTuple):
 
 @dataclass(frozen=True)
 class Term(CoefficientBlock):
-    """One coefficient of the structure, all group members included, with the specification of its basis column."""
+    """One coefficient of a structure, with all its group members and the specification of its basis column."""
 
     columns: ColumnSpec  # specification of its effect's columns
     shape_names: tuple[str, ...]  # names in φ of the shapes in `columns`
@@ -83,9 +83,9 @@ def terms_of(
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
     """Return the terms of a structure, and the columns of the readings that some of them correct.
 
-    A correction with known coefficients (the temperature of a lagging body) of a column that the response does not use
-    is no term, but part of the other effects' column specifications, which stay linear in their coefficients; otherwise
-    its slot is that column's `PATH`. `size_factors` multiplies prior standard deviations, by effect.
+    A correction of a column with known coefficients (the temperature of a lagging body) is part of the other effects'
+    column specifications, and not a term, if the response does not use the column; otherwise its slot is the column's
+    `PATH`. size_factors: effect → factor of its prior standard deviations.
     """
     correcting_blocks = [b for b in blocks if source is not None and b.slot not in source.slots]
     corrected_columns = tuple(dict.fromkeys(b.slot for b in correcting_blocks))
@@ -98,10 +98,10 @@ def terms_of(
     columns: dict[str, tuple[ColumnSpec, tuple[str, ...]]] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
         usable_corrections = () if effect.name in correcting_effects else corrections
-        needed = [c for c in usable_corrections if c.column in effect.columns]
+        effect_corrections = [c for c in usable_corrections if c.column in effect.columns]
         names = [*map(effect.shape_name, effect.column_shapes)]
-        names += [name for c in needed for name in c.shape_names]
-        spec = ColumnSpec.from_effect(effect).with_corrections(needed)
+        names += [name for c in effect_corrections for name in c.shape_names]
+        spec = ColumnSpec.from_effect(effect).with_corrections(effect_corrections)
         columns[effect.name] = spec, tuple(names)
     factors = size_factors or {}
 
@@ -131,7 +131,7 @@ class _ShapeWeights(NamedTuple):
 
 
 class PriorDeviations:
-    """Prior standard deviations of x as a function of φ's values; one where the prior is flat."""
+    """Prior standard deviations of the coefficients x as a function of φ; 1 for a flat prior."""
 
     def __init__(self, terms: Sequence[Term], effects: Sequence[Effect], size: int):
         self.fixed_sd = np.ones(size)
@@ -153,7 +153,7 @@ class PriorDeviations:
             self.weights_by_shape |= dict.fromkeys(names.values(), shape_weights)
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
-        """Return the log factors of the prior deviations that depend on a shape (p,); zero for all others."""
+        """Return the log factors of prior deviations that depend on one shape (p,), zero for other coefficients."""
         return np.log(np.maximum(self.weights_by_shape[name].evaluate(hyper), 1e-300))
 
     def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Float[Any, "*b p"]:

@@ -28,10 +28,10 @@ from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
 from bayescal._model.frame import strip_rate
 from bayescal._model.prior import Normal
 
-# Number of eigenfunctions, and plausible length scales relative to the covariate's range; in time (True) more and
-# shorter ones, since steps and periodic forms occur there.
+# Along a column (False) and in time (True), where steps and periodic forms occur: number of eigenfunctions, and range
+# of plausible length scales relative to the covariate's range.
 RESOLUTION = {False: (12, (0.1, 0.8)), True: (36, (0.03, 0.8))}
-WIDER_RATIO = 1.5  # interval over covariate range; at its ends and beyond the function is zero
+INTERVAL_RATIO = 1.5  # interval over covariate range; at its ends and beyond the function is zero
 
 # Plausible location of a step, kink or peak, and half widths, relative to the covariate's range.
 LOCATIONS = (0.05, 0.95)
@@ -69,7 +69,7 @@ def make_placeholder(covariate: str, slot: str, unit: str) -> Effect:
 
 
 def freed(effect: Effect, ratio: float = 1.0) -> Effect:
-    """Return a copy with a `ratio` times wider prior, to be added to the effect whose stated value may be wrong."""
+    """Return a copy of an effect with a prior `ratio` times as wide, to add beside it if its value may be wrong."""
     coefficients = tuple(replace(c, prior=Normal(0.0, ratio * c.size)) for c in effect.coefficients)
     return replace(
         effect,
@@ -85,14 +85,14 @@ def freed(effect: Effect, ratio: float = 1.0) -> Effect:
 
 def process_columns(position: Any, terms: int) -> Any:
     """Return columns Φ with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w of `process_weights`; positions 0 to 1."""
-    centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
-    order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
-    return xp.sin(order * (centred[..., None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
+    centred = xp.clip(2 * position - 1, -INTERVAL_RATIO, INTERVAL_RATIO)
+    order = xp.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
+    return xp.sin(order * (centred[..., None] + INTERVAL_RATIO)) / math.sqrt(INTERVAL_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
     """Return the prior standard deviations w of the coefficients for unit amplitude; `length` in covariate ranges."""
-    order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
+    order = np.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
 
@@ -115,10 +115,10 @@ def unknown(
     return Effect(
         name or f"unknown({covariate})",
         slot,
-        value_partial(process_along, covariate, terms),
-        coefficients=standard_normals(unit, terms),
+        value_partial(evaluate_process, covariate, terms),
+        coefficients=make_standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=value_partial(process_sizes, terms),
+        weights=value_partial(scale_process, terms),
         measure="amplitude",
         columns=columns + (("time",) if is_derived and covariate != "elapsed" else ()),
         varies=() if covariate == "elapsed" else (column,),
@@ -129,18 +129,18 @@ def unknown(
     )
 
 
-def process_along(covariate: str, terms: int, r: Any) -> Any:
-    """Evaluate `process_columns` at a covariate's positions: the basis of the effect, independent of amplitude."""
+def evaluate_process(covariate: str, terms: int, r: Any) -> Any:
+    """Return a Gaussian process's basis columns (`process_columns`) at the positions of a covariate (n, terms)."""
     return process_columns(r.position(covariate), terms)
 
 
-def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
+def scale_process(terms: int, length: Any, amplitude: Any) -> Any:
     """Return the prior standard deviations of a Gaussian process's coefficients, as `Effect.weights`."""
     return amplitude * process_weights(length, terms)
 
 
 def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary: str) -> Form:
-    """Make the factory of effects of one form; the last shape of an effect is the amplitude of its coefficients."""
+    """Return a function that makes placeholder effects of one form; their last shape is the amplitude."""
 
     @functools.cache
     def make_form(
@@ -152,7 +152,7 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
             name or f"unknown({covariate}, {kind})",
             slot,
             value_partial(basis, covariate),
-            coefficients=standard_normals(unit, 2 if kind == "cycle" else 1),
+            coefficients=make_standard_normals(unit, 2 if kind == "cycle" else 1),
             shapes=(*_form_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
             weights=_constant_weights,
             measure="amplitude",
@@ -217,8 +217,8 @@ def _constant_weights(amplitude):
     return amplitude
 
 
-def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
-    """Return `count` coefficients with standard normal priors, to be scaled by an amplitude."""
+def make_standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
+    """Return coefficients with standard normal priors, which an amplitude parameter scales."""
     return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
 
 

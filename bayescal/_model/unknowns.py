@@ -14,7 +14,7 @@ from bayescal._model.parameters import Layout, Levels, Unknown
 
 @dataclass(frozen=True)
 class Unknowns:
-    """All unknowns of a model bound to readings: coefficients per member, noise, group deviations, shapes."""
+    """All unknowns of a model bound to readings: coefficients, noise parameters, between-group deviations, shapes."""
 
     layout: Layout
     rows: tuple[Unknown, ...]

@@ -14,7 +14,7 @@ from bayescal._calibration.judgement import implausible_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.linear_model import learned_amplitude
+from bayescal._inference.linear_model import find_amplitude
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, Scores, mean_log_bayes_factor
@@ -142,7 +142,7 @@ def _fitted_size(effect, fit: EvaluatedStructure) -> dict:
         first_shape = effect.shapes[0]
         size, sd = problem.value_and_sd(effect.shape_name(first_shape), mode.v, mode.covariance)
         return {"size": size, "size_sd": sd, "shape": shapes, "unit": first_shape.unit}
-    if amplitude := learned_amplitude(effect, problem, mode):
+    if amplitude := find_amplitude(effect, problem, mode):
         return {"size": amplitude[0], "size_sd": amplitude[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
     _, conditional = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)

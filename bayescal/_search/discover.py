@@ -22,7 +22,7 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.linear_model import amplitude_range, fill_amplitudes
+from bayescal._inference.linear_model import guess_amplitudes, fill_amplitudes
 from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
 from bayescal._model.effect import READING, Effect, with_forms
@@ -284,7 +284,7 @@ def enumerate_structures(
     record = record_of(instrument, readings, reference)
     frame = record.frame
     model = fill_amplitudes(model, readings, record)
-    amplitudes = amplitude_range(model, readings, record)
+    amplitudes = guess_amplitudes(model, readings, record)
     testable_effects = {n: e.with_open_ranges(*amplitudes) for n, e in testable_effects.items()}
     record.require_finite((*testable_effects.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}

@@ -21,7 +21,7 @@ from bayescal._calibration.confounding import is_widened_by, mode_shifts
 from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, information_nats, is_undecided
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import compute_column_scales
-from bayescal._inference.linear_model import RANK, LinearModel, linearise_at_priors
+from bayescal._inference.linear_model import RANK_TOLERANCE, LinearModel, linearise_at_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.frame import reference_of
@@ -76,7 +76,7 @@ def _residual_sd(structures: Structures) -> float:
     points = [point for point, *others in named.values() if not others]
     columns = np.column_stack([linear.nuisance, library.columns(linear, points, {})])
     axes, values, _ = np.linalg.svd(columns * compute_column_scales(columns), full_matrices=False)
-    axes = axes[:, values > RANK * values.max(initial=0.0)]
+    axes = axes[:, values > RANK_TOLERANCE * values.max(initial=0.0)]
     residual = linear.residual - axes @ (axes.T @ linear.residual)
     dof = linear.size - axes.shape[1]
     return float(np.sqrt(residual @ residual / dof)) if dof > 0 else math.inf

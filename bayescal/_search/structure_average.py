@@ -25,7 +25,7 @@ from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.problem import ABSENT
+from bayescal._inference.problem import ZERO_SD_COORDINATE
 from bayescal._inference.sampling import draw_weighted
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -269,7 +269,7 @@ def _combine_draws(
     # Shapes and spreads of absent effects have no influence: the median leaves summaries unchanged.
     spreads = {b.group_sd_name for b in layout.blocks}
     for values, h in zip(v.T, layout.hypers, strict=True):
-        fill_value = ABSENT if h.name in spreads else np.nanmedian(values)
+        fill_value = ZERO_SD_COORDINATE if h.name in spreads else np.nanmedian(values)
         values[np.isnan(values)] = fill_value
     order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
     order = order[: CHAINS * (total // CHAINS)]
@@ -291,11 +291,11 @@ def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     middle = np.median(v, axis=0)
     # Absent spreads have the coordinate −30, which must not count in its variance.
-    around = np.where(v > 0.5 * ABSENT, v, middle)
+    around = np.where(v > 0.5 * ZERO_SD_COORDINATE, v, middle)
     covariance = np.atleast_2d(np.cov(around.T)) if v.shape[1] else np.zeros((0, 0))
     return last.mode._replace(
         x=x.mean(axis=0),
-        v=np.where(middle > 0.5 * ABSENT, middle, ABSENT),
+        v=np.where(middle > 0.5 * ZERO_SD_COORDINATE, middle, ZERO_SD_COORDINATE),
         covariance=covariance + 1e-9 * np.eye(v.shape[1]),
         flat=np.concatenate([np.zeros(0), *flat]),
     )

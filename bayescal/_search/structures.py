@@ -24,7 +24,7 @@ from bayescal._core.settings import settings
 from bayescal._inference import memory
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode
-from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.linear_model import LinearModel, linearise_model
 from bayescal._inference.means import Means
 from bayescal._inference.newton import HessianGuess
 from bayescal._inference.problem import Problem
@@ -290,7 +290,7 @@ class Structures:
     @cached_property
     def linearise(self) -> Callable[[EvaluatedStructure], LinearModel]:
         """Linearise a structure at its mode; the latest few linear models are cached."""
-        return lru_cache(maxsize=4)(lambda fit: linear_model(fit.problem, fit.mode))
+        return lru_cache(maxsize=4)(lambda fit: linearise_model(fit.problem, fit.mode))
 
     @cached_property
     def fit_law(self) -> Callable[[EvaluatedStructure, str], ResidualFit]:
@@ -319,7 +319,7 @@ class Structures:
             source, mode = neighbour.problem, neighbour.mode
             coordinates = transfer_coordinates(problem, source, mode)
             points = starting_points(problem, source, coordinates, known_starts)
-            x, curvature = problem.x_of(source, mode.x), None
+            x, curvature = problem.map_x(source, mode.x), None
             if self.record.nodes(problem.noise) is None:
                 # The neighbour's mode is exact if it was not found coarsely.
                 is_exact = mode.log_density > least - neighbour.log_prior

@@ -1,7 +1,7 @@
-"""The catalogue of general effects: one small file per family.
+"""Catalogue of general effects, one file per family.
 
-Each function returns an `Effect` for a slot, a size and a unit; an instrument picks those that its physics
-allows, under their canonical names.
+Each function returns an `Effect` for a slot, a plausible size and a unit; an instrument lists those that its physics
+allows.
 """
 
 from bayescal._model.unknown_effect import cycle, jump, kink, line, peak, unknown

@@ -1,4 +1,4 @@
-"""Constants, and deviations of a run, a cell, an axis or a device from them."""
+"""Constant effects, and random deviations of runs, cells, axes or devices from them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def one(r: Frame) -> float:
 
 
 def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect:
-    """Return a constant effect; `size` its prior standard deviation, None for a flat prior."""
+    """Return a constant effect c; size: prior standard deviation of c in `unit`, None for a flat prior."""
     prior = Flat() if size is None else Normal(0.0, size)
     return Effect(
         f"{slot}.constant",
@@ -27,7 +27,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
 
 
 def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
-    """Return deviations of a group's members with a learned standard deviation; `size` scales its half-normal prior."""
+    """Return deviations of a group's members, N(0, s²) with s estimated; size: scale of the half-normal prior of s."""
     columns = {"cell": ("temperature_point",)}.get(per, (per,))
     return Effect(
         f"{slot}.{per}",

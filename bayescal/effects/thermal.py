@@ -18,17 +18,15 @@ from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import HalfNormal, Known, Normal
 
-# Least fraction of the readings with rising, and with falling temperature, to identify a hysteresis.
-DIRECTION_SHARE = 0.02
+# Smallest fraction of readings with rising, and with falling, temperature that identifies a hysteresis.
+MIN_DIRECTION_FRACTION = 0.02
 
 # Smoothing window of a rate, s: from one or two readings to the time constants of a lag.
-WINDOWS_SECONDS = (2.0, 120.0)
-RATIOS = (
-    0.1,
-    0.8,
-)  # second time constant over the first, in series: above 0.8 indistinguishable from equal ones
+WINDOW_RANGE_S = (2.0, 120.0)
+# Two bodies in series: second time constant over the first; above 0.8 indistinguishable from equal ones.
+RATIO_RANGE = (0.1, 0.8)
 # Two bodies in parallel: time constant of the fast over the slow one; weight of the slow one.
-PATH_RATIOS, PATH_SHARES = (0.02, 0.6), (0.1, 0.9)
+PATH_RATIO_RANGE, PATH_WEIGHT_RANGE = (0.02, 0.6), (0.1, 0.9)
 Modes = tuple[tuple[Any, Any], ...]  # exponential modes: (time constant over τ, weight)
 
 
@@ -58,7 +56,7 @@ def _two_path_modes(ratio: Any, share: Any) -> Modes:
 
 
 def slab() -> Modes:
-    """Return the first three modes of a slab's mean temperature: times and weights ∝ 1/k², k = 1, 3, 5.
+    """Return the first three exponential modes of a slab's mean temperature: times and weights ∝ 1/k², k = 1, 3, 5.
 
     Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
     """
@@ -78,26 +76,26 @@ BODIES: Mapping[str, Body] = MappingProxyType(
         "stages": Body(
             _two_stage_modes,
             "T → (T̃(τ₁) − r·T̃(r·τ₁))/(1 − r),  τ₁ = τ/(1 + r)",
-            (Shape("ratio", "1", *RATIOS, scale="bounded"),),
+            (Shape("ratio", "1", *RATIO_RANGE, scale="bounded"),),
         ),
         # Two bodies in parallel with weights w (slow, time constant τ₁) and 1 − w (fast, r·τ₁).
         "paths": Body(
             _two_path_modes,
             "T → w·T̃(τ₁) + (1 − w)·T̃(r·τ₁),  τ₁ = τ/(w + (1 − w)·r)",
             (
-                Shape("ratio", "1", *PATH_RATIOS, scale="bounded"),
-                Shape("share", "1", *PATH_SHARES, scale="bounded"),
+                Shape("ratio", "1", *PATH_RATIO_RANGE, scale="bounded"),
+                Shape("share", "1", *PATH_WEIGHT_RANGE, scale="bounded"),
             ),
         ),
         "diffusion": Body(slab, "T → " + " + ".join(f"{w:.3g}·T̃({m:.3g}·τ)" for m, w in slab())),
     }
 )
 # Plausible width w of a hysteresis loop's reversal: above the fluctuations of a stabilised chamber.
-WIDTHS = (0.2, 5.0, "degC")
+WIDTH_RANGE = (0.2, 5.0, "degC")
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
-    """Return c·dT/dt with a smoothing window estimated from the data.
+    """Return an effect of the temperature rate, c·dT/dt, with a smoothing window w estimated from the data.
 
     The rate is (T − T̃)/w, T̃ the first-order low-pass of T with time constant w: it smooths the thermometer's noise.
     """
@@ -106,7 +104,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         slot,
         basis=partial(_rate_basis, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        shapes=(Shape("window", "s", *WINDOWS_SECONDS, scale="bounded"),),
+        shapes=(Shape("window", "s", *WINDOW_RANGE_S, scale="bounded"),),
         columns=("time", column),
         varies=(column,),
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
@@ -123,12 +121,12 @@ def hysteresis(
     *,
     source: str,
     column: str = "temperature",
-    widths: tuple[float, float, str] = WIDTHS,
+    widths: tuple[float, float, str] = WIDTH_RANGE,
 ) -> Effect:
-    """Return c·D in a continuous record: +c while warming, −c while cooling, reversed within w of the temperature.
+    """Return a thermal hysteresis c·D: +c while warming, −c while cooling; it reverses within a temperature change w.
 
-    D is Dahl's hysteresis, of the lagging body's temperature if there is one. The unknown initial state of a run decays
-    as exp(−travel/w): one coefficient per run.
+    D follows Dahl's hysteresis model, at the lagging body's temperature if there is one. The unknown initial state of a
+    run decays as exp(−∫|dT|/w): one coefficient per run.
 
     Args:
         size: prior standard deviation of c, in `unit`.
@@ -166,12 +164,12 @@ def thermal_lag(
     bodies: Mapping[str, Body] | None = None,
     short: Effect | None = None,
 ) -> Effect:
-    """Return a thermal lag: c·(T̃ − T), T̃ a first-order body that lags T by τ; or every effect of T acts at T̃.
+    """Return a thermal lag c·(T̃ − T), T̃ the temperature of a first-order body of time constant τ, and its forms.
 
-    In the first form a part lags, such as electronics beside the sensor. In the alternative forms the sensor itself is
-    at T̃, so that all effects of temperature use T̃ in place of T; the body is of first order, two bodies in series, two
-    in parallel, or heat diffusion. An initial difference from T decays as exp(−t/τ): one coefficient per run, whose
-    standard deviation is learned, with the plausible size `start`.
+    It describes a part that lags, such as electronics beside the sensor. In the alternative forms the sensor itself is
+    at T̃, and all effects of temperature use T̃ in place of T; the body is of first order, two bodies in series, two in
+    parallel, or heat diffusion. An initial difference from T decays as exp(−t/τ): one coefficient per run, whose
+    standard deviation is estimated, with the plausible size `start`.
 
     Args:
         size: prior standard deviation of c, in `unit`.
@@ -183,9 +181,9 @@ def thermal_lag(
     """
     options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
     forms = list[Effect]()
-    for form, variant in (BODIES if bodies is None else bodies).items():
-        lag = body(slot, start, start_unit, behind=variant, name=f"{name}.{form}", **options)
-        forms.append(replace(lag, general=variant.general and f"{slot}.{name}.{variant.general}"))
+    for form, response in (BODIES if bodies is None else bodies).items():
+        lag = body(slot, start, start_unit, behind=response, name=f"{name}.{form}", **options)
+        forms.append(replace(lag, general=response.general and f"{slot}.{name}.{response.general}"))
     coefficients = Coefficient(unit, Normal(0.0, size)), _initial_state(start_unit, start)
     equation = "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃"
     lag = _lag_effect(slot, name, _lag_basis, coefficients, equation, **options)
@@ -235,7 +233,7 @@ def temperature_x_lag(
     source: str,
     column: str = "temperature",
 ) -> Effect:
-    """Return c·(T − T0)·(T̃ − T): a lag whose amplitude is linear in temperature.
+    """Return c·(T − T0)·(T̃ − T), a thermal lag whose amplitude is proportional to T − T0.
 
     Args:
         size: prior standard deviation of c, in `unit`, such as "deg/s/degC^2".
@@ -299,8 +297,8 @@ def _body_basis(
 ) -> Any:
     """Return the decay of the initial state and T̃ − T of a body with up to two shapes in addition to τ (n, 2)."""
     pairs = modes(*(shape for shape in (ratio, share) if shape is not None))
-    behind = sum(w * r.behind(m * tau, column) for m, w in pairs)
-    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in pairs), behind], axis=-1)
+    lag = sum(w * r.behind(m * tau, column) for m, w in pairs)
+    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in pairs), lag], axis=-1)
 
 
 def _lag_basis(column: str, r: Frame, tau: Any) -> Any:
@@ -312,11 +310,11 @@ def _product_basis(column: str, r: Frame, tau: Any) -> Any:
 
 
 def _why_monotonic(column: str, widths: Any, readings: Measurements) -> str | None:
-    """Return a message if a column does not change in both directions, as a test of hysteresis needs; else None."""
+    """Return a message if a column does not both rise and fall, which identifies a hysteresis; otherwise None."""
     frame = build_frame(readings, reference_of(readings))
     direction = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
-    minimum = DIRECTION_SHARE
-    rises, falls = (direction > 0.5).mean() >= minimum, (direction < -0.5).mean() >= minimum
+    limit = MIN_DIRECTION_FRACTION
+    rises, falls = (direction > 0.5).mean() >= limit, (direction < -0.5).mean() >= limit
     if rises and falls:
         return None
     motion = "only rises" if rises else "only falls" if falls else "stands still"
@@ -324,7 +322,7 @@ def _why_monotonic(column: str, widths: Any, readings: Measurements) -> str | No
 
 
 def _why_too_short(low: float, readings: Measurements) -> str | None:
-    """Return a message if no run is longer than the shortest plausible lag `low`, s; else None."""
+    """Return a message if no run is longer than the shortest plausible lag `low`, s; otherwise None."""
     longest = max(float(np.ptp(readings["time"][rows])) for rows in readings.records.rows)
     if longest >= low:
         return None

@@ -21,13 +21,13 @@ def _column_basis(name: str, r: Frame) -> Any:
 
 
 def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: str) -> Effect:
-    """Correct a column by an independent error of each reading, of known standard deviation.
+    """Return a correction of a column by an independent error of each reading, of known standard deviation.
 
     The column is corrected before any other effect uses it: the variance of each reading grows by
     (∂output/∂column)²·sd². An error common to all readings is part of a constant or a scale factor.
 
     Args:
-        column: numeric, such as "pressure".
+        column: numeric column, such as "pressure".
         sd: standard deviation, in `unit`; or the name of a column of standard deviations.
         unit: unit of `sd`, "delta_degC" for a temperature; omit it for a column of standard deviations.
         source: source of the standard deviation.
@@ -47,7 +47,7 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
 
 
 def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:
-    """Correct a temperature by an independent error of each reading, of known standard deviation `sd`, °C."""
+    """Return a correction of a temperature by an independent error of each reading, of known deviation `sd`, °C."""
     return uncertain_input(column, sd, "delta_degC", source=source)
 
 
@@ -59,7 +59,7 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """Return an offset of the thermometer in each run, with learned standard deviation: re-seated, or exchanged.
+    """Return a thermometer offset per run, as of a re-seated or exchanged one, with estimated standard deviation.
 
     It corrects the column before any other effect uses it. If the output is linear in temperature it is collinear with
     a deviation of the bias in each run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.

@@ -12,8 +12,8 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
 from bayescal.effects.thermal import Modes, slab
 
-BENDS = (0.03, 3.0)  # b of a logarithmic drift, relative to the test: its rate has halved after b
-RATIOS = (0.05, 0.5)  # shorter over longer time constant of a two-exponential warm-up
+BEND_RANGE = (0.03, 3.0)  # time in which the rate of a logarithmic drift halves, over the test
+RATIO_RANGE = (0.05, 0.5)  # shorter over longer time constant of a two-exponential warm-up
 
 
 def _drift_basis(r: Frame) -> Any:
@@ -34,10 +34,10 @@ def _two_decays_basis(r: Frame, tau: Any, ratio: Any) -> Any:
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
-    """Return c·(t − t̄)/(tmax − tmin), or c·ln(1 + s/b)/ln(1 + 1/b), s from 0 to 1: c is the change over the test.
+    """Return a linear drift c·(t − t̄)/(tmax − tmin) over the test, with a logarithmic form, c·ln(1 + s/b)/ln(1 + 1/b).
 
-    The logarithm is how resonators and stressed packages age: fast at first, and ever more slowly.
-    Source of the second form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
+    c is the change over the test, s the elapsed fraction. Resonators and stressed packages age logarithmically.
+    Source of the logarithmic form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
     """
     linear = Effect(
         f"{slot}.drift",
@@ -53,14 +53,14 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
         linear,
         name=f"{slot}.drift.logarithmic",
         basis=_ageing_basis,
-        shapes=(Shape("bend", "1", *BENDS),),
+        shapes=(Shape("bend", "1", *BEND_RANGE),),
         equation="c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)",
     )
     return replace(linear, forms=(logarithmic,))
 
 
 def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, source: str) -> Effect:
-    """Return c·exp(−(t − t_start)/τ) within each run; alternative forms: two exponentials, heat diffusion.
+    """Return a warm-up c·exp(−(t − t_start)/τ) in each run; alternative forms: two exponentials, heat diffusion.
 
     Args:
         size: prior standard deviation of c, in `unit`.
@@ -83,7 +83,7 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         name=f"{slot}.warm_up.two_times",
         basis=_two_decays_basis,
         coefficients=(*single.coefficients, Coefficient(unit, Normal(0.0, size), "fast")),
-        shapes=(*single.shapes, Shape("ratio", "1", *RATIOS, scale="bounded")),
+        shapes=(*single.shapes, Shape("ratio", "1", *RATIO_RANGE, scale="bounded")),
         equation="c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start",
     )
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())

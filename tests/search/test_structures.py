@@ -13,7 +13,7 @@ import pytest
 import bayescal as bc
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import find_mode
-from bayescal._inference.linear_model import linear_model
+from bayescal._inference.linear_model import linearise_model
 from bayescal._inference.problem import Problem
 from bayescal._search import library
 from bayescal._search.discover import enumerate_structures
@@ -181,7 +181,7 @@ def test_evidence_gain_of_a_law_on_residuals_equals_that_of_a_refit() -> None:
     for seed in (5, 6):
         made = structures(hidden(seed))
         base = made.evaluate(Structure())
-        left = linear_model(base.problem, base.mode).residual
+        left = linearise_model(base.problem, base.mode).residual
         own = fit_to_residuals(made.base.noise, made.record.residual_record(left)).log_evidence
         for name, law in made.noise_laws.items():
             if law.independent:
