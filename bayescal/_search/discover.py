@@ -22,7 +22,7 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.linear_model import guess_amplitudes, fill_amplitudes
+from bayescal._inference.linear_model import fill_amplitudes, guess_amplitudes
 from bayescal._inference.method import Method
 from bayescal._inference.record import record_of
 from bayescal._model.effect import READING, Effect, with_forms
