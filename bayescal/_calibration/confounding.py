@@ -105,7 +105,7 @@ def find_confounders(
 
 
 def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
-    """Mask coefficients other than group deviations, coefficients of curves and those of a rig's slots."""
+    """Return a mask of single coefficients: neither group deviations, nor weights of a curve, nor of a rig's slot."""
     vector = layout.model.instrument.vector
     rig = () if vector is None else vector.rig
     is_single = [

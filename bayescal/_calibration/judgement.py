@@ -364,7 +364,7 @@ def explain_missing_noise(fit: Fitted) -> str:
 
 
 def outlying_groups(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim of the group with the largest prediction errors from the others, if significant.
+    """Yield a claim of the group with the largest leave-one-group-out error, if it is significant.
 
     An effect missing from the model is missing in every group, and inflates the noise of the reference.
     """
@@ -429,7 +429,7 @@ def dependence(subject: Subject) -> list[Claim]:
 
 
 def steps_between_runs(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim of an effect in time that is constant within runs, and so cannot predict a new run."""
+    """Yield a claim of an effect of time that is constant within runs, so that a new run cannot be predicted."""
     fit = subject.fit
     for effect in fit.model.effects:
         if effect.kind in ("jump", "cycle") and effect.covariate == "time":

@@ -34,7 +34,7 @@ def build_tree(c: Fitted) -> xr.DataTree:
 
 
 def with_log_likelihood(tree: xr.DataTree, calibration: Fitted) -> xr.DataTree:
-    """Copy a calibration's tree and add `log_likelihood`, with all posterior groups thinned alike."""
+    """Copy a calibration's tree and add `log_likelihood`; all posterior groups have the same thinned draws."""
     count = calibration.joint.x.shape[1]
     density = _for_netcdf(calibration.log_likelihood(), count)
     groups = {name: child.to_dataset() for name, child in tree.children.items()}

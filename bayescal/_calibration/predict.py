@@ -272,7 +272,7 @@ class HoldoutTest:
         return HoldoutContradiction(p, ratio, scatter, coefficient)
 
     def paired_test(self, other: HoldoutTest) -> float:
-        """Return the p-value, under this fit, of a paired test of whether the other predicts the hold-out data better.
+        """Return the p-value of a paired test, under this fit, against the fit `other`, by their hold-out errors.
 
         With δ = (μ₁ − μ₀)/σ the difference of the predictions over the noise, the other's sum of squared errors exceeds
         this one's by δᵀδ + 2δᵀe, of which only δᵀe is random.
@@ -310,7 +310,7 @@ class HoldoutTest:
     @property
     @on_one_thread
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
-        """Return each coefficient's name, group, and Jacobian column over the noise, at the posterior mean."""
+        """Return each coefficient's name, group, and Jacobian column (n,) over the noise sd, at the posterior mean."""
         average, problem = self._problem
         x, v = average.draws()
         terms = [t for t in problem.terms if t.place == "x"]

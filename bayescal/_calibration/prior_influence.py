@@ -173,7 +173,7 @@ def find_coefficients_not_measured(calibration: Calibration) -> set[str]:
 
 
 def _stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:
-    """Yield coefficients with a stated prior, neither flat nor hierarchical, and whether they matter in use."""
+    """Yield coefficients with a stated prior, neither flat nor hierarchical, and whether a correction uses them."""
     instrument = calibration.model.instrument
     slots = {s.name for s in instrument.slots}
     if instrument.vector is not None:

@@ -812,7 +812,7 @@ def _figure(
 
 
 def _to_base_unit(unit: str) -> tuple[str, float]:
-    """Return a unit's base unit, as customarily written, and the factor to it."""
+    """Return a unit's base unit (SI) in its customary notation, and the conversion factor to it."""
     suffix = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
     parsed, g = parse(unit.removesuffix(suffix)), STANDARD_GRAVITY * 1e-6
     named_units = {  # powers of base units → customary unit, factor

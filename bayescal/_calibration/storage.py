@@ -51,7 +51,7 @@ PARSE_ERRORS = (
     *(OSError, RuntimeError, ModelError),
 )
 UNKNOWNS = "unknowns"  # key of a user-defined noise model's priors
-NOISE_FIX = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
+NOISE_FIX = "Give the file that defines it: --effects my_law.py (in Python: run it before load)"
 EFFECT_FIX = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in KINDS}
 

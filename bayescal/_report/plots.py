@@ -74,7 +74,7 @@ def axis_label(name: str, unit: str) -> str:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG atomically; raise InputError for a place that cannot be written to."""
+    """Write a figure as a PNG file atomically; raise InputError if the file cannot be written."""
     path = Path(path)
     dpi = figure.dpi
     with replacing_for_user(path) as partial:

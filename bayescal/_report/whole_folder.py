@@ -51,13 +51,13 @@ def channel_folders(folder: Path) -> list[str]:
 
 
 def is_inside(name: str) -> bool:
-    """Return whether a name from a file is a plain file name, without a path, on any system."""
+    """Return whether a name read from a file is a file name without a path, on any operating system."""
     return name not in ("", ".", "..") and not set(name) & set("/\\:\0")
 
 
 @contextmanager
 def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder to write to, whose files are moved to `folder` once all are written.
+    """Yield a hidden folder to write to; move its files to `folder` once all are written.
 
     Unmodified results of an earlier run are removed from `folder`, other files kept. The same applies to subfolders,
     each with its own manifest; an empty one is removed.

@@ -269,7 +269,7 @@ class StepwiseSearch:
     def average_path(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Assess the last of some steps, and average its calibration over the evaluated structures."""
+        """Return the search path of these steps: the last one assessed, and averaged over the evaluated structures."""
         structures, (*before, last) = self.structures, steps
         if (discovery := last.discovery) is not None:
             if why := "" if self.stopped else self.why_incomplete(steps):

@@ -148,7 +148,7 @@ class Discovery(Printed):
 
     @property
     def correlated_noise(self) -> float | None:
-        """Return the probability of correlated noise, of any law; None where the readings cannot tell."""
+        """Return the probability of correlated noise, over all laws; None if no other law was evaluated."""
         probabilities = [n.probability for n in self.noise if Noise.correlates(n.law)]
         return sum(probabilities) if probabilities else None
 
@@ -252,7 +252,7 @@ def enumerate_structures(
     widen_noise: bool = True,
     latent: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
-    """List the structures over a model; return them, and the families that these readings cannot test, with reasons.
+    """Return the structures to search over a model, and the effects that these readings cannot test, with reasons.
 
     If `latent`, the structures have latent effects, which these readings cannot tell from the others.
     """
@@ -458,7 +458,7 @@ def is_quiet(c: Mapping[str, Any]) -> bool:
 
 
 def group_confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return maximal groups of candidates, of a result.json, that the readings cannot tell apart."""
+    """Return the maximal groups of confounded candidates of a result.json."""
     groups: list[tuple[str, ...]] = []
     for c in candidates:
         members = (c["effect"], *c["indistinguishable_from"])

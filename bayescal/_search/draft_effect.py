@@ -87,7 +87,7 @@ def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
             phase = f"{2 * math.pi / period:.4g} * x + {math.atan2(cosine, sine):.4g}"
             text, basis = f"a sine of period {period:.2g} of the range", f"bc.xp.sin({phase})"
             share = sine_share
-    return f"resembles {text} ({100 * share:.0f} % of its variance); is that the physics?", basis
+    return f"resembles {text} ({100 * share:.0f} % of its variance): check the physics", basis
 
 
 def _fit_columns(curve: np.ndarray, *columns: np.ndarray) -> tuple[float, np.ndarray]:

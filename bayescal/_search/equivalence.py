@@ -48,9 +48,9 @@ class Equivalent(NamedTuple):
 
 
 def with_spans(structures: Structures, floor: float) -> Structures:
-    """Return structures with the spans of candidates that readings cannot tell from the base or each other.
+    """Return structures with the spans of candidates that are not separable from the base model or from each other.
 
-    Candidates with shapes, and of groups, are compared by evidence, which integrates over shapes and members.
+    Candidates with shape parameters or group members are compared by evidence instead, which integrates over these.
     """
     structures = replace(structures, noise_floor=min(floor, _residual_sd(structures)))
     linear, columns = _whiten_candidates(structures)
@@ -148,7 +148,7 @@ def find_equivalents(spans: Spans) -> list[Equivalent]:
 
 
 def list_equivalence_claims(structures: Structures, structure: Structure) -> tuple[Claim, ...]:
-    """Return claims on sets of equivalent effects, those of a structure's model first.
+    """Return claims on sets of equivalent effects; sets with effects of the structure's model come first.
 
     A claim is against the model where the readings cannot tell which of its terms act in use.
     """

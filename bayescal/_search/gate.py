@@ -55,7 +55,7 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
 
 
 def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
-    """Assess the last step; return the steps, with the reasons and notes in its calibration's verdict, and the gate."""
+    """Run the acceptance checks of the last step; return the steps, its verdict completed, and the outcome."""
     last, outcome = steps[-1], assess_last(steps)
     notes = [*list_profile_claims(last.calibration)]
     if last.calibration.verdict.ok:
@@ -106,7 +106,7 @@ def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
 
 
 def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:
-    """Return claims of one severity on effects of the last model that these readings cannot tell apart."""
+    """Return claims of one severity on equivalent effects of the last model, which the readings cannot separate."""
     claims = steps[-1].discovery.equivalent if steps[-1].discovery else ()
     return [claim for claim in claims if claim.severity == severity and "cure" in claim.numbers]
 
@@ -205,7 +205,7 @@ def find_better_left_out(last: Step, previous: Sequence[Step]) -> Step | None:
 
 
 def find_better_holdout(last: Step, previous: Sequence[Step]) -> Step | None:
-    """Return the step of least hold-out error, if the last is significantly worse in a paired test."""
+    """Return the earlier step of least hold-out error, if the last step is significantly worse in a paired test."""
     scored_steps = [(s.holdout_rmse, s) for s in previous if s.holdout_rmse is not None]
     if last.holdout_rmse is None or not scored_steps:
         return None

@@ -112,7 +112,7 @@ class Library:
         return self._means.linear_model(linear)
 
     def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all grid points in blocks whose columns fit in memory, apart from points that need all readings."""
+        """Yield all grid points in blocks whose columns fit in memory; candidates scored by all readings separately."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):

@@ -45,7 +45,7 @@ class Experiment:
 
     @property
     def minimum(self) -> float:
-        """Return the smallest expected log Bayes factor of a truth against a rival, by which campaigns are ranked."""
+        """Return the smallest expected log Bayes factor of a true effect against a rival: the ranking criterion."""
         return self.expected[self.hardest_pair]
 
     @property

@@ -101,6 +101,6 @@ def own_file_line(error: BaseException) -> tuple[str, int]:
 
 
 def format_error(error: BaseException) -> str:
-    """Format an error of a user's own file as its type and message."""
+    """Format an exception raised by a user's file as its type and message."""
     message = error.msg if isinstance(error, SyntaxError) else str(error)
     return f"{type(error).__name__}{': ' if message else ''}{message}"

@@ -23,7 +23,7 @@ NAME_PROBABILITY = 0.55
 
 @dataclass(frozen=True)
 class Finding:
-    """A set of effects of which at least one, in some form, is missing; the readings cannot tell which."""
+    """A set of effects of which at least one, in some form, is missing with this probability."""
 
     effects: tuple[str, ...]
     probability: float

@@ -1,8 +1,8 @@
 """Terms of the first model that added effects replace: collinearity and change of their coefficients.
 
-A wrong thermometer explains little. Where temperature has one profile in every run, an unknown function of the time
-within a run then explains all of its effect and predicts hold-out data of that profile as well. The coefficient of
-temperature is left small, with the uncertainty of a model in which it does not matter: no residual shows it.
+If a thermometer is wrong and temperature has the same profile in every run, an unknown function of the time within a
+run explains the whole effect of temperature, and predicts hold-out data of that profile. The coefficient of temperature
+is then nearly zero, with a small standard uncertainty, and the residuals do not show the error.
 
 So each term of the first model is compared in the first and the last model, by two measures: its tolerance, the share
 of its whitened columns that the other columns leave (Belsley, Kuh & Welsch, Regression Diagnostics, 1980, ch. 3), with
@@ -41,7 +41,7 @@ class TermComparison(NamedTuple):
 
     @property
     def is_measured(self) -> bool:
-        """Return whether the last model's coefficient is still that of the term.
+        """Return whether the last model's coefficient still measures the term.
 
         A named effect is a cause of its own and may rightly correct the coefficient: it replaces the term if it halved
         the coefficient, or left it next to no tolerance, and shifted it beyond chance, which grows with 1/√tolerance.
@@ -62,7 +62,7 @@ class TermComparison(NamedTuple):
 
     @property
     def is_confounded(self) -> bool:
-        """Return whether the readings can hardly tell the term from the added effects."""
+        """Return whether the term is nearly collinear with the added effects (low tolerance)."""
         return self.tolerance < MIN_TOLERANCE
 
     @property

@@ -245,7 +245,7 @@ def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], f
 
 
 def is_rise(error: float | None, previous: float | None) -> bool:
-    """Return whether a hold-out error is more than a twentieth above another."""
+    """Return whether a hold-out error is more than 5 % above the previous one."""
     return error is not None and previous is not None and error > WORSE_RATIO * previous
 
 

@@ -139,7 +139,7 @@ def average_models(
 def add_latent_effects(
     last: Calibration, in_use: Calibration, structures: Structures, structure: Structure
 ) -> tuple[Calibration, Calibration]:
-    """Add the latent effects, which readings cannot tell from a structure's, to calibrations; return both.
+    """Add latent effects, which the readings cannot separate from a structure's, to both calibrations; return these.
 
     Existing draws are conditional on zero latent effects. Latent effects are drawn from their posterior, and all other
     unknowns shifted by their regression on them; effects of one span have wide priors, since their sizes are unknown.

@@ -102,7 +102,7 @@ class EvaluatedStructure:
 
     @property
     def has_unnamed_noise(self) -> bool:
-        """Return whether correlated noise stands in for an unnamed effect."""
+        """Return whether the correlated noise is so slow and large that it represents an unnamed effect."""
         noise = self.problem.noise
         return not noise.independent and stands_in_for_effect(noise, self.phi)
 
@@ -209,11 +209,11 @@ class Structures:
         return law_log_odds + sum(map(self.log_odds.__getitem__, structure.effects))
 
     def latent_effects(self, structure: Structure) -> frozenset[str]:
-        """Return the candidates that these readings cannot tell from the effects of a structure."""
+        """Return the candidates that these readings cannot separate from the effects of a structure."""
         return self.spans.implied(structure.effects)
 
     def with_wide_priors(self, model: Model, names: Iterable[str]) -> Model:
-        """Return a model with candidates whose sizes the readings cannot tell, under wide priors."""
+        """Return a model with candidates whose sizes the readings do not determine, under wide priors."""
         for name in names:
             effect = self.candidates[name]
             model = model if name in model.names else model + effect
@@ -221,7 +221,7 @@ class Structures:
         return model
 
     def equivalents_by_effect(self, structure: Structure) -> dict[str, frozenset[str]]:
-        """Return, for each effect of a structure, its equivalents on these readings, alone or together."""
+        """Return, for each effect of a structure, the candidates that could replace it on these readings."""
         effects = structure.effects
         sets = self.spans.generators(effects)
         return {n: frozenset().union(*(s - effects for s in sets if n not in s)) for n in effects}
@@ -406,7 +406,7 @@ class Structures:
         return OCCAM_WINDOW_NATS / 2 if self.near_best_only else OCCAM_WINDOW_NATS
 
     def is_in_window(self, log_posterior: float, nats: float = OCCAM_WINDOW_NATS) -> bool:
-        """Return whether a log posterior is within some nats of that of the best structure."""
+        """Return whether a log posterior is at most `nats` below that of the best structure."""
         return log_posterior > self.best.log_posterior - nats
 
     @property

@@ -274,7 +274,7 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
 
 
 def _past_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
-    """Return the change of the log posterior by a move beside other forms of the same effects; None if never tried."""
+    """Return the change of log posterior by the same move with other forms of the effects; None if never evaluated."""
     added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
     own_families = structures.families(current.effects)
     adds_form = added and structures.families(neighbour.effects) == own_families
@@ -300,7 +300,7 @@ def _known_changes(
 
 
 def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
-    """Evaluate the moves that came near the best from a similar structure, of the same families, and no others."""
+    """Repeat the moves that led near the best structure from `other`, which has other forms of the same effects."""
     effects, others = fit.structure.effects, other.effects
     for s, known_fit in [*structures.visited.items()]:
         is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
