@@ -1,1 +1,1 @@
-"""Foundations without knowledge of calibration: errors, JAX's set-up, files, text, time limits."""
+"""Foundations independent of calibration: errors, JAX's set-up, files, text, time limits."""

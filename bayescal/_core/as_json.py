@@ -12,7 +12,7 @@ from bayescal._core.atomic_file import write_text
 
 
 def as_json(value: Any) -> Any:
-    """Convert to plain JSON data: data classes by field, arrays as lists, numbers that are not finite as None."""
+    """Convert to plain data for JSON: data classes as dictionaries, arrays as lists, non-finite numbers as None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
@@ -25,7 +25,7 @@ def as_json(value: Any) -> Any:
 
 
 def json_text(data: Any, indent: int = 2) -> str:
-    """Format plain data as JSON, with a final line end; raise ValueError where a number is not finite."""
+    """Format plain data as JSON, with a final line end; raise ValueError for a non-finite number."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 

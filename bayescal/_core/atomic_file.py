@@ -1,7 +1,7 @@
-"""Atomic files: written under a temporary name, renamed, and sealed by a checksum.
+"""Atomic writing of files by renaming a temporary file, and files sealed by a checksum.
 
-A sealed file ends in a trailer of 84 bytes: a magic word, and the SHA-256 of all bytes before it. HDF5, and so
-xarray and ArviZ, ignore bytes after the end that the file itself states.
+A sealed file ends in a trailer of 84 bytes: a magic word and the SHA-256 of all preceding bytes. HDF5, and hence xarray
+and ArviZ, ignore bytes after the end of data.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space, quota or size
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary file in the same folder that replaces `path` on success; remove it on failure.
 
-    Of two processes that write one path at the same time the first fails, as its temporary file is removed.
+    If two processes write the same path simultaneously, the first fails because its temporary file is removed.
     """
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename).
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
@@ -42,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def list_leftovers(path: Path) -> list[Path]:
-    """List temporary files for a path, of killed processes or of one that writes it at the same time."""
+    """List temporary files of a path, left by killed processes or by one that is writing."""
     return [*path.parent.glob(f".{glob.escape(path.name)}.*.partial")]
 
 
@@ -58,7 +58,7 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Create a folder with its parents, if one is given; remove it on failure; raise InputError if that fails."""
+    """Create a folder and its parents, if given; remove them on failure; raise InputError if creation fails."""
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:
@@ -75,7 +75,7 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise InputError(f"{folder} is a file, a folder was expected: name another") from None
+        raise InputError(f"{folder} is a file, not a folder: give another name") from None
     except OSError as error:
         raise InputError(f"cannot write to the folder {folder}: {error.strerror}") from None
 
@@ -84,9 +84,9 @@ def write_advice(error: OSError) -> str:
     """Format the reason why a file cannot be written, and what to do about it."""
     text = error.strerror or str(error)
     if error.errno in DISK_FULL:
-        return f"{text}. Make room there, or choose another place; what stood there is as it was"
+        return f"{text}. Free disk space, or choose another folder; an existing file is unchanged"
     is_folder = error.errno == errno.EISDIR
-    return f"{text}. {'Name a file' if is_folder else 'Choose a folder that may be written to'}"
+    return f"{text}. {'Give the name of a file' if is_folder else 'Choose a writable folder'}"
 
 
 def write_text(text: str, path: str | Path) -> Path:
@@ -104,7 +104,7 @@ def sha256_of(path: Path) -> str:
 
 
 def encode_name(name: str) -> str:
-    """Encode a name for NetCDF, which reserves "/" for groups: as %2F."""
+    """Encode a name for NetCDF: "/", reserved for groups, as %2F."""
     if "/" in name or name != decode_name(name):
         return name.replace("%", "%25").replace("/", "%2F")
     return name
@@ -116,14 +116,14 @@ def decode_name(stored: str) -> str:
 
 
 def write_sealed(content: bytes | memoryview, path: Path) -> None:
-    """Write bytes with the trailer that `read_sealed` verifies."""
+    """Write bytes followed by the trailer that `read_sealed` verifies."""
     with path.open("wb") as file:
         file.write(content)
         file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
 def read_sealed(path: Path, what: str, instead: str) -> memoryview:
-    """Read a sealed file without its trailer; raise InputError unless it is valid: not `what`, advice `instead`."""
+    """Read and verify a sealed file of kind `what`; return it without trailer, or raise InputError with `instead`."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -136,9 +136,9 @@ def read_sealed(path: Path, what: str, instead: str) -> memoryview:
     if not data.startswith(b"\x89HDF"):
         fault = f"is not {what}"
     elif trailer is None:
-        fault = f"is damaged, is not {what}, or is of an earlier version: its checksum is missing"
+        fault = f"has no checksum: it is damaged, is not {what}, or is of an earlier version"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
-        fault = "is damaged: its bytes do not have the checksum at its end"
+        fault = "is damaged: its bytes do not match the checksum at its end"
     elif TRAILER.fullmatch(data[max(0, len(content) - TRAILER_BYTES) : len(content)]):
         fault = "has two checksums at its end, expected one"
     else:

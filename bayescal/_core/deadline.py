@@ -1,7 +1,7 @@
 """Deadlines: a time limit, or Ctrl-C.
 
-Long computations check between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp` and finishes
-with it (`finishing`). No step takes longer than some seconds, so none has to be abandoned.
+Long computations check it between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp` and
+completes the result (`finishing`). No step takes longer than some seconds, so none has to be aborted.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from types import FrameType
 
-RETRY_SECONDS = 0.02  # until Ctrl-C that came inside JAX is raised
+RETRY_SECONDS = 0.02  # delay after which a Ctrl-C that arrived inside JAX is raised again
 
 
 class TimeIsUp(Exception):
-    """The time limit was reached, or Ctrl-C pressed; the message says which."""
+    """Raised when the time limit is reached or Ctrl-C was pressed; the message is the reason."""
 
 
 @dataclass(eq=False)
 class Interrupt:
-    """State of Ctrl-C during one command, or one call from Python."""
+    """State of Ctrl-C during a command, or a call from Python."""
 
-    # whether it was pressed while it was deferred, or another thread requested an end
+    # whether it was pressed while deferred, or another thread requested an end
     requested: bool = False
-    deferred: bool = False  # whether a first one waits until the next check, since there is a result to be returned
+    deferred: bool = False  # whether a first Ctrl-C is deferred to the next check, because a partial result exists
 
     def handle(self, _: int, frame: FrameType | None) -> None:
-        """Record a first Ctrl-C where it is deferred; raise any other, once the main thread is outside JAX.
+        """Record a first, deferred Ctrl-C; raise any other as soon as the main thread is outside JAX.
 
-        In JAX's callbacks at a collection of garbage an exception is lost; while JAX is imported it ends the process.
+        An exception is lost in JAX's callbacks of garbage collection, and terminates the process during JAX's import.
         """
         if self.deferred and not self.requested:
             self.requested = True
@@ -49,12 +49,12 @@ class Interrupt:
 
 @dataclass(frozen=True)
 class Deadline:
-    """A moment by which work ends."""
+    """Time at which a computation must end, and the handling of Ctrl-C."""
 
-    ends_at: float = math.inf  # by `time.monotonic`, s
-    limit: str = ""  # its reason, in words
+    ends_at: float = math.inf  # s, of `time.monotonic`
+    limit: str = ""  # the reason of the limit, in words
     interrupt: Interrupt = field(default_factory=Interrupt)  # Ctrl-C
-    heeds: bool = True  # whether Ctrl-C ends the work
+    heeds: bool = True  # whether Ctrl-C ends the computation
 
     @property
     def interrupted(self) -> bool:
@@ -66,16 +66,16 @@ class Deadline:
 
     @property
     def why(self) -> str:
-        """Return the reason why time is up, in words."""
+        """Return the reason why the time is up: the limit, or "interrupted"."""
         return "interrupted" if self.interrupted else self.limit
 
     def ask(self) -> None:
-        """Raise TimeIsUp if time is up."""
+        """Raise TimeIsUp if the deadline has passed or Ctrl-C was pressed."""
         if self.over:
             raise TimeIsUp(self.why)
 
     def defer_interrupt(self) -> None:
-        """Defer a first Ctrl-C to the next `ask`: there is a result to be returned."""
+        """Defer a first Ctrl-C to the next `ask`, because a partial result exists."""
         self.interrupt.deferred = True
 
 
@@ -86,7 +86,7 @@ current = _CURRENT.get
 
 @contextmanager
 def until(limit: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
-    """Set a deadline `limit` seconds from now, unless an earlier one stands; the outermost one handles Ctrl-C."""
+    """Set a deadline `limit` seconds from now, unless an earlier one is set; the outermost one handles Ctrl-C."""
     deadline = Deadline() if current() is _NONE else current()
     if limit is not None and (ends_at := time.monotonic() + limit) < deadline.ends_at:
         deadline = replace(deadline, ends_at=ends_at, limit=words.format(limit))
@@ -103,13 +103,13 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
 
 
 def sooner(share: float) -> AbstractContextManager[Deadline]:
-    """Set an earlier deadline: a share of the time left."""
+    """Set an earlier deadline, after a share of the remaining time."""
     end, now = current(), time.monotonic()
     return _set(replace(end, ends_at=now + share * (end.ends_at - now)))
 
 
 def finishing() -> AbstractContextManager[Deadline]:
-    """Suspend the deadline while a result is assembled; Ctrl-C pressed again is raised at once."""
+    """Suspend the deadline while a result is completed; a second Ctrl-C is raised at once."""
     return _set(replace(current(), ends_at=math.inf, heeds=False))
 
 

@@ -1,10 +1,10 @@
 """Exceptions that bayescal raises.
 
 BayescalError
-├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
+├── InputError      a file, a column, a unit or an option is invalid                (exit status 2)
 ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
 ├── NotConverged    a fit did not converge; carries the calibration                 (exit status 1)
-└── NotDrawn        a figure or a page failed; its result has been written          (exit status 1)
+└── NotDrawn        a figure or page could not be drawn; its result is written      (exit status 1)
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any
 
 
 class BayescalError(Exception):
-    """The root: catching it catches everything that bayescal refuses."""
+    """Base class of all exceptions that bayescal raises deliberately."""
 
 
 class InputError(BayescalError):
-    """An input cannot be used; the message says where, what and what to do.
+    """An input is invalid; the message names the place, the fault and the remedy.
 
     Attributes:
-        problems: of files, one by one (`bayescal._tables.raw_table.Objection`); empty for other errors.
+        problems: problems of files (`bayescal._tables.raw_table.Objection` each); empty for other errors.
     """
 
     def __init__(self, message: str, problems: tuple[Any, ...] = ()) -> None:
@@ -29,11 +29,11 @@ class InputError(BayescalError):
 
 
 class ModelError(BayescalError):
-    """An instrument, effects and a noise law do not go together, or not with these readings."""
+    """An instrument, effects and a noise law are incompatible with each other or with the readings."""
 
 
 class NotConverged(BayescalError):
-    """A fit ended without converging.
+    """A fit did not converge.
 
     Attributes:
         calibration: the result at the last iteration, with its verdict; use it at your own risk.
@@ -45,11 +45,11 @@ class NotConverged(BayescalError):
 
 
 class NotDrawn(BayescalError):
-    """A picture, or a page with pictures, could not be made; the result that it was to show is written all the same."""
+    """A figure, or a page with figures, could not be drawn; the result has been written nevertheless."""
 
-    def __init__(self, what: str, why: BaseException) -> None:
-        first = next(iter(str(why).splitlines()), "")
-        reason = f"{type(why).__name__}: {first}".removesuffix(": ")
+    def __init__(self, subject: str, cause: BaseException) -> None:
+        first = next(iter(str(cause).splitlines()), "")
+        reason = f"{type(cause).__name__}: {first}".removesuffix(": ")
         super().__init__(
-            f"{what} could not be drawn ({reason}); the result is kept, and stands as it is"
+            f"{subject} could not be drawn ({reason}); the result is kept, and is not affected"
         )

@@ -1,4 +1,4 @@
-"""A sentence about readings, with a code and the names concerned: programs use these and never parse the words."""
+"""Flags: sentences about readings with a code and the names concerned, so that programs need not parse the text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayescal._core.renamed import renamed
 
 @renamed(of="subjects")
 class Flag(str):
-    """Words with a `code`, such as "column.ignored", and the names of its `subjects`; plain text for people alone."""
+    """Text with a `code`, such as "column.ignored" ("" for none), and the names that it concerns, `subjects`."""
 
     code: str
     subjects: tuple[str, ...]

@@ -1,20 +1,20 @@
-"""Formatting of numbers for people, common to all printed results."""
+"""Formatting of numbers, common to all printed results."""
 
 from __future__ import annotations
 
 import textwrap
 from math import floor, log10
 
-WIDTH = 110  # columns that a table or a sentence should fit in
+WIDTH = 110  # characters per line of tables and sentences
 
 
 def folded(line: str, indent: str = "  ") -> str:
-    """Wrap a line to the page width."""
+    """Wrap a text to lines of `WIDTH` characters; `indent` begins all lines but the first."""
     return textwrap.fill(line, WIDTH, subsequent_indent=indent)
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Format a number to significant digits, without an exponent where possible; – for None."""
+    """Format a number to significant digits, without an exponent if possible; "–" for None."""
     if value is None:
         return "–"
     if value == 0 or 1e-4 <= abs(value) < 1e6:
@@ -25,21 +25,21 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def _scale(value: float, error: float) -> tuple[int, int]:
     """Return the power of ten to factor out, and the decimal places that show the error to two digits."""
-    # Two digits of the error: places from its leading one to the next (JCGM 100, 7.2.6).
+    # The error is given to two significant digits (JCGM 100, 7.2.6).
     place = floor(log10(error))
     largest = max(place, floor(log10(abs(value))) if value else place)
     power = largest if largest < -3 or largest > 6 else 0
     return power, max(0, 1 - place + power)
 
 
-_MAX_PLACES = 6  # decimal places beyond which an error is written in brackets
+_MAX_PLACES = 6  # decimal places above which an error is written in parentheses
 
 
 def with_error(value: float, error: float) -> str:
-    """Format value ± error, the error to two significant digits and the value to the same place.
+    """Format value ± error, the error to two significant digits and the value to the same decimal place.
 
-    Where that takes more than six places, the error stands in brackets and counts the last digits of the value,
-    0.88819219(31) (JCGM 100, 7.2.2). A value without a sizeable error (held at an estimate, not sampled) stands alone.
+    For more than six places, the error is in parentheses, in units of the last digit: 0.88819219(31) (JCGM 100, 7.2.2).
+    A value with a negligible error (fixed at an estimate) is formatted without it.
     """
     if not error > 1e-12 * abs(value):
         return number(value, 4)
@@ -53,7 +53,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def interval(low: float, high: float, mean: float, error: float) -> str:
-    """Format the two ends of an interval, to the place of the error."""
+    """Format the limits of an interval to the decimal place of the error; "–" for a negligible error."""
     if not error > 1e-12 * abs(mean):
         return "–"
     power, places = _scale(mean, error)

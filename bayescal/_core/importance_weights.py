@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-MAX_CORRECTION_SCATTER = 0.01  # standard deviation of corrections that count as constant
-MIN_TAIL_WEIGHTS = 5  # to fit a Pareto tail
-MIN_EFFECTIVE_SIZE = 50  # to estimate the standard deviation of corrections
+MAX_CORRECTION_SD = 0.01  # standard deviation below which corrections are treated as constant
+MIN_TAIL_WEIGHTS = 5  # minimum number of weights for the fit of a Pareto tail
+MIN_EFFECTIVE_SIZE = 50  # effective sample size needed for the standard deviation of corrections
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
-    """Return Pareto-smoothed weights, summing to one, and k̂.
+    """Smooth importance weights by a Pareto tail; return the weights, which sum to one, and k̂.
 
     The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, as in ArviZ.
 
 
     Raises:
-        ValueError: fewer than 25 draws, whose largest weights show no tail.
+        ValueError: fewer than 25 draws, too few for a tail.
 
     Source: Vehtari et al., JMLR 25 (2024) 72.
     """
@@ -39,13 +39,13 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
 
 
 def _fit_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
-    """Fit a generalised Pareto distribution to sorted positive values; return k̂ (shrunk to ½, prior weight 10), scale.
+    """Fit a generalised Pareto distribution to sorted positive values; return k̂ (shrunk to ½, prior weight 10) and σ.
 
     Source: J. Zhang and M. Stephens, Technometrics 51 (2009) 316: the mean of b = −k/σ over its profile likelihood.
     """
     n, grid_size = len(excess), 30 + int(len(excess) ** 0.5)
     quartile = excess[int(n / 4 + 0.5) - 1]
-    if quartile == 0.0:  # equal values have no tail; one positive value among zeros an infinite one
+    if quartile == 0.0:  # equal values: no tail; one positive value among zeros: infinite tail
         return np.inf if excess[-1] > 0.0 else 0.0, 0.0
     b = (1 - np.sqrt(grid_size / (np.arange(grid_size) + 0.5))) / (3 * quartile) + 1 / excess[-1]
     k = np.mean(np.log1p(-b[:, None] * excess), axis=1)
@@ -64,21 +64,21 @@ def effective_size(weights: Float[np.ndarray, "s"]) -> float:
 
 
 def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.ndarray, "count"]:
-    """Return indices of draws by systematic resampling, then shuffled."""
+    """Resample draws systematically; return their indices (count,), shuffled."""
     random = np.random.default_rng(seed)
-    # Systematic: one random offset, so that copies of a draw differ from count·weight by less than one.
+    # One random offset: the number of copies of a draw differs from count·weight by less than one.
     quantiles = (np.arange(count) + random.random()) / count
     indices = np.searchsorted(np.cumsum(weights) / np.sum(weights), quantiles)
     return random.permutation(np.minimum(indices, weights.size - 1))
 
 
 class Corrections:
-    """Accumulator of corrections of the log weights of joint draws, to detect that they are constant.
+    """Accumulator of corrections to the log weights of joint draws, which detects constant corrections.
 
     Attributes:
         mean: weighted mean of the corrections.
-        alike: whether they are constant within tolerance: a relative deviation δ of the weights changes a posterior
-            mean by at most δ standard deviations (Cauchy–Schwarz), a standard deviation by δ/√2.
+        alike: whether corrections are constant within tolerance: relative deviations δ of the weights change a
+            posterior mean by at most δ standard deviations (Cauchy–Schwarz), a standard deviation by δ/√2.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Corrections:
         self.mean, self.alike = 0.0, False
 
     def add(self, log_weight: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
-        """Add corrections of further draws with these log weights before correction."""
+        """Add corrections (b,) of further draws, and the draws' log weights before correction (b,)."""
         if self.alike or not len(correction):
             return
         self.log_weight = np.append(self.log_weight, log_weight)
@@ -96,7 +96,7 @@ class Corrections:
         if effective_size(weight) > MIN_EFFECTIVE_SIZE and np.all(np.isfinite(self.corrections)):
             self.mean = float(weight @ self.corrections)
             scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
-            self.alike = bool(scatter < MAX_CORRECTION_SCATTER)
+            self.alike = bool(scatter < MAX_CORRECTION_SD)
 
 
 def stacking_weights(log_densities: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ def stacking_weights(log_densities: np.ndarray) -> np.ndarray:
 
     Source: Yao et al., Bayesian Analysis 13 (2018) 917.
     """
-    from scipy.optimize import minimize  # a quarter of a second that a search does without
+    from scipy.optimize import minimize  # takes a quarter of a second, not needed by a search
 
     count = log_densities.shape[1]
     density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))

@@ -8,30 +8,30 @@ from typing import Any
 import numpy as np
 
 MAX_NEWTON_STEPS = 20  # quadratic convergence needs few
-MAX_ROUNDING_ERRORS = 1e4  # of the output: tolerance of a solution
+MAX_ROUNDING_ERRORS = 1e4  # tolerance of a solution, in rounding errors of the output
 
 
 def stepped(
     equation: Callable[[Any], tuple[Any, Callable[[Any], Any]]], y: Any, s: Any, steps: int
 ) -> Any:
-    """Solve an equation for s at output y by a fixed number of Newton steps from s; differentiable in JAX.
+    """Solve the measurement equation for the stimulus s at output y by Newton steps from s; differentiable in JAX.
 
     Args:
-        equation: s → the output, and the inverse of its derivative as a function of a change of the output.
-        y: the output.
+        equation: s → (output, function that multiplies a change of the output by the inverse derivative).
+        y: output.
         s: starting value.
         steps: number of steps; one suffices for an affine equation.
     """
     for _ in range(steps):
-        value, undone = equation(s)
-        s = s - undone(value - y)
+        value, apply_inverse = equation(s)
+        s = s - apply_inverse(value - y)
     return s
 
 
 def solve_newton(
     equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, affine: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve an equation, s → (output, derivative), for s at output y; return s and derivative, NaN if not solvable."""
+    """Solve an equation, s → (output, derivative), for s at output y; return s and derivative, NaN for no solution."""
     s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
     with np.errstate(all="ignore"):
         for _ in range(1 if affine else MAX_NEWTON_STEPS):

@@ -1,7 +1,7 @@
-"""Set-up of JAX: double precision, a cache of compiled programs.
+"""Set-up of JAX: double precision, and a cache of compiled programs.
 
-Importing this module is cheap and does not import JAX. `bayescal/__init__.py` imports it first; `lazy_jax.py` has
-`configure_jax()` called once JAX is imported, by whoever imports it.
+This module does not import JAX. `bayescal/__init__.py` imports it first; `lazy_jax.py` calls `configure_jax()` as soon
+as JAX is imported by any code.
 
 Environment variables:
     BAYESCAL_CACHE: folder for bayescal's cache between runs, limited to 512 MiB at each start; empty for no
@@ -19,18 +19,18 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-MAX_CACHE_BYTES = 512 * 1024**2  # of programs on disk; a first calibration leaves some 5 MB
+MAX_CACHE_BYTES = 512 * 1024**2  # size of programs on disk; a first calibration adds some 5 MB
 MAX_MEMORY_MAPS = 30_000  # of 65,530 that Linux allows a process by default
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of the cache between runs, which need not exist; None for no cache."""
+    """Return the folder of the persistent cache, which need not exist; None for no cache."""
     user_folder = os.environ.get("BAYESCAL_CACHE")
     if user_folder == "":
         return None
     xdg = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        # XDG Base Directory Specification, which has relative folders ignored
+        # XDG Base Directory Specification: relative folders are ignored
         caches = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
         return Path(user_folder).expanduser() if user_folder else caches / "bayescal"
     except RuntimeError:  # no home folder, as in some containers
@@ -39,15 +39,15 @@ def cache_folder() -> Path | None:
 
 @cache
 def configure_jax() -> None:
-    """Switch JAX to double precision and let it keep compiled programs on disk. Once per process.
+    """Switch JAX to double precision and configure its cache of compiled programs on disk, once per process.
 
-    Double precision is a setting of the whole process. Calibration needs it: biases of 1e-9 of full scale beside
-    readings of order one, normal equations that square a condition number.
+    Double precision applies to the whole process. Calibration needs it for biases of 1e-9 of full scale, and for normal
+    equations, which square the condition number.
 
-    Every program is kept, however small: JAX's own threshold of one second of compilation would keep almost none of
-    ours. A folder that cannot be written means no cache, never an error; one beyond `MAX_CACHE_BYTES` is emptied.
+    All programs are cached; JAX's default threshold, one second of compilation, would exclude almost all. An unwritable
+    folder disables the cache without an error; a folder above `MAX_CACHE_BYTES` is emptied.
     """
-    import jax  # heavy: not before something computes
+    import jax  # slow to import
 
     jax.config.update("jax_enable_x64", True)
     if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
@@ -63,23 +63,22 @@ def configure_jax() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def drop_if_large(folder: Path, most: int) -> None:
-    """Delete the programs in a folder once they take more than `most` bytes.
+def drop_if_large(folder: Path, max_bytes: int) -> None:
+    """Delete the programs in a folder if they exceed `max_bytes` in total.
 
-    JAX can bound its cache itself, but then reads a file for every program kept whenever it keeps one more: 0.1 s
-    each time with 2,000 of them.
+    JAX's own limit of the cache size reads a file per cached program whenever it adds one: 0.1 s for 2,000 programs.
     """
     with suppress(OSError), os.scandir(folder) as entries:  # another process may delete them too
-        if sum(entry.stat().st_size for entry in entries) > most:
+        if sum(entry.stat().st_size for entry in entries) > max_bytes:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
 
 
 def spare_memory_maps() -> None:
-    """Drop compiled programs before they use up the maps that the kernel allows a process.
+    """Drop compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
 
-    Every program holds some ten; beyond 65,530, by default, Linux aborts the process, which a loop over many models
-    meets. Programs that are needed again come back from the cache on disk. Does nothing on other systems.
+    A program holds about ten maps; above 65,530, by default, Linux aborts the process, as in a loop over many models.
+    Programs that are needed again are loaded from the cache on disk.
     """
     try:
         with open("/proc/self/maps", "rb") as maps:
@@ -92,23 +91,22 @@ def spare_memory_maps() -> None:
         jax.clear_caches()
 
 
-# Two libraries read a file of the current folder when they are loaded: file → library.
-READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
+# Libraries that read a configuration file of the current folder at import: file → library.
+CONFIGURATION_READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
 
 
 def obey_no_folder() -> None:
-    """Load libraries that would read a file of the current folder while another folder is the current one.
+    """Import libraries that read configuration files of the current folder from another folder, so that they do not.
 
-    To be called before other threads are begun: a process has one current folder. Costs nothing where there is no such
-    file.
+    Must be called before threads start, since the current folder is a property of the process.
     """
-    readers = [library for file, library in READERS.items() if os.path.lexists(file)]
+    readers = [library for file, library in CONFIGURATION_READERS.items() if os.path.lexists(file)]
     if readers:
         folder = os.getcwd()
         os.chdir(os.path.dirname(__file__))
         try:
             for library in readers:
-                with suppress(ImportError):  # what needs it says so
+                with suppress(ImportError):  # reported where the library is needed
                     import_module(library)
         finally:
             os.chdir(folder)

@@ -1,7 +1,7 @@
-"""Just-in-time compilation with options by the amount of data, and partial functions that compare by value.
+"""Just-in-time compilation with options chosen by the amount of data, and partial functions compared by value.
 
-Most models are fitted a few times to some hundred readings, and compiling takes a hundred times as long as running.
-Without XLA's fusion emitters compile time is halved at the same run time; without backend optimisation too it is a
+Most models are fitted a few times to some hundred readings, and compilation takes a hundred times as long as running.
+Without XLA's fusion emitters, compile time is halved at the same run time; also without backend optimisation, it is a
 fifth, at up to three times the run time (docs/decisions.md).
 """
 
@@ -13,9 +13,9 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 from bayescal._core.lazy_jax import jax
 
-# Array elements in a function's arguments, above which run time exceeds compile time.
+# Number of array elements in the arguments above which run time exceeds compile time.
 MANY_NUMBERS = 30_000
-ALWAYS = {"xla_cpu_use_fusion_emitters": False}
+ALWAYS = {"xla_cpu_use_fusion_emitters": False}  # compiler options
 QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
 
 P = ParamSpec("P")
@@ -25,7 +25,7 @@ R = TypeVar("R", covariant=True)
 class compiled(Generic[P, R]):
     """`equinox.filter_jit` with compiler options chosen by the number of array elements in the arguments.
 
-    Inside another compiled function it is the undecorated function. `many`: number of elements from which it is
+    Within another compiled function, the undecorated function is called. `many`: number of elements from which it is
     compiled with full optimisation.
     """
 
@@ -76,7 +76,7 @@ class value_partial(partial):
             self._hash = hash(self._key())
         return self._hash
 
-    def __reduce__(self) -> tuple[Any, ...]:  # another process hashes texts otherwise
+    def __reduce__(self) -> tuple[Any, ...]:  # hashes of text differ between processes
         return partial(value_partial, self.func, *self.args, **self.keywords), ()
 
 

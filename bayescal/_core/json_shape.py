@@ -19,19 +19,19 @@ from typing import Any, Union, get_args, get_origin, get_type_hints, is_typeddic
 
 from bayescal._core.errors import InputError
 
-MAX_JSON_BYTES = 50_000_000  # of a file that is read
-MAX_TOML_BYTES = 100_000  # of a mapping, a certificate's data
+MAX_JSON_BYTES = 50_000_000  # size of a JSON file
+MAX_TOML_BYTES = 100_000  # size of a TOML file: a mapping, a certificate's data
 
-_SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
-_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}
-_NAMES |= {float: "a finite number", NoneType: "null"}
+_SURROGATE = re.compile("[\ud800-\udfff]")  # half of a character, which no file can contain
+_TYPE_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}
+_TYPE_NAMES |= {float: "a finite number", NoneType: "null"}
 
 
 def as_type(value: Any, kind: Any, where: str = "") -> Any:
-    """Validate a parsed JSON or TOML value as one of a type; raise ValueError with the place `where` it is none.
+    """Validate a parsed JSON or TOML value against a type; raise ValueError, which names its place `where`.
 
-    A type is str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; a union of such; a data
-    class or TypedDict, of whose keys those without a default have to be there, and no others.
+    Types: str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; unions; data classes and
+    TypedDicts, whose keys without a default are required, and which allow no other keys.
     """
     origin, args = get_origin(kind), get_args(kind)
     if kind is Any:
@@ -41,7 +41,7 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
             with suppress(ValueError):
                 return as_type(value, option, where)
         meant = [option for option in args if get_origin(option) is type(value)]
-        return as_type(value, (*meant, *args)[0], where)  # which raises
+        return as_type(value, (*meant, *args)[0], where)  # raises ValueError
     if origin in (list, tuple):
         types = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (types and len(value) != len(types)):
@@ -54,7 +54,7 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
     number = type(value) in (int, float) and abs(value) < 1e308 and math.isfinite(value)
     right = number if kind is float else type(value) is kind
     if not right or (kind is str and _SURROGATE.search(value)):
-        raise _unexpected(value, _NAMES[kind], where)
+        raise _unexpected(value, _TYPE_NAMES[kind], where)
     return float(value) if kind is float else value
 
 
@@ -73,17 +73,17 @@ def _as_table(value: Any, kind: Any, where: str) -> Any:
         raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
     at = {name: f"{where}.{str(name)[:60]}".lstrip(".") for name in value}
     for name in (n for n in value if n not in types):
-        raise ValueError(f"{at[name]} is not known here; there are: {', '.join(types)}")
+        raise ValueError(f"{at[name]} is unknown; known keys: {', '.join(types)}")
     return constructor(**{n: as_type(inner, types[n], at[n]) for n, inner in value.items()})
 
 
-def _unexpected(value: Any, what: str, where: str) -> ValueError:
+def _unexpected(value: Any, expected: str, where: str) -> ValueError:
     kind = "a list" if isinstance(value, list) else "a table" if isinstance(value, dict) else ""
-    return ValueError(f"{where or 'it'} is {kind or repr(value)[:60]}, {what} was expected")
+    return ValueError(f"{where or 'it'} is {kind or repr(value)[:60]}, but {expected} was expected")
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """Parse JSON; raise ValueError if it is none, or nested too deep."""
+    """Parse JSON; raise ValueError if it is invalid, or nested too deeply."""
     return _parse(json.loads, text, "JSON")
 
 
@@ -95,14 +95,14 @@ def _parse(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any
 
 
 def read_json(path: Path, kind: Any = Any) -> Any:
-    """Read and validate a JSON file by `as_type`; raise OSError, or ValueError with the place."""
+    """Read a JSON file and validate it against a type; raise OSError, or ValueError with the place."""
     if path.stat().st_size > MAX_JSON_BYTES:
         raise ValueError(f"it is larger than {MAX_JSON_BYTES / 1e6:.0f} MB")
     return as_type(parsed_json(path.read_bytes()), kind)
 
 
 def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
-    """Read and validate a TOML file; raise InputError with `called`, the place, what was expected and the cure."""
+    """Read a TOML file and validate it against a type; raise InputError, with `called` as subject and the `cure`."""
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ValueError(f"it is larger than {MAX_TOML_BYTES / 1e3:.0f} kB")

@@ -1,7 +1,7 @@
 """Lazy import of JAX at its first use: `from bayescal._core.lazy_jax import jax, jnp`.
 
-Whoever imports it, bayescal or a user, it is set up at once: double precision, and bayescal's types registered as
-trees. A command that computes by NumPy alone does not import it, and starts in half the time.
+JAX is set up as soon as any code imports it: double precision, and bayescal's types registered as pytrees. A command
+that uses NumPy only does not import it, and starts in half the time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal._core.jax_setup import configure_jax
 
 
-class _Later:
+class _LazyModule:
     """A module that is imported when an attribute of it is first accessed."""
 
     def __init__(self, name: str) -> None:
@@ -29,7 +29,7 @@ class _Later:
         return value
 
 
-class _SetUp(MetaPathFinder):
+class _JaxFinder(MetaPathFinder):
     """Import finder that sets JAX up once it is loaded."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
@@ -39,7 +39,7 @@ class _SetUp(MetaPathFinder):
         try:
             spec = find_spec("jax")
         finally:
-            sys.meta_path.insert(0, self)  # who finds a module need not load it
+            sys.meta_path.insert(0, self)  # the module may be found, but not loaded
         if spec is not None and spec.loader is not None:
             load = spec.loader.exec_module
 
@@ -55,30 +55,30 @@ class _SetUp(MetaPathFinder):
 _waiting: list[Callable[[], object]] | None = []  # None once JAX is set up
 
 
-def when_imported(do: Callable[[], object]) -> None:
-    """Call a function now if JAX is imported, else as soon as it is."""
+def when_imported(callback: Callable[[], object]) -> None:
+    """Call a function when JAX is imported: now, if it already is."""
     if _waiting is None:
-        do()
+        callback()
     else:
-        _waiting.append(do)
+        _waiting.append(callback)
 
 
 def _set_up() -> None:
     global _waiting
     configure_jax()
     waiting, _waiting = _waiting or [], None
-    for do in waiting:
-        do()
+    for callback in waiting:
+        callback()
 
 
 if "jax" in sys.modules:
     _set_up()
 else:
-    sys.meta_path.insert(0, _SetUp())
+    sys.meta_path.insert(0, _JaxFinder())
 
 if TYPE_CHECKING:
     import jax as jax
     import jax.numpy as jnp
     from jaxtyping import Array as Array
 else:
-    jax, jnp, Array = _Later("jax"), _Later("jax.numpy"), Any
+    jax, jnp, Array = _LazyModule("jax"), _LazyModule("jax.numpy"), Any

@@ -1,6 +1,6 @@
 """NetCDF-4 files of numbers and text, written and read in memory without xarray.
 
-Xarray and pandas take half a second to import, and xarray's own writer loads Dask's cluster where that is installed.
+Xarray and pandas take half a second to import, and xarray's writer also imports Dask if it is installed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Variable(NamedTuple):
-    """An array with its dimensions and attributes, as xarray's `Variable` has them."""
+    """An array with dimensions and attributes, as xarray's `Variable`."""
 
     dims: tuple[str, ...]
     values: np.ndarray
@@ -24,8 +24,8 @@ Group = Mapping[str, Variable]
 
 
 def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
-    """Encode a NetCDF-4 file in memory (HDF5 aborts on a full disk), of groups of numbers and text."""
-    import h5netcdf  # a tenth of a second that only a saved file needs
+    """Encode groups of numbers and text as a NetCDF-4 file in memory, since HDF5 aborts on a full disk."""
+    import h5netcdf  # takes a tenth of a second, needed for saved files only
     import h5py
 
     content = io.BytesIO()
@@ -47,7 +47,7 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
 def netcdf_groups(
     content: io.BytesIO, names: Iterable[str]
 ) -> tuple[dict[str, Group], dict[str, Any]]:
-    """Read groups of a NetCDF-4 file, and the attributes of its root; raise ValueError where it lacks one."""
+    """Read groups of a NetCDF-4 file, and the attributes of its root; raise ValueError for a missing group."""
     import h5netcdf
 
     with h5netcdf.File(content, "r") as file:

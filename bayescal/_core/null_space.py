@@ -1,7 +1,7 @@
 """Unidentified directions of unknowns: null spaces, exact and weak, and collinear groups of columns.
 
-Eigenvectors of a null space of several dimensions are arbitrary mixtures. A reduced echelon form, its pivots the
-largest remaining entries, gives each direction a coefficient of its own and separates directions without a common
+Basis vectors of a null space of several dimensions are arbitrary mixtures. The reduced row echelon form with complete
+pivoting gives each direction a pivot coefficient that no other has, and separates directions without a common
 coefficient.
 """
 
@@ -15,16 +15,16 @@ from functools import cache
 import numpy as np
 from scipy import linalg
 
-EXACT_SHARE = 3e-14  # singular value over the largest, of normalised columns: rounding
-DUST_SHARE = 1e-9  # entry over a direction's largest: rounding
-NEGLIGIBLE_SHARE = 1e-4  # entry over the largest: possibly a remnant of a nearly null direction
-# Information in nats, below which no evidence can decide on a group of columns.
+EXACT_SHARE = 3e-14  # singular value over the largest, of normalised columns, that counts as zero
+ROUNDING_SHARE = 1e-9  # entry over the largest of a direction, that counts as zero
+NEGLIGIBLE_SHARE = 1e-4  # entry over the largest, possibly from a nearly null direction
+# Information in nats, below which the evidence cannot decide on a group of columns.
 UNDECIDED_NATS = 0.5
 UNDECIDED_SHARE = 0.01  # residual over total sum of squares of a group in the span of others
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
-    """Return a basis (k, p) of the null space of columns (n, p) in any units, few entries a row, the others zero."""
+    """Return a sparse basis (k, p) of the null space of columns (n, p), independent of their units."""
     # Columns of unit length, so that the result is independent of units.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
@@ -43,16 +43,16 @@ def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray
     null = linalg.null_space(_r_factor(columns[:, large]), rcond=EXACT_SHARE)
     if not null.size:
         return row
-    swept = np.zeros_like(row)
-    swept[large] = null[:, -1]
-    return swept
+    sparse = np.zeros_like(row)
+    sparse[large] = null[:, -1]
+    return sparse
 
 
 def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
-    """Return directions (m, p) of information |columns·z|² below `limit`, without the `exact` ones.
+    """Return directions z (m, p) with information |columns·z|² below `limit`, without the null directions `exact`.
 
-    Columns (n, p) are whitened, per prior standard deviation. A coefficient whose unit vector has more than `alone` of
-    its square within these directions is one of them by itself; these come first.
+    Columns (n, p) are whitened, per prior standard deviation. A coefficient whose unit vector has a share of more than
+    `alone` of its squared length in these directions is a direction by itself; these come first.
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
@@ -87,18 +87,17 @@ def _complement(space: np.ndarray, others: np.ndarray) -> np.ndarray:
 def echelon(rows: np.ndarray) -> np.ndarray:
     """Return the reduced row echelon form by complete pivoting, rounding set to zero, ordered by first entry."""
     reduced = np.array(rows, dtype=float)
-    free = np.ones(len(reduced), dtype=bool)
+    is_free = np.ones(len(reduced), dtype=bool)
     for _ in range(len(reduced)):
-        # The largest remaining entry becomes the pivot: dividing by a small one would spread its rounding over the
-        # row.
-        candidates = np.where(free[:, None], np.abs(reduced), -1.0)
-        at, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
-        reduced[at] /= reduced[at, pivot]
-        others = np.arange(len(reduced)) != at
-        reduced[others] -= np.outer(reduced[others, pivot], reduced[at])
-        free[at] = False
+        # Complete pivoting: division by a small pivot would spread its rounding error over the row.
+        candidates = np.where(is_free[:, None], np.abs(reduced), -1.0)
+        pivot_row, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
+        reduced[pivot_row] /= reduced[pivot_row, pivot]
+        others = np.arange(len(reduced)) != pivot_row
+        reduced[others] -= np.outer(reduced[others, pivot], reduced[pivot_row])
+        is_free[pivot_row] = False
     largest = np.abs(reduced).max(axis=1, keepdims=True, initial=0.0)
-    reduced[np.abs(reduced) < DUST_SHARE * largest] = 0.0
+    reduced[np.abs(reduced) < ROUNDING_SHARE * largest] = 0.0
     return _sort_rows(reduced)
 
 
@@ -109,8 +108,7 @@ def _sort_rows(rows: np.ndarray) -> np.ndarray:
 
 def scale_to_integers(vector: np.ndarray) -> np.ndarray:
     """Scale a direction to small integers if possible, else to a maximum of one; the first entry is positive."""
-    # Null directions of physical models are often ratios of small whole numbers, such as 1 : −1 of two constants,
-    # which can be stated exactly.
+    # Null directions of physical models are often ratios of small integers, such as 1 : −1 for two constants.
     entries = np.abs(vector[vector != 0])
     ratios = vector / entries.min()
     is_integer = np.abs(ratios - np.rint(ratios)) < 1e-5
@@ -125,25 +123,25 @@ def information_nats(columns: np.ndarray) -> float:
 
 
 def beyond(columns: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Project the identified directions of `span` (n, m) out of columns (n, k)."""
+    """Return columns (n, k) projected off the identified directions of `span` (n, m)."""
     axes, values, _ = np.linalg.svd(span, full_matrices=False)
     axes = axes[:, 0.5 * np.log1p(values**2) >= UNDECIDED_NATS]
     return columns - axes @ (axes.T @ columns)
 
 
 def is_undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
-    """Return whether the residuals of columns on others are negligible, relatively and in information."""
+    """Return whether residuals of columns regressed on others are negligible, relatively and in information."""
     is_small = np.sum(residuals**2) < UNDECIDED_SHARE * np.sum(columns**2)
     return bool(is_small) and information_nats(residuals) < UNDECIDED_NATS
 
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Groups of columns by name, and their collinearity."""
+    """Groups of columns by name, and their collinearity: which groups are in the span of others."""
 
     # columns projected off a model's, whitened, per prior standard deviation (n, k)
     left: Mapping[str, np.ndarray] = field(default_factory=dict)
-    # names of further groups, in the span of the model's columns, and the effects of it that they equal
+    # groups in the span of the model's columns → the model's effects that they equal
     latent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -159,18 +157,18 @@ class Spans:
         return is_undecided(self.left[name], beyond(self.left[name], np.column_stack(span)))
 
     def implied(self, names: frozenset[str]) -> frozenset[str]:
-        """Return the groups outside `names` that are in the span of `names` and the model."""
+        """Return the other groups that are in the span of the groups `names` and the model."""
         base = names.intersection(self.left)
         others = [n for n in self.left if n not in base] if base else []
         return frozenset({n for n in others if self.is_spanned(n, base)} | {*self.latent}) - names
 
     def spanning(self, names: frozenset[str]) -> set[str]:
-        """Return those of `names` that are needed for other groups to be in their span."""
+        """Return those of the groups `names` without which some other group is no longer in the span."""
         closure = self.implied(names)
         return {n for n in names if closure - self.implied(names - {n}) - {n}}
 
     def generators(self, names: frozenset[str]) -> tuple[frozenset[str], ...]:
-        """Return the minimal sets of groups with the same span as `names`, smallest first."""
+        """Return the minimal sets of groups with the same span as the groups `names`, smallest first."""
         closure = names | self.implied(names)
         dependent = [n for n in self.left if n in closure and self.is_spanned(n, closure - {n})]
         sets = list[frozenset[str]]()

@@ -1,7 +1,4 @@
-"""Restriction of BLAS to a single thread.
-
-Matrices have ten to a hundred rows, for which multithreaded BLAS is slower.
-"""
+"""Restriction of BLAS to a single thread, which is faster for matrices of ten to a hundred rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress lines on stderr: for anything that takes over a second, and then at least every ten seconds.
+"""Progress lines on stderr, for operations of more than a second, and then every ten seconds.
 
 A line names the operation and its duration so far.
 """
@@ -14,9 +14,9 @@ from typing import Any
 
 from bayescal._core.quoting import html_text, one_line
 
-FIRST_SECONDS, INTERVAL_SECONDS = 1.0, 9.0  # until the first line of a stage, and between lines
+FIRST_SECONDS, INTERVAL_SECONDS = 1.0, 9.0  # delay of the first line of a stage, and between lines
 
-_open: list[threading.Event] = []  # stages, by the events that end them, the innermost last
+_open_stages: list[threading.Event] = []  # events that end the stages, the innermost last
 _last_line = 0.0  # time of the last line, s
 _bar: Any = None  # shown in a notebook
 
@@ -32,7 +32,7 @@ def tell(what: str, share: float | None = None) -> None:
 
 
 def show_bar(text: str, share: float | None = None) -> None:
-    """Show a progress bar in a notebook's cell, of a share done or of work without an end; "" takes it away."""
+    """Show a progress bar in a notebook cell, with a share or indeterminate; an empty text removes it."""
     from IPython.display import HTML, display
 
     global _bar
@@ -57,7 +57,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
-    """Yield items; every ten seconds a progress line counts them and estimates the time left."""
+    """Yield items, with a progress line every ten seconds: number of items and estimated remaining time."""
     start = time.monotonic()
     for i, item in enumerate(items):
         elapsed = time.monotonic() - start
@@ -69,7 +69,7 @@ def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
 
 @contextmanager
 def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
-    """Print progress lines of an operation once it has taken `first` seconds, and again without other lines."""
+    """Print progress lines of an operation after `first` seconds, and whenever there is no other line."""
     start, done = time.monotonic(), threading.Event()
 
     def watch() -> None:
@@ -77,18 +77,18 @@ def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
         while not done.wait(pause):
             now = time.monotonic()
             idle_seconds = now - max(_last_line, start)
-            if _open[-1:] == [done] and (idle_seconds >= INTERVAL_SECONDS or not printed):
+            if _open_stages[-1:] == [done] and (idle_seconds >= INTERVAL_SECONDS or not printed):
                 so_far = f", {now - start:.0f} s so far" if printed else ""
                 tell(f"{what}{so_far}")
                 idle_seconds, printed = 0.0, True
             pause = max(INTERVAL_SECONDS - idle_seconds, 0.5)
 
-    _open.append(done)
+    _open_stages.append(done)
     threading.Thread(target=watch, daemon=True, name="bayescal progress").start()
     try:
         yield
     finally:
         done.set()
-        _open.remove(done)
-        if _bar is not None and not _open:
+        _open_stages.remove(done)
+        if _bar is not None and not _open_stages:
             show_bar("")

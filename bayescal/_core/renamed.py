@@ -1,4 +1,4 @@
-"""Former public names: each warns, and is the new one for one release."""
+"""Aliases of renamed public attributes, which issue a DeprecationWarning, for one release."""
 
 import warnings
 from collections.abc import Callable
@@ -12,15 +12,13 @@ class _Former(NamedTuple):
     new: str
 
     def __get__(self, owned: Any, owner: type) -> Any:
-        message = (
-            f"{owner.__name__}.{self.name} is now called {self.new}; the former name goes in 0.4"
-        )
+        message = f"{owner.__name__}.{self.name} is now called {self.new}; the former name will be removed in 0.4"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(owner if owned is None else owned, self.new)
 
 
 def renamed(**names: str) -> Callable[[C], C]:
-    """Give a class its attributes' former names, as former="new"."""
+    """Decorate a class with aliases of renamed attributes: former="new"."""
 
     def with_former(cls: C) -> C:
         for name, new in names.items():

@@ -1,7 +1,7 @@
-"""Tables and lines of a result, from which its text, its HTML and its numbers are made.
+"""Tables and lines of results, the common source of their text, HTML and numbers.
 
-A table is columns over rows of plain data, as in a result's JSON, so that a result in memory and one that was read
-from a file are the same table on the screen, in a report and in the workbench.
+A table consists of columns evaluated on rows of plain data, as in a result's JSON, so that results in memory and from a
+file give the same table on the screen, in a report and in the workbench.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-MAX_REPR_CHARACTERS = 200  # in one line
+MAX_REPR_CHARACTERS = 200  # length of the one-line summary
 
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column."""
+    """Column of a table: heading, value and format."""
 
-    head: str  # above it, without its unit
-    # key of the row, or function of the row, that gives the value
+    head: str  # heading, without the unit
+    # key or function of a row that gives the value; "": the heading is the key
     of: str | Callable[[Any], Any] = ""
-    # format of the value for people; None for a column that is only in the numbers, not printed
+    # function that formats the value; None for a column that is not printed
     show: Callable[[Any], str] | None = str
-    unit: str = ""  # of all its values, as people read it; stands behind the head
-    left: bool | None = None  # whether it is flush left; None: where it is the first
-    name: str | None = None  # of its numbers; that of `head` if None, and "" for what has none
+    unit: str = ""  # formatted unit of all values, printed after the heading
+    left: bool | None = None  # whether it is aligned left; None: only as the first column
+    name: str | None = None  # key in the data; None: the heading; "": not in the data
 
     def value(self, row: Any) -> Any:
-        """Return the value of a row in this column."""
+        """Return the column's value for a row."""
         return row[self.of or self.head] if isinstance(self.of, str) else self.of(row)
 
 
@@ -47,10 +47,10 @@ class ResultTable:
     """Columns over rows of plain data.
 
     Attributes:
-        columns: what is shown of a row, in order; the first names the row.
-        rows: a mapping each.
-        fold: if not zero, the last column is flush left, and in text folded to this width or to what is left of the
-            page, whichever is more.
+        columns: the columns, in order; the first one names the row.
+        rows: the rows, a mapping or sequence each.
+        fold: if not zero, the last column is aligned left, and wrapped in text to this width or to the remaining width
+            of the page, whichever is larger.
     """
 
     columns: tuple[TableColumn, ...]
@@ -68,7 +68,7 @@ class ResultTable:
 
     @property
     def cells(self) -> list[list[str]]:
-        """Return the rows formatted for people; a line break in a cell stays one."""
+        """Return the formatted cells of each row; they may contain line breaks."""
         return [[c.show(c.value(row)) for c in self.printed_columns if c.show] for row in self.rows]
 
     @property
@@ -77,21 +77,21 @@ class ResultTable:
         return [*flush[:-1], flush[-1] or self.fold > 0]
 
     def only(self, *heads: str) -> ResultTable:
-        """Select columns, in this order."""
+        """Select printed columns by their headings, in this order."""
         printed = {c.head: c for c in self.printed_columns}
         return replace(self, columns=tuple(printed[head] for head in heads), fold=0)
 
     def data(self) -> dict[str, list[Any]]:
-        """Return its numbers in full: name of a column → one value a row."""
+        """Return the unformatted values: name of a column → one value per row."""
         named = {c.head if c.name is None else c.name: c for c in self.columns}
         return {n: [column.value(row) for row in self.rows] for n, column in named.items() if n}
 
     def __str__(self) -> str:
-        """Format as text: columns under a ruled head."""
+        """Format as text, with a ruled line below the headings."""
         return _text(self.head, self.cells, self.flush_left, self.fold)
 
     def html(self) -> str:
-        """Format as HTML, everything in it escaped."""
+        """Format as HTML, with all text escaped."""
         sides = ["left" if flush else "right" for flush in self.flush_left]
 
         def row(cells: list[str], tag: str) -> str:
@@ -106,7 +106,7 @@ class ResultTable:
 def plain_table(
     head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, fold: int = 0
 ) -> ResultTable:
-    """Make a table of text cells; the first `left` columns are flush left."""
+    """Create a table of text cells; the first `left` columns are aligned left."""
     columns = (
         TableColumn(name, lambda row, i=i: row[i], left=i < left) for i, name in enumerate(head)
     )
@@ -114,7 +114,7 @@ def plain_table(
 
 
 def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
-    """Format a table; one wider than the page has its heads and then its widest column of texts folded."""
+    """Format a table as text; if it is wider than the page, wrap headings, then the widest left-aligned column."""
     split_rows = [[cell.split("\n") for cell in row] for row in (head, *rows)]
     split_head, *body = split_rows
     widths = [max(map(_width, chain(*column))) for column in zip(*split_rows, strict=True)]
@@ -148,7 +148,7 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
 
 
 def _folded_name(text: str, width: int) -> list[str]:
-    """Fold a name to a width where it can be: at blanks, before a dot or bracket, behind a hyphen."""
+    """Wrap a name to a width at blanks, before dots and brackets, and after hyphens."""
     lines = [""]
     for part in re.split(r"(?= (?![^(]*\)))|(?=[.\[(])|(?<=\w-)", text):
         if _width(lines[-1] + part) > width and lines[-1]:
@@ -158,14 +158,14 @@ def _folded_name(text: str, width: int) -> list[str]:
 
 
 def _width(text: str) -> int:
-    return sum(not unicodedata.combining(c) for c in text)  # the mark over a letter takes none
+    return sum(not unicodedata.combining(c) for c in text)  # combining marks have no width
 
 
 class Printed:
-    """A result that prints itself.
+    """Base class of printable results.
 
-    A class defines `_brief`, a summary in a few words, and `_parts`, the lines and tables that it is printed as. Its
-    text, its HTML in a notebook and its numbers are made of these, so that all agree.
+    Subclasses define `_brief`, a short summary, and `_parts`, the printed lines and tables, from which the text, the
+    HTML in a notebook and the numbers are derived.
     """
 
     def _brief(self) -> str:
@@ -175,7 +175,7 @@ class Printed:
         raise NotImplementedError
 
     def _columns(self) -> Mapping[str, Sequence[Any]]:
-        """Return the numbers behind its table: name → one value a row, the first naming the row."""
+        """Return the unformatted values of the first table: name → one value per row; the first column names rows."""
         return next(part for part in self._parts() if isinstance(part, ResultTable)).data()
 
     def __str__(self) -> str:
@@ -189,19 +189,19 @@ class Printed:
         return as_html(self._parts())
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the printed table with all digits as a `pandas.DataFrame`, its rows by name."""
-        import pandas as pd  # only where it is needed
+        """Return the printed table with all digits as a `pandas.DataFrame`, indexed by the names of rows."""
+        import pandas as pd  # slow to import
 
         frame = pd.DataFrame(dict(self._columns()))
         return frame.set_index(frame.columns[0])
 
     def to_xarray(self) -> xr.Dataset:
-        """Return the printed table as an `xarray.Dataset` along the rows' names."""
+        """Return the printed table as an `xarray.Dataset` along the names of rows."""
         return self.to_pandas().to_xarray()
 
 
 def as_html(parts: Sequence[str | ResultTable]) -> str:
-    """Format lines and tables as HTML, everything in them escaped."""
+    """Format lines and tables as HTML, with all text escaped."""
     blocks = list[str]()
     for tables, some in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
         if tables:

@@ -18,24 +18,24 @@ class Settings:
     """Thresholds of searches, acceptance checks and sampling.
 
     Attributes:
-        found_probability: from which an effect, or one of a set, is reported as missing: odds of 19, the level of
-            every interval here.
-        prior_complete: prior probability that the model is complete: neither answer is favoured (docs/mathematics.md).
-        strong_evidence: nats from which a log Bayes factor is evidence: odds of twenty (Kass and Raftery, J. Am. Stat.
+        found_probability: probability from which an effect, or one of a set, is reported as missing: odds of 19, the
+            coverage of all intervals.
+        prior_complete: prior probability that the model is complete; one half is neutral (docs/mathematics.md).
+        strong_evidence: log Bayes factor, nats, of strong evidence: odds of twenty (Kass and Raftery, J. Am. Stat.
             Assoc. 90 (1995) 773).
         power: share of repeated campaigns in which an effect of the minimum detectable size would be found; the usual
             0.8 of the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
-        averaged_probability: from which a structure takes part in the average: all others together move a standard
-            uncertainty by less than the digits that are printed.
-        finer_noise: whether sums of noise terms are weighed where correlated noise is probable. On the chamber ramp
-            they open gates which one Ornstein–Uhlenbeck process leaves shut; searches of thousands of readings take
-            three to five times as long, those of hundreds as long as without.
-        outlier_sd: leave-one-out standard deviations beyond which a reading is named; a thousand normal readings have
-            none.
-        holdout_p: p-value below which hold-out data contradict a result, two or three tests of it each time, so that
-            chance refuses a few right results in a hundred.
-        temperature_span: °C, below which a record has one temperature; what a good chamber holds.
-        effective_draws: below which more are made: a standard deviation is then known to 3.5 %.
+        averaged_probability: probability from which a structure is included in the model average; the others change a
+            standard uncertainty by less than the printed digits.
+        finer_noise: whether sums of noise terms are evaluated if correlated noise is probable. They let results pass
+            acceptance checks that fail with one Ornstein–Uhlenbeck process; searches of thousands of readings take
+            three to five times as long, those of hundreds no longer.
+        outlier_sd: leave-one-out residual, standard deviations, from which a reading is reported as an outlier; not
+            exceeded by a thousand normal readings.
+        holdout_p: p-value below which hold-out data contradict a result; with two or three tests, a few valid results
+            in a hundred are rejected.
+        temperature_span: °C, below which a record has a single temperature; the stability of a good chamber.
+        effective_draws: minimum effective sample size; it determines a standard deviation to 3.5 %.
     """
 
     found_probability: float = 0.95
@@ -51,7 +51,7 @@ class Settings:
 
 
 def seed_of(random: Any) -> int:
-    """Return a seed: the whole number given, or one that NumPy's generator draws."""
+    """Return a seed: the given integer, or one drawn from a NumPy generator."""
     return int(random.integers(2**31) if hasattr(random, "integers") else random)
 
 
@@ -60,13 +60,13 @@ _IN_FORCE: ContextVar[Settings] = ContextVar("settings", default=USUAL)
 
 
 def settings() -> Settings:
-    """Return the settings in force: those of `use_settings`, else the usual ones."""
+    """Return the current settings: those of `use_settings`, else the defaults."""
     return _IN_FORCE.get()
 
 
 @contextmanager
 def use_settings(chosen: Settings) -> Iterator[None]:
-    """Apply other settings inside the `with` block, in this thread; raise TypeError for another type."""
+    """Apply settings within the `with` block, in this thread; raise TypeError for another type."""
     if not isinstance(chosen, Settings):
         raise TypeError(f"use_settings takes bayescal.Settings(…), not {chosen!r}")
     token = _IN_FORCE.set(chosen)
@@ -77,5 +77,5 @@ def use_settings(chosen: Settings) -> Iterator[None]:
 
 
 def unusual() -> dict[str, float]:
-    """Return the settings that differ from the usual ones, by name."""
+    """Return the settings that differ from their defaults, by name."""
     return {name: v for name, v in asdict(settings()).items() if v != getattr(USUAL, name)}

@@ -11,7 +11,7 @@ from bayescal._core.quoting import number_text
 def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
     """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
 
-    It may use `filters`, and `digits`, which writes a number with all its digits; `how` as of `jinja2.Environment`.
+    Filters are `filters` and `digits`, which prints a number with all digits; `how`: options of `jinja2.Environment`.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
 

@@ -1,3 +1,3 @@
-"""The version: the build reads it here, and a test compares `CITATION.cff`."""
+"""Version number of the package, read by the build and compared with `CITATION.cff` by a test."""
 
 __version__ = "0.2.0"

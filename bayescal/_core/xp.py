@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # checked first
+HOST_TYPES = frozenset((np.ndarray, np.float64, float, int, str, type(None)))  # not JAX arrays
 
 
 def is_traced(values: Any) -> bool:
     """Return whether values are, or contain (in lists, tuples, dictionaries), a JAX array."""
-    jax = sys.modules.get("jax")  # where it was never imported, there is none of its arrays
+    jax = sys.modules.get("jax")  # if it was never imported, there are no JAX arrays
     if jax is None or type(values) in HOST_TYPES:
         return False
     if isinstance(values, dict):

@@ -1,1 +1,1 @@
-"""Files as tables: headers and cells as they are, and their faults; columns are matched later."""
+"""Reading of files as tables: unmatched headers and cells, and problems of files."""

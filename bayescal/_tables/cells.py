@@ -15,25 +15,25 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 
-EXAMPLE = "2026-11-22 10:00:00.123"
-# Month first, day first, year first; or hours first, of times of day.
+EXAMPLE = "2026-11-22 10:00:00.123"  # of a date, for messages
+# Orders of month, day and year in dates; of hours, minutes and seconds in times of day.
 ORDERS: tuple[str, ...] = ("mdy", "dmy", "ymd", "hms")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY = 86_400.0  # s
-# Forms of dates, and the groups of year, month and day in each, by the order that may be meant.
-_FORMS = {
+# Formats of dates, and the groups of year, month and day in each, by possible order.
+_DATE_FORMATS = {
     re.compile(r"(\d{4})([./-])(\d{1,2})\2(\d{2})(?!\d)"): {"": (1, 3, 4)},
     re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{2,4})(?!\d)"): {"": (3, 2, 1)},  # always the day first
     re.compile(r"(\d{1,2})([/-])(\d{1,2})\2(\d{2,4})(?!\d)"): {"mdy": (4, 1, 3), "dmy": (4, 3, 1), "ymd": (1, 3, 4)},
     re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,10})\.?[ -](\d{4})(?!\d)"): {"": (3, 2, 1)},  # 23-Nov-2026
     re.compile(r"([^\W\d_]{3,10})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
 }  # fmt: skip
-_BETWEEN = re.compile(r"\s*(?:[T,_-]|klo)?\s*")  # a date and its time of day
+_DATE_TIME_GAP = re.compile(r"\s*(?:[T,_-]|klo)?\s*")  # text between a date and its time of day
 _CLOCK = re.compile(
     r"(\d{1,4})([:.])(\d\d)(?:\2(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 _POINTS = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
-_MONTHS = {  # beginnings of their names in languages of Europe, without accents
+_MONTHS = {  # prefixes of their names in European languages, without accents
     "jan": 1, "gen": 1, "ene": 1, "tammi": 1, "feb": 2, "fev": 2, "helmi": 2, "mar": 3, "mrz": 3, "mrt": 3, "maa": 3,
     "apr": 4, "avr": 4, "abr": 4, "huhti": 4, "may": 5, "mai": 5, "mei": 5, "mag": 5, "maj": 5, "touko": 5, "jun": 6,
     "juin": 6, "giu": 6, "kesa": 6, "jul": 7, "juil": 7, "lug": 7, "heina": 7, "aug": 8, "aou": 8, "ago": 8, "elo": 8,
@@ -43,12 +43,12 @@ _MONTHS = {  # beginnings of their names in languages of Europe, without accents
 
 
 def parse_date(text: str) -> dict[str, float]:
-    """Parse a date or a time of day to s since 1970, by each of `ORDERS` in which it is valid; "" if unambiguous.
+    """Parse a date or a time of day to s since 1970, by each valid order of `ORDERS` ("" if unambiguous); else {}.
 
-    Accepted are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov
+    Accepted are ISO 8601, with or without a time zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov
     23, 2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and
-    times alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. The resolution of float64, a
-    quarter of a microsecond, is finer than the text's. Empty for any other text.
+    times alone, of which 10.11.12 may be a date. A date without a time zone is UTC. The resolution of float64 for such
+    times, a quarter of a microsecond, is finer than that of the texts.
     """
     text = text.strip()
     if text[4:5] == "-":
@@ -57,36 +57,36 @@ def parse_date(text: str) -> dict[str, float]:
             elapsed = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
             return {"": (elapsed.days * 86400 + elapsed.seconds) + elapsed.microseconds * 1e-6}
     if _POINTS.match(text):
-        clock, day = _parse_time(text, longest=23), _parse_days(text).get("")
+        clock, day = _parse_time(text, max_hours=23), _parse_days(text).get("")
         readings = {"hms": clock, "dmy": None if day is None else day * _DAY}
         if valid_readings := {name: value for name, value in readings.items() if value is not None}:
             return valid_readings
     elif _CLOCK.fullmatch(text) and ":" in text:
-        clock = _parse_time(text, longest=9999)
+        clock = _parse_time(text, max_hours=9999)
         return {} if clock is None else {"": clock}
     day, clock = _split_date_time(text)
     return {} if clock is None else {n: d * _DAY + clock for n, d in _parse_days(day).items()}
 
 
 def _split_date_time(text: str) -> tuple[str, float | None]:
-    """Split a date from the time of day after it, s; None if other text follows."""
-    found_date = next((match for form in _FORMS if (match := form.match(text))), None)
-    day = found_date[0] if found_date else ""
-    tail = _BETWEEN.sub("", text[len(day) :], count=1)
-    return day, _parse_time(tail, longest=23) if len(day) < len(text) else 0.0
+    """Split a text into a date and the time of day after it, s (None for other text)."""
+    date_match = next((match for form in _DATE_FORMATS if (match := form.match(text))), None)
+    day = date_match[0] if date_match else ""
+    tail = _DATE_TIME_GAP.sub("", text[len(day) :], count=1)
+    return day, _parse_time(tail, max_hours=23) if len(day) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
 def _parse_days(text: str) -> dict[str, int]:
     """Parse a date to days since 1970, by each possible order of day, month, year; "" if unambiguous."""
     days = dict[str, int]()
-    for form, orders in _FORMS.items():
+    for form, orders in _DATE_FORMATS.items():
         if not (match := form.fullmatch(text)):
             continue
         for order, parts in orders.items():
             with suppress(ValueError):
                 year, month, day = (match[part] for part in parts)
-                if len(year) in (2, 4):  # of two digits: of this century
+                if len(year) in (2, 4):  # two digits: this century
                     bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
                     name = max(filter(bare.startswith, _MONTHS), key=len, default="")
                     number = int(month) if month.isdigit() else _MONTHS.get(name, 0)
@@ -95,8 +95,8 @@ def _parse_days(text: str) -> dict[str, int]:
     return days
 
 
-def _parse_time(text: str, longest: int) -> float | None:
-    """Parse a time of day of at most `longest` hours to s, less its zone; None for other text."""
+def _parse_time(text: str, max_hours: int) -> float | None:
+    """Parse a time of day of at most `max_hours` hours to s, less its time zone; None for other text."""
     if not (match := _CLOCK.fullmatch(text.strip())):
         return None
     hours, _, minutes, seconds, fraction, am_pm, zone = match.groups()
@@ -104,11 +104,11 @@ def _parse_time(text: str, longest: int) -> float | None:
     if am_pm and not 1 <= hour <= 12:
         return None
     hour = hour % 12 + 12 * (am_pm in "Pp") if am_pm else hour
-    if hour > longest or int(minutes) > 59 or int(seconds or 0) > 59:
+    if hour > max_hours or int(minutes) > 59 or int(seconds or 0) > 59:
         return None
     zone = (zone or "+0000").replace("Z", "+0000").replace(":", "")
-    ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
-    seconds_of_day = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - ahead
+    offset = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:5]))
+    seconds_of_day = hour * 3600 + 60 * int(minutes) + int(seconds or 0) - offset
     return seconds_of_day + int((fraction or "0").ljust(9, "0")) * 1e-9
 
 
@@ -123,37 +123,37 @@ def format_date(seconds: float) -> str:
     return when.replace(tzinfo=None).isoformat(sep=" ")
 
 
-EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
-_MAX_SPAN_SECONDS = 1e7  # four months: a clock's microseconds, taken as milliseconds, last longer
+EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s since 1970, of the years 2000 and 2100
+_MAX_SPAN_SECONDS = 1e7  # four months; microseconds that are read as milliseconds span more
 
 
 def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Subtract the first time from seconds since 1970; return the differences and it, or other values and None.
+    """Subtract the earliest time from seconds since 1970; return the differences and it (other values: None).
 
-    Rounded to the microsecond, the resolution of float64 for seconds since 1970.
+    The differences are rounded to the microsecond, near the resolution of float64 for seconds since 1970.
     """
-    if detect_epoch_unit(seconds, longest=np.inf) != "s":
+    if detect_epoch_unit(seconds, max_span=np.inf) != "s":
         return seconds, None
     first = float(np.nanmin(seconds[np.isfinite(seconds)]))
     return np.round(seconds - first, 6), first
 
 
-def detect_epoch_unit(values: np.ndarray, longest: float = _MAX_SPAN_SECONDS) -> str | None:
-    """Return the unit (s, ms, us, ns) if numbers count from 1970; None if they do not, or it is ambiguous."""
+def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -> str | None:
+    """Return the unit (s, ms, us, ns) of times since 1970, by their magnitude; None for other numbers."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return None
     low, high = float(finite.min()), float(finite.max())
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         in_range = low * size >= EARLIEST and high * size <= LATEST
-        if in_range and (high - low) * size <= longest:
+        if in_range and (high - low) * size <= max_span:
             return unit
     return None
 
 
 _TEXT = np.dtypes.StringDType()
-MAX_BAD = 1000  # cells that are no number, of which the text is kept
-MISSING = frozenset(  # texts of loggers and C's printf for a missing reading
+MAX_BAD = 1000  # largest number of non-numeric cells whose text is stored
+MISSING = frozenset(  # texts that mark a missing reading, of loggers and C's printf
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
     + ("1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)")
 )
@@ -165,9 +165,9 @@ class Cells:
     """Cells of one column.
 
     Attributes:
-        values: float64, NaN where empty (or bad); or text, stripped, "" where empty.
-        bad: index → text of the cells that should be numbers and are not, the first 1000.
-        texts: the cells as text, where one is no number; None elsewhere.
+        values: float64, NaN for empty or invalid cells; or stripped text, "" for empty cells.
+        bad: index → text of invalid cells, which are not numbers as expected; the first 1000.
+        texts: all cells as text, if any is invalid; else None.
     """
 
     values: np.ndarray
@@ -176,24 +176,24 @@ class Cells:
 
     @property
     def dates(self) -> np.ndarray | None:
-        """Return the cells as text if the first cell that is no number is a date; else None."""
+        """Return the cells as text if the first non-numeric cell is a date; else None."""
         cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
-        first = next((text for text, odd in cells if odd and not is_missing(text)), "")
+        first = next((text for text, is_text in cells if is_text and not is_missing(text)), "")
         return self.texts if parse_date(first) else None
 
     def take(self, rows: np.ndarray) -> Cells:
-        """Select the cells of some rows."""
+        """Select cells by row index."""
         bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
         return Cells(self.values[rows], bad, None if self.texts is None else self.texts[rows])
 
     def on_days(self, days: Cells) -> Cells:
-        """Combine these times of day with the dates of another column; return self if they are not such columns."""
+        """Combine times of day with the dates of another column; return self if either column has other texts."""
         if self.dates is None or days.dates is None:
             return self
         texts = list[str]()
         for day, clock in zip(days.dates, self.dates, strict=True):
-            alone, begin = _split_date_time(day.strip())
-            stamp = f"{alone if begin == 0.0 else day} {clock}"  # Excel adds midnight to days
+            date_text, clock_of_day = _split_date_time(day.strip())
+            stamp = f"{date_text if clock_of_day == 0.0 else day} {clock}"  # Excel adds midnight to days
             if not parse_date(stamp) and parse_date(day) and parse_date(clock):
                 return self
             texts.append("" if is_missing(day) or is_missing(clock) else stamp)
@@ -213,10 +213,10 @@ class Cells:
 
 
 def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
-    """Parse a column of dates to s since 1970; any other text, numbers included, is bad.
+    """Parse a column of dates to s since 1970; other texts, also numbers, are invalid.
 
-    The order of month, day and year is `order`, or the only one in which all cells are dates. Otherwise the possible
-    orders are returned too.
+    The order of month, day and year is `order`, or the only order in which all cells are dates. If it is ambiguous, the
+    possible orders are returned too.
     """
     rows, bad, has_zone, unambiguous = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
     for i, text in enumerate(map(format_cell, texts)):
@@ -224,8 +224,8 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
             rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
             has_zone = has_time_zone(text) if has_zone is None else has_zone
             unambiguous &= "" in dates
-        is_wrong = has_time_zone(text) != has_zone if dates else not is_missing(text)
-        if is_wrong and len(bad) < MAX_BAD:
+        is_invalid = has_time_zone(text) != has_zone if dates else not is_missing(text)
+        if is_invalid and len(bad) < MAX_BAD:
             bad[i] = text
     if unambiguous:
         return Cells(rows[0], bad), []
@@ -241,17 +241,17 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
-    """Parse texts, one per reading, as numbers; keep the texts if one is no number, since they may be dates.
+    """Parse texts, one per reading, as numbers; keep the texts if any is not a number, since they may be dates.
 
-    Empty, "nan" and other marks of a missing reading are NaN; `decimal` is a point or a comma.
+    Empty texts, "nan" and other marks of missing readings give NaN; `decimal` is a point or a comma.
     """
-    with_points = [_replace_comma(text) for text in texts] if decimal == "," else texts
-    all_text = "".join(with_points)
-    # Python's float also accepts underscores and other scripts' digits
+    normalised = [_replace_comma(text) for text in texts] if decimal == "," else texts
+    all_text = "".join(normalised)
+    # Python's float also accepts underscores and digits of other scripts
     if all_text.isascii() and "_" not in all_text:
         with suppress(ValueError):
-            return Cells(np.fromiter(map(float, with_points), np.float64, len(with_points)))
-    values = np.fromiter(map(to_number, with_points), np.float64, len(with_points))
+            return Cells(np.fromiter(map(float, normalised), np.float64, len(normalised)))
+    values = np.fromiter(map(to_number, normalised), np.float64, len(normalised))
     invalid = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
     bad = {i: texts[i].strip() for i in invalid[:MAX_BAD]}
     return Cells(values, bad, np.array(texts, _TEXT) if invalid else None)
@@ -263,47 +263,47 @@ def is_missing(text: str) -> bool:
 
 
 def _replace_comma(text: str) -> str:
-    """Convert a decimal comma to a point; a number with a point, which separates thousands, becomes invalid."""
+    """Replace a decimal comma by a point; make a number with a point (thousands separator) invalid."""
     if DECIMAL_COMMA.fullmatch(text.strip()):
         return text.replace(",", ".")
     return "?" if "." in text and not np.isnan(to_number(text)) else text
 
 
 def to_number(text: str) -> float:
-    """Parse a number; NaN for any other text."""
+    """Parse a number; return NaN for any other text."""
     try:
         return float(text) if text.isascii() and "_" not in text else np.nan
     except ValueError:
         return np.nan
 
 
-def to_cells(values: object, number: bool) -> Cells:
+def to_cells(values: object, is_number: bool) -> Cells:
     """Convert an array or a list, one entry per reading, to the cells of one column, of numbers or of labels."""
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)
-    if number and array.dtype.kind in "iuf":
+    if is_number and array.dtype.kind in "iuf":
         return Cells(array.astype(np.float64))
-    text = array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType)
-    if number and not text:
+    has_text = array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType)
+    if is_number and not has_text:
         bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
-    missing = getattr(sys.modules.get("pandas"), "NA", None)  # which only pandas makes
+    missing = getattr(sys.modules.get("pandas"), "NA", None)  # exists only if pandas is imported
     texts = [format_cell(value, missing) for value in array.tolist()]
-    return to_numbers(texts) if number else Cells(np.array(texts, dtype=object))
+    return to_numbers(texts) if is_number else Cells(np.array(texts, dtype=object))
 
 
 def broadcast_columns(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """Broadcast columns to vectors of one length; a single value holds for every reading.
+    """Broadcast columns to vectors of equal length; a single value applies to all readings.
 
     Raises:
-        InputError: lengths differ, or a column is no vector.
+        InputError: lengths differ, or a column is not a vector.
     """
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     lengths = {len(array) for array in arrays.values() if array.ndim == 1}
     if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
         shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-        raise InputError(f"columns must be vectors of one length, these are: {shapes}")
+        raise InputError(f"columns must be vectors of equal length, not of shapes: {shapes}")
     rows = lengths.pop() if lengths else 1
     return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 

@@ -1,6 +1,6 @@
-"""Parquet, NetCDF, Excel and MATLAB as tables: numbers and text only, no code of a file is evaluated.
+"""Readers of Parquet, NetCDF, Excel and MATLAB files: numbers and text only, no code in a file is executed.
 
-Modules that only one of them needs are imported inside.
+Modules needed by one format only are imported in its function.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from bayescal._tables.raw_table import (
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a Parquet file; units stand in the column names or in the fields' metadata. Arguments as `open_table`."""
+    """Open a Parquet file; units are in column names or the fields' metadata. Arguments as in `open_table`."""
     with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
         check_width(file, opened.metadata.num_columns)
         schema, rows = opened.schema_arrow, opened.metadata.num_rows
@@ -53,7 +53,7 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
                 else:
                     values = column.to_pandas().to_numpy(object)
                 cells[position] = to_cells(values, number)
-        pa.default_memory_pool().release_unused()  # unpacked buffers, as large as the numbers
+        pa.default_memory_pool().release_unused()  # unpacked buffers are as large as the numbers
         return cells
 
     units = ((field.metadata or {}).get(b"units") for field in schema)
@@ -62,12 +62,12 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a NetCDF-4 file: variables along one dimension, units in `units`. Arguments as `open_table`."""
-    import h5py  # a tenth of a second that only NetCDF needs
+    """Open a NetCDF-4 file: variables along one dimension, units in attributes `units`. Arguments as `open_table`."""
+    import h5py  # takes a tenth of a second
     import xarray as xr  # half a second
 
     with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
-        # h5netcdf, failing at this, would print its own complaint later
+        # an invalid attribute would make h5netcdf print an error later
         hdf5.attrs.get("_nc3_strict")
         unpacked.refuse_hdf5(hdf5, file, path.stat().st_size)
     with (
@@ -78,8 +78,8 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         dimensions = {str(v.dims[0]) for v in vectors.values()}
         if ROW not in dimensions and len(dimensions) > 1:
             raise InputError(
-                f"{file!r} has variables along {', '.join(sorted(dimensions))}: which are the readings cannot be told. "
-                f"Give its variables one dimension, best called {ROW!r}"
+                f"{file!r} has variables along {', '.join(sorted(dimensions))}, so that the dimension of readings is "
+                f"ambiguous. Save variables of one dimension, preferably called {ROW!r}"
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
         columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == chosen}
@@ -89,10 +89,10 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
-    """Open an Excel file (.xlsx): the first sheet with cells in it. Arguments as `open_table`.
+    """Open an Excel file (.xlsx): the first sheet that is not empty. Arguments as in `open_table`.
 
     Raises:
-        InputError: openpyxl is not installed, it is no such file, or too large once unpacked.
+        InputError: openpyxl is not installed, or the file is invalid, or too large when unpacked.
     """
     try:
         from openpyxl import load_workbook
@@ -102,7 +102,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
         with ZipFile(path) as archive:
-            total = sum(entry.file_size for entry in archive.infolist())  # a limit of unpacking
+            total = sum(entry.file_size for entry in archive.infolist())  # unpacked size
         unpacked.refuse_unpacked(file, path.stat().st_size, total, unpacked.SHEET)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
@@ -115,7 +115,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
-    """Format a sheet as a line of tab-separated cells for each row, the first of a repeated number; empty for none."""
+    """Format a sheet as text, a line of tab-separated cells per row; empty for a sheet without cells."""
     rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
     for values in sheet.iter_rows(values_only=True):
@@ -128,19 +128,19 @@ def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
-    """Open a MATLAB file (.mat): vectors of one length, the fields of a structure too, are its columns.
+    """Open a MATLAB file (.mat): its columns are vectors of equal length, including fields of structures.
 
-    The columns of a matrix `data` are called `data(:,1)` and so on. Arguments as `open_table`.
+    The columns of a matrix `data` are called `data(:,1)` and so on. Arguments as in `open_table`.
 
     Raises:
-        InputError: it is no such file, or has vectors of several lengths to choose from.
+        InputError: the file is invalid, or has vectors of several lengths.
     """
     from scipy.io import loadmat
 
     with as_format(file, "MATLAB (.mat)"):
         with path.open("rb") as handle:
-            old = b"MATLAB 7.3" not in handle.read(128)
-        if old:
+            is_before_73 = b"MATLAB 7.3" not in handle.read(128)
+        if is_before_73:
             unpacked.refuse_matlab(path, file)
             loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
             variables = {name: value for name, value in loaded.items() if not name.startswith("__")}
@@ -151,8 +151,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
         raise InputError(
-            f"{file!r} holds vectors of {len(lengths) or 'no'} lengths, and which are its readings cannot be told: "
-            f"{sizes}. Save those of one length, as numbers or text (tables and timetables by table2struct(T, "
+            f"{file!r} contains vectors of {len(lengths) or 'no'} lengths, so that its readings are ambiguous: "
+            f"{sizes}. Save vectors of one length, as numbers or text (tables and timetables by table2struct(T, "
             "ToScalar=true))"
         )
     rows = lengths.pop()
@@ -162,15 +162,15 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
-    """Load the variables of a file of version 7.3: arrays are stored transposed, text as character codes."""
+    """Load the variables of a MATLAB 7.3 file: transposed arrays, and text as character codes."""
     import h5py
 
     def value(node: Any) -> Any:
         if isinstance(node, h5py.Group):
             return {str(name): value(node[name]) for name in node if not str(name).startswith("#")}
-        kind = node.attrs.get("MATLAB_class", b"")
+        matlab_class = node.attrs.get("MATLAB_class", b"")
         array = node[()].T
-        if kind == b"char":
+        if matlab_class == b"char":
             return np.array(["".join(map(chr, row)) for row in np.atleast_2d(array)])
         return np.squeeze(array) if array.dtype.kind in "iufb" else None
 
@@ -180,7 +180,7 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
 
 
 def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
-    """Split a variable into columns: a vector, those of a matrix, or of a structure's fields."""
+    """Split a variable into named columns: a vector, the columns of a matrix, or those of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
         public = {n: v for n, v in fields.items() if not n.startswith("_")}

@@ -1,4 +1,4 @@
-"""Mapping files: TOML with the options of reading, for the next file."""
+"""Mapping files: TOML files with options of reading, for reuse with further files."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def load_mapping(path: Path) -> dict[str, Any]:
     """Load a saved mapping, as arguments of `bayescal.read`.
 
     Raises:
-        InputError: no such file, no TOML, or an entry that no mapping has; names the entries that there are.
+        InputError: the file does not exist, is not TOML, or has an unknown or invalid entry.
     """
     return read_toml(path, ReadMapping, f"--mapping {path}", "Correct or remove it")
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
-    """Write a mapping, without empty entries; raise InputError where the place cannot be written to."""
+    """Write a mapping without its empty entries; raise InputError if the file cannot be written."""
     single = [f"{n} = {_value(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
     lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *single]
     for name, table in mapping.items():
@@ -49,5 +49,5 @@ def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
 
 
 def _value(value: str | float | Sequence[str]) -> str:
-    """Format a value as TOML: JSON's quoting, but for the character 7F, which TOML does not allow."""
+    """Format a value as TOML: as JSON, with the character 7F escaped, which TOML requires."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

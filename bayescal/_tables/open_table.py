@@ -1,4 +1,4 @@
-"""Opening of a file as a table, in the format of its suffix."""
+"""Opening of files as tables, in the format given by the suffix."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import Table, format_bytes, unusable
 
-MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused before memory runs out
-TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
-LOGS = (".ulg", ".bin")  # which an annex reads
-READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOGS)
+MAX_BYTES = 2_000_000_000  # size of a file, and of its numbers in memory; larger files are refused
+TEXT_SUFFIXES = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
+LOG_SUFFIXES = (".ulg", ".bin")  # read by an annex
+READ = (*TEXT_SUFFIXES, ".parquet", ".nc", ".xlsx", ".mat", *LOG_SUFFIXES)
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
-    """Check the files before any is opened, and return their names for messages.
+    """Check files before any is opened, and return their names for messages.
 
     Raises:
-        InputError: no file, one twice, one that is not there or is no file, or all are too large.
+        InputError: no file is given, or one twice; a file does not exist or is a folder; or all are too large together.
     """
     if not paths:
-        raise InputError("no file was given to read: give at least one")
+        raise InputError("no file was given: give at least one")
     for path, count in Counter(path.resolve() for path in paths).items():
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
@@ -39,18 +39,18 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
         with _reachable(path):
             size = path.stat().st_size
         if not path.is_file():
-            raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
+            raise unusable(str(path), "is not a file", "give a file, or all files of the folder")
         total += size
         if total > max_bytes:
-            limit = f"the limit is {format_bytes(max_bytes)}, and nothing was loaded"
+            limit = f"above the limit of {format_bytes(max_bytes)}"
             cure = "Average the readings, read fewer files, or raise max_bytes in Python"
-            raise unusable(name, f"brings all files to {format_bytes(total)}, {limit}", cure)
+            raise unusable(name, f"makes the total size {format_bytes(total)}, {limit}", cure)
     return names
 
 
 @contextmanager
 def _reachable(path: Path) -> Iterator[None]:
-    """Raise InputError for a file that the system cannot open."""
+    """Convert an OSError in the `with` block to an InputError about the file."""
     try:
         yield
     except OSError as error:
@@ -63,25 +63,25 @@ def open_table(
     name: str,
     max_bytes: int = MAX_BYTES,
     decimal: str = "",
-    asked: Collection[str] = (),
+    channels: Collection[str] = (),
 ) -> Table:
-    """Open a file as a table of at most `max_bytes`; `decimal` as `parse_text`, `asked` are the channels of a log.
+    """Open a file as a table of at most `max_bytes`; `decimal` as in `parse_text`; `channels`: those read from a log.
 
     Raises:
-        InputError: another suffix, a file that is not what its suffix says, or that cannot be read.
+        InputError: an unknown suffix, a file in another format than its suffix indicates, or an unreadable file.
     """
     suffix = path.suffix.lower()
     if suffix not in READ:
-        what = repr(suffix) if suffix else "a file without a suffix"
-        raise InputError(f"{name!r}: {what} cannot be read. Give one of {', '.join(READ)}")
+        kind = repr(suffix) if suffix else "a file without a suffix"
+        raise InputError(f"{name!r}: {kind} cannot be read. Give one of {', '.join(READ)}")
     with _reachable(path):
-        if suffix in TEXT:
-            data = path.read_bytes()  # of the very bytes that are parsed
+        if suffix in TEXT_SUFFIXES:
+            data = path.read_bytes()  # the digest is of the parsed bytes
             table = parse_text(data, name, decimal).table()
             return replace(table, sha256=hashlib.sha256(data).hexdigest())
-        if suffix in LOGS:
-            table = first_offered("log", f"{name!r}, a log,")(path, name, asked)
-        else:  # a second that text does without
+        if suffix in LOG_SUFFIXES:
+            table = first_offered("log", f"{name!r}, a log,")(path, name, channels)
+        else:  # takes a second, not needed for text
             from bayescal._tables import formats
 
             openers = {".xlsx": formats.open_excel, ".mat": formats.open_matlab}

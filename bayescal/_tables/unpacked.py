@@ -1,7 +1,7 @@
 """Checks of the unpacked size of a file before it is unpacked, against decompression bombs.
 
-A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, nested lists may exhaust
-the stack of the library that reads them, and a file may link to others. Readings do none of that.
+A few megabytes of zeros unpack to gigabytes, arrays may be declared but never written, nested lists may exhaust the
+stack of the library that reads them, and a file may link to others. Files of readings have none of these.
 """
 
 from __future__ import annotations
@@ -16,66 +16,66 @@ from typing import Any
 from bayescal._tables.raw_table import format_bytes, unusable
 
 SHEET, ARRAYS = (25, 2e7), (100, 1e8)
-"""Largest ratio of unpacked to packed size of a format, and unpacked bytes that are always allowed.
+"""Limits of a format: ratio of unpacked to packed size, and unpacked size in bytes that is always allowed.
 
-Measured: a sheet of constants 10 times, MATLAB's compressed doubles 4 to 7 times, and 700 times a constant alone.
+Measured ratios: sheet of constants 10, MATLAB's compressed doubles 4 to 7, a single constant 700.
 """
-_OBJECTS = 100_000  # groups and arrays of an HDF5 file
+_MAX_OBJECTS = 100_000  # number of groups and arrays of an HDF5 file
 _AS_CSV = "Save the readings as CSV"
 
 
 def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[float, float]) -> None:
-    """Raise InputError where a file unpacks to far more than readings do."""
-    times, free = limit
-    if unpacked > max(free, times * packed):
+    """Raise InputError if the unpacked size of a file exceeds the limits of its format."""
+    max_ratio, min_bytes = limit
+    if unpacked > max(min_bytes, max_ratio * packed):
         fault = (
-            f"holds {format_bytes(packed)} that unpack to {format_bytes(unpacked)} or more, at least "
-            f"{unpacked / packed:,.0f} times as much; at most {times:g} times are read"
+            f"unpacks from {format_bytes(packed)} to {format_bytes(unpacked)} or more, a ratio of "
+            f"{unpacked / packed:,.0f}, above the limit of {max_ratio:g}"
         )
         raise unusable(file, fault, _AS_CSV)
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
-    """Raise InputError where an open HDF5 file states too much, has a group in itself, or links to other files."""
-    import h5py  # a tenth of a second that other formats do without
+    """Raise InputError if an open HDF5 file is too large, has circular groups, or links to other files."""
+    import h5py  # takes a tenth of a second
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
-    total, waiting, visited = 0, [opened], {h5o.get_info(opened.id).addr}
-    while waiting:
-        group = waiting.pop()
+    total, pending, visited = 0, [opened], {h5o.get_info(opened.id).addr}
+    while pending:
+        group = pending.pop()
         for name in group:
-            inner, hard = f"{group.name.rstrip('/')}/{name}", group.get(name, getlink=True)
-            node = group[name] if isinstance(hard, h5py.HardLink) else None
-            array = isinstance(node, h5py.Dataset)
-            if node is None or (array and (node.is_virtual or node.external)):
-                fault = f"is not all there: {inner} is a link to somewhere else, or its numbers stand in another file"
+            path, link = f"{group.name.rstrip('/')}/{name}", group.get(name, getlink=True)
+            node = group[name] if isinstance(link, h5py.HardLink) else None
+            is_array = isinstance(node, h5py.Dataset)
+            if node is None or (is_array and (node.is_virtual or node.external)):
+                fault = f"is incomplete: {path} is a link, or its numbers are in another file"
                 raise unusable(file, fault, "Save the readings in the file itself")
             address = h5o.get_info(node.id).addr
-            if len(visited) > _OBJECTS or (address in visited and not array):
-                fault = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
+            if len(visited) > _MAX_OBJECTS or (address in visited and not is_array):
+                fault = f"has the group {path} twice, or over {_MAX_OBJECTS:,} arrays and groups"
                 raise unusable(file, fault, _AS_CSV)
             visited.add(address)
-            total += int(node.size or 0) * node.dtype.itemsize if array else 0
-            waiting += [node] * isinstance(node, h5py.Group)
+            total += int(node.size or 0) * node.dtype.itemsize if is_array else 0
+            pending += [node] * isinstance(node, h5py.Group)
     refuse_unpacked(file, size, total, ARRAYS)
 
 
-# Elements of a MATLAB file up to 7.2, and classes of arrays that hold others: cells, structures, objects, functions,
-# opaque ones ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
-_COMPRESSED, _HOLDS_OTHERS, _FUNCTION = 15, b"[\x01\x02\x03\x10\x11]", 16
-_MAX_CONTAINERS = 2000  # in a file: their reader is recursive, and some thousands exhaust the stack
+# Elements of a MATLAB file up to 7.2, and classes of arrays that contain others: cells, structures, objects, functions,
+# opaque objects ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
+_COMPRESSED, _CONTAINER_CLASSES, _FUNCTION = 15, b"[\x01\x02\x03\x10\x11]", 16
+_MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of the recursive reader
 
 
 def refuse_matlab(path: Path, file: str) -> None:
-    """Raise InputError where a MATLAB file up to 7.2 unpacks to too much, or states or nests too many containers."""
-    size, total, holding = path.stat().st_size, 0, 0
+    """Raise InputError if a MATLAB file up to 7.2 is too large when unpacked, or has too many containers."""
+    size, total, containers = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
-        head = handle.read(128)
-        if 0 in head[:4]:  # version 4: plain matrices, each as long as the file has bytes for
+        header = handle.read(128)
+        if 0 in header[:4]:  # version 4: uncompressed matrices
             return
-        order = ">" if head[126:] == b"MI" else "<"
-        # The array's flags with its class, before its dimensions.
-        kinds = b"..." * (order == ">") + _HOLDS_OTHERS
+        order = ">" if header[126:] == b"MI" else "<"
+        # Pattern of the array flags with the class, which precede the dimensions.
+        kinds = b"..." * (order == ">") + _CONTAINER_CLASSES
         flags = re.compile(re.escape(struct.pack(f"{order}II", 6, 8)) + kinds, re.DOTALL)
         while len(tag := handle.read(8)) == 8:
             kind, length = struct.unpack(f"{order}II", tag)
@@ -88,12 +88,12 @@ def refuse_matlab(path: Path, file: str) -> None:
                 total += len(data)
                 refuse_unpacked(file, size, total, ARRAYS)
             for match in flags.finditer(data):
-                holding += 1
+                containers += 1
                 count = 1
-                if data[match.end() - 1] < _FUNCTION:  # others state no dimensions
+                if data[match.end() - 1] < _FUNCTION:  # others have no dimensions
                     (size_bytes,) = struct.unpack_from(f"{order}I", data, match.start() + 20)
                     form = f"{order}{size_bytes // 4}i"
                     count = math.prod(struct.unpack_from(form, data, match.start() + 24))
-                if holding > _MAX_CONTAINERS or 8 * count > len(data):
+                if containers > _MAX_CONTAINERS or 8 * count > len(data):
                     fault = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
                     raise unusable(file, fault, _AS_CSV)

@@ -1,4 +1,4 @@
-"""Writing of readings as CSV, with the units where `read` finds them; the file is replaced atomically."""
+"""Atomic writing of readings as CSV, in the format that `read` reads."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from bayescal._core.quoting import csv_cell
 def write(
     columns: Mapping[str, np.ndarray], units: Mapping[str, str | None], path: str | Path
 ) -> Path:
-    """Write readings to a .csv file, numbers with all their digits and NaN as empty cells, and return the path.
+    """Write readings to a .csv file, numbers with all digits and NaN as empty cells; return the path.
 
-    `units` are of numbers, None for labels.
+    `units`: column → unit of numbers, None for labels.
 
     Raises:
-        InputError: another suffix, no such folder, or a place that cannot be written to.
+        InputError: the suffix is not .csv, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":

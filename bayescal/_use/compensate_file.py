@@ -26,11 +26,11 @@ from bayescal._data.header_matching import MatchedFile, split_trailing_unit
 from bayescal._data.measurements import Measurements
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
 from bayescal._tables.csv_reader import CsvText, parse_text
-from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
+from bayescal._tables.open_table import MAX_BYTES, TEXT_SUFFIXES, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, load_whole
 from bayescal._use.compensator import Compensator, Method
 
-NATIVE_SUFFIXES = (*TEXT, ".parquet")  # of files written in the format of the input
+NATIVE_SUFFIXES = (*TEXT_SUFFIXES, ".parquet")  # of files written in the format of the input
 CSV_SUFFIXES = (".xlsx", ".mat")
 ROWS_PER_BATCH = 200_000  # of Parquet
 
@@ -101,7 +101,7 @@ def compensate_file(
             "read the columns, and compensate these: bc.compensator(…)(bc.read(…))"
         )
     output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
-    if out.suffix.lower() != output_suffix and not (suffix in TEXT and out.suffix.lower() in TEXT):
+    if out.suffix.lower() != output_suffix and not {suffix, out.suffix.lower()} <= {*TEXT_SUFFIXES}:
         raise InputError(
             f"{out.name!r}: the output file of {path.name!r} must end in {output_suffix}"
         )
