@@ -40,14 +40,14 @@ def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     z^|j|, z = √3 − 2. Outside a record the column is extrapolated as constant.
     Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
     """
-    ordered, place = xp.asarray(values)[r.order], xp.arange(r.size)
+    sorted_values, position = xp.asarray(values)[r.order], xp.arange(r.size)
     is_run_start = r.step <= 0
-    first_index = xp.maximum.accumulate(xp.where(is_run_start, place, 0))
-    closing = xp.where(xp.append(is_run_start[1:], True), place, r.size - 1)
+    first_index = xp.maximum.accumulate(xp.where(is_run_start, position, 0))
+    closing = xp.where(xp.append(is_run_start[1:], True), position, r.size - 1)
     last_index = xp.minimum.accumulate(closing[::-1])[::-1]
 
     def shift_values(shift: int) -> Any:
-        return ordered[xp.clip(place + shift, first_index, last_index)]
+        return sorted_values[xp.clip(position + shift, first_index, last_index)]
 
     weights = {j: SPLINE_DECAY ** abs(j) for j in range(-NEIGHBOUR_COUNT, NEIGHBOUR_COUNT + 1)}
     total = 2.0 * sum(weights.values())

@@ -38,7 +38,7 @@ Law = Literal["exact", "document"]
 
 
 @dataclass(frozen=True)
-class Compensated:
+class CompensatedTilts:
     """Tilts of both axes with standard uncertainties, rad, one entry per pair of readings.
 
     Attributes:
@@ -52,6 +52,9 @@ class Compensated:
     sd_x: np.ndarray
     sd_y: np.ndarray
     passes: int
+
+
+Compensated = CompensatedTilts  # the former name
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ def compensate(
     axes: tuple[str, str] = ("x", "y"),
     device: str | None = None,
     **covariates: Any,
-) -> Compensated:
+) -> CompensatedTilts:
     """Compensate readings of both axes of an inclinometer.
 
     Args:
@@ -124,20 +127,16 @@ def compensate(
     axis_x, axis_y = (_make_axis(calibration, axis, device, covariates) for axis in axes)
     if law == "document":
         x, y = axis_x.zero(ry), axis_y.zero(rx)
-        return Compensated(rx + x.value, ry + y.value, x.uncertainty, y.uncertainty, 1)
+        return CompensatedTilts(rx + x.value, ry + y.value, x.uncertainty, y.uncertainty, 1)
     x, y, passes = _solve_tilts(axis_x, axis_y, rx, ry)
     sd_x, sd_y = axis_x.tilt(rx, y).uncertainty, axis_y.tilt(ry, x).uncertainty
-    return Compensated(x, y, sd_x, sd_y, passes)
+    return CompensatedTilts(x, y, sd_x, sd_y, passes)
 
 
 def _solve_tilts(
     axis_x: _Axis, axis_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Solve for the tilts at the posterior mean, rad; return them and the number of iterations.
-
-    Raises:
-        InputError: the iteration does not converge.
-    """
+    """Solve for the tilts at the posterior mean, rad, and count iterations. InputError: no convergence."""
     x, y = rx, ry
     for iteration in range(MAX_ITERATIONS):
         new_x, new_y = axis_x.tilt(rx, y).value, axis_y.tilt(ry, x).value

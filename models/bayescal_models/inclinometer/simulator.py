@@ -113,10 +113,10 @@ def _zero_test(plan: Campaign, prefix: str):
         angles = np.concatenate([sweep, sweep[::-1]])
         forward = np.concatenate([forward, -forward])
         since_reversal = np.concatenate([since_reversal, np.abs(sweep[::-1] - sweep[-1])])
-    zero = np.zeros(angles.size)
+    zero_tilt = np.zeros(angles.size)
     for (axis, _), run in product(plan.axes, range(1, plan.runs + 1)):
         labels = [axis] * angles.size, [f"{prefix}{axis}{run}"] * angles.size
-        yield labels, (np.deg2rad(angles), zero, forward, since_reversal)
+        yield labels, (np.deg2rad(angles), zero_tilt, forward, since_reversal)
 
 
 def _verification(plan: Campaign, prefix: str):

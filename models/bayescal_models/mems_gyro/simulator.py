@@ -150,9 +150,9 @@ def _drift_law(test: Conditions) -> Array:
     return _mix_terms(test, elapsed_fraction, np.log2(1.0 + elapsed_fraction))
 
 
-def _mix_terms(test: Conditions, leading: Array, law: Array) -> Array:
+def _mix_terms(test: Conditions, leading: Array, full_law: Array) -> Array:
     """Return the leading term of a law plus `plan.nonlinearity` times its higher-order terms."""
-    return leading + test.plan.nonlinearity * (law - leading)
+    return leading + test.plan.nonlinearity * (full_law - leading)
 
 
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(

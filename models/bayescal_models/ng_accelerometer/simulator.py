@@ -235,8 +235,8 @@ def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array
     """Return the noise-free output at each instant, µg, (n, m)."""
     slots: dict[str, Array] = {}
     for name in contributions:
-        for slot, part in contributions[name]:
-            slots[slot] = slots.get(slot, 0.0) + part
+        for slot, contribution in contributions[name]:
+            slots[slot] = slots.get(slot, 0.0) + contribution
     zero = np.zeros_like(test.time)
     a, ap = gravity(
         test.tilt + slots.get("base_tilt_perp", zero),

@@ -116,7 +116,7 @@ class _Schedule:
         self.readings: list[tuple[int, int, float, float, float, float]] = []
         self.set_points: list[tuple[float, float]] = []
         self.power: list[tuple[float, float]] = []
-        now, cells, previous_end = 0.0, 0, 0.0
+        clock, cell_count, previous_end = 0.0, 0, 0.0
         angles = [2 * np.pi * k / plan.positions for k in range(plan.positions)]
         all_set_ups = [SetUp(tilt, angle) for tilt in plan.tilts for angle in angles]
         for run, set_ups in enumerate([[s] for s in plan.set_ups] or [all_set_ups] * plan.runs):
@@ -125,20 +125,20 @@ class _Schedule:
             for point_index, point in enumerate(order):
                 if point_index == 0:
                     self.set_points.append((previous_end, point))
-                    now += plan.soak
-                    self.power.append((max(now - POWER_ON_LEAD_S, 0.0), now))
+                    clock += plan.soak
+                    self.power.append((max(clock - POWER_ON_LEAD_S, 0.0), clock))
                 else:
-                    self.set_points.append((now, point))
-                    now += abs(point - order[point_index - 1]) / plan.ramp * 60.0 + plan.soak
+                    self.set_points.append((clock, point))
+                    clock += abs(point - order[point_index - 1]) / plan.ramp * 60.0 + plan.soak
                 for set_up in set_ups:
-                    now += MOVE_DURATION_S
+                    clock += MOVE_DURATION_S
                     for _ in range(plan.repeats):
-                        now = STEP_S * np.ceil(now / STEP_S)
-                        self.readings.append((run, cells, point, *set_up, now))
-                        now += READING_S
-                cells += 1
-            self.power[-1] = (self.power[-1][0], now)
-            previous_end, now = now, now + plan.pause
+                        clock = STEP_S * np.ceil(clock / STEP_S)
+                        self.readings.append((run, cell_count, point, *set_up, clock))
+                        clock += READING_S
+                cell_count += 1
+            self.power[-1] = (self.power[-1][0], clock)
+            previous_end, clock = clock, clock + plan.pause
         self.end = self.readings[-1][-1] + 2 * READING_S
 
 
