@@ -58,13 +58,13 @@ class Subject:
 
 def conflicts(subject: Subject) -> list[Claim]:
     """Return contradictions of readings and priors, which do not depend on the residual checks."""
-    claims = [*contradicted_priors(subject), *widened_coefficients(subject)]
+    claims = [*contradicted_priors(subject), *find_widened_coefficients(subject)]
     return [*claims, *group_sds_beyond_range(subject), *implausible_curves(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
     """Return claims of implausible deviations of group members."""
-    return [*implausible_members(subject), *members_following_terms(subject)]
+    return [*find_implausible_members(subject), *find_members_following_terms(subject)]
 
 
 def contradictions(
@@ -81,9 +81,9 @@ def residual_claims(subject: Subject) -> list[Claim]:
     """Return failed residual checks; only the first claim if the fit did not converge or fixed values are wrong."""
     if claims := [*find_nonconvergence(subject)]:
         return claims
-    claims += [*find_infinite_evidence(subject), *subject.mode_claims, *slow_noise(subject)]
+    claims += [*find_infinite_evidence(subject), *subject.mode_claims, *find_slow_noise(subject)]
     claims += [*normality(subject), *dependence(subject)]
-    return [*claims, *steps_between_runs(subject), *autocorrelation(subject)]
+    return [*claims, *find_steps_between_runs(subject), *autocorrelation(subject)]
 
 
 def failures(subject: Subject) -> list[Claim]:
@@ -150,7 +150,7 @@ def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]])
             yield Claim(PRIOR_CODE, u.name, effect.name, **numbers)
 
 
-def widened_coefficients(subject: Subject) -> Iterator[Claim]:
+def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
     """Yield claims of coefficients whose posterior is wider than the prior, unless a confounder is the cause."""
     keys = {name for confounder in subject.fit.confounders for name in confounder.coefficients}
     confounded_names = {u.name for u in subject.fit.unknowns if u.key in keys}
@@ -211,7 +211,7 @@ def rounding_claims(subject: Subject) -> Iterator[Claim]:
         yield Claim("output.rounded", grid=step, unit=subject.fit.unit)
 
 
-def implausible_members(subject: Subject) -> Iterator[Claim]:
+def find_implausible_members(subject: Subject) -> Iterator[Claim]:
     """Yield a claim of each group's member with the largest deviation, if it is far beyond the plausible.
 
     An estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
@@ -233,7 +233,7 @@ def implausible_members(subject: Subject) -> Iterator[Claim]:
             yield Claim("group.too_different", b.effect.name, **member_numbers, **numbers)
 
 
-def members_following_terms(subject: Subject) -> Iterator[Claim]:
+def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
     """Yield claims of groups whose members' deviations correlate with a term of the same slot.
 
     A term has one coefficient, within and between members. With a late or noisy thermometer, the regression slope
@@ -395,7 +395,7 @@ def stands_in_for_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
     return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white
 
 
-def slow_noise(subject: Subject) -> Iterator[Claim]:
+def find_slow_noise(subject: Subject) -> Iterator[Claim]:
     fit = subject.fit
     noise, values = fit.model.noise, fit.problem.hyper(fit.mode.v)
     if not noise.independent and stands_in_for_effect(noise, values):
@@ -428,7 +428,7 @@ def dependence(subject: Subject) -> list[Claim]:
     return claims
 
 
-def steps_between_runs(subject: Subject) -> Iterator[Claim]:
+def find_steps_between_runs(subject: Subject) -> Iterator[Claim]:
     """Yield a claim of an effect of time that is constant within runs, so that a new run cannot be predicted."""
     fit = subject.fit
     for effect in fit.model.effects:

@@ -296,7 +296,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     for used in model.effects:
         if saved[used.name] != (current := unknowns_of(used)):
             raise InputError(
-                f"{path.name} was fitted with another effect {used.name!r} than the one given now: then "
-                f"{saved[used.name]}; now {current}. Give the one it was fitted with: {EFFECT_FIX}"
+                f"{path.name} was fitted with another definition of the effect {used.name!r}: saved "
+                f"{saved[used.name]}; given {current}. Give the saved definition: {EFFECT_FIX}"
             )
     return replace(model, fixed=tuple(metadata["fixed"].items()))

@@ -157,7 +157,7 @@ def report(
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"a report is HTML: name the file …html, not {path.name!r}")
+        raise InputError(f"a report is an HTML file: its name must end in .html, not {path.name!r}")
     if isinstance(certificate, str | Path):
         certificate = first_offered("certificate", "certificate=")(certificate)
     results = given if isinstance(given, list | tuple) else [given]

@@ -113,7 +113,7 @@ def summarise_candidate(
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
         factor = fit_with.log_evidence - fit.log_evidence
-        fitted_fields = _fitted_size(structures.candidates[form], fit_with)
+        fitted_fields = _measure_fitted_size(structures.candidates[form], fit_with)
         return replace(candidate, log_bayes_factor=factor, source="refit", **fitted_fields)
     if not points:
         return candidate
@@ -133,7 +133,7 @@ def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) ->
     return tuple(claims)
 
 
-def _fitted_size(effect, fit: EvaluatedStructure) -> dict:
+def _measure_fitted_size(effect, fit: EvaluatedStructure) -> dict:
     """Return an effect's size with its uncertainty, and its shapes, at the mode of a fit."""
     problem, mode = fit.problem, fit.mode
     hyper = problem.hyper(mode.v)

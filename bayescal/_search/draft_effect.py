@@ -43,7 +43,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     x = np.asarray(frame.position(covariate)) - 0.5
     curve = calibration.linear.contribution(name)
     rows = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
-    text, basis = _closest_formula(x[rows], curve[rows])
+    text, basis = _find_closest_formula(x[rows], curve[rows])
     slot, word = effect.slot, identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
@@ -67,7 +67,7 @@ def {word}(r):  # columns in the units of the instrument, others in base units, 
 effect = bc.Effect({label}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns=({column},))"""
 
 
-def _closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
+def _find_closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
     """Return the formula that a curve over x, −½ … ½, resembles most, in words, and its basis as Python code."""
     forms = [("a line", "x", x), ("a parabola", "x**2", x**2), ("a cubic", "x**3", x**3)]
     for w in WIDTHS:

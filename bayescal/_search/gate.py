@@ -62,7 +62,7 @@ def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
         measured_terms = (term for term in _compare_terms(steps) if term.is_measured)
         notes += [term.claim for term in measured_terms if term.is_confounded]
     notes += [*thermometer_claims(steps), *equivalent_claims(steps, "note")]
-    notes += two_level_claims(steps)
+    notes += find_two_levels(steps)
     if notes:
         last = last.with_notes(notes)
     if last.calibration.verdict.ok:
@@ -111,7 +111,7 @@ def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:
     return [claim for claim in claims if claim.severity == severity and "cure" in claim.numbers]
 
 
-def two_level_claims(steps: Sequence[Step]) -> Iterator[Claim]:
+def find_two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
     """Yield a claim where the output steps within the record: coefficients are means over two levels."""
     calibration = steps[-1].calibration
     jumps = (e for e in calibration.model.effects if e.kind == "jump" and e.covariate == "time")

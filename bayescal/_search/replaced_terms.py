@@ -89,13 +89,13 @@ def find_replaced_terms(
             continue
         if not term.varies or term.coefficients[0].per:
             continue
-        candidates = [e for e in added if not _own_columns(e) & _own_columns(term)]
+        candidates = [e for e in added if not _list_own_columns(e) & _list_own_columns(term)]
         if candidates:
             terms.append(_compare_term(term, candidates, first, last))
     return sorted(terms, key=lambda term: -term.shift)
 
 
-def _own_columns(effect: Effect) -> set[str]:
+def _list_own_columns(effect: Effect) -> set[str]:
     """Return numeric columns that an effect depends on, without the time of lags and rates."""
     columns = set(effect.varies) | (set(effect.columns) - {"time"})
     along = strip_rate(effect.along or "")
