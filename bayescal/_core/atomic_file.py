@@ -122,25 +122,25 @@ def write_sealed(content: bytes | memoryview, path: Path) -> None:
         file.write(MAGIC + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
-def read_sealed(path: Path, what: str, instead: str) -> memoryview:
-    """Read and verify a sealed file of kind `what`; return it without trailer, or raise InputError with `instead`."""
+def read_sealed(path: Path, kind: str, advice: str) -> memoryview:
+    """Read and verify a sealed file of kind `kind`; return it without trailer, or raise InputError with `advice`."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(
-            f"{path.name} cannot be read: {error.strerror or error}. {instead}"
+            f"{path.name} cannot be read: {error.strerror or error}. {advice}"
         ) from None
     content = memoryview(data)[: max(0, len(data) - TRAILER_BYTES)]
     # At the very end: HDF5 ignores bytes after its own end, so that both read the same bytes.
     trailer = TRAILER.fullmatch(data[len(content) :])
     if not data.startswith(b"\x89HDF"):
-        fault = f"is not {what}"
+        fault = f"is not {kind}"
     elif trailer is None:
-        fault = f"has no checksum: it is damaged, is not {what}, or is of an earlier version"
+        fault = f"has no checksum: it is damaged, is not {kind}, or is of an earlier version"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         fault = "is damaged: its bytes do not match the checksum at its end"
     elif TRAILER.fullmatch(data[max(0, len(content) - TRAILER_BYTES) : len(content)]):
         fault = "has two checksums at its end, expected one"
     else:
         return content
-    raise InputError(f"{path.name} {fault}. {instead}")
+    raise InputError(f"{path.name} {fault}. {advice}")

@@ -65,11 +65,11 @@ def effective_size(weights: Float[np.ndarray, "s"]) -> float:
 
 def resample(weights: Float[np.ndarray, "s"], count: int, seed: int) -> Int[np.ndarray, "count"]:
     """Resample draws systematically; return their indices (count,), shuffled."""
-    random = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     # One random offset: the number of copies of a draw differs from count·weight by less than one.
-    quantiles = (np.arange(count) + random.random()) / count
+    quantiles = (np.arange(count) + rng.random()) / count
     indices = np.searchsorted(np.cumsum(weights) / np.sum(weights), quantiles)
-    return random.permutation(np.minimum(indices, weights.size - 1))
+    return rng.permutation(np.minimum(indices, weights.size - 1))
 
 
 class Corrections:

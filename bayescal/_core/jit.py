@@ -41,11 +41,11 @@ class compiled(Generic[P, R]):
         return eqx.filter_jit(self.function, compiler_options=supported(QUICK if few else ALWAYS))
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        numbers = [a for a in jax.tree.leaves((args, kwargs)) if isinstance(a, jax.Array)]
+        arrays = [a for a in jax.tree.leaves((args, kwargs)) if isinstance(a, jax.Array)]
         # Traced within another compiled function: JAX accepts compiler options at the outermost `jit` only.
-        if any(isinstance(a, jax.core.Tracer) for a in numbers):
+        if any(isinstance(a, jax.core.Tracer) for a in arrays):
             return self.function(*args, **kwargs)
-        return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
+        return self._jitted(sum(a.size for a in arrays) < self.many)(*args, **kwargs)
 
 
 def supported(options: dict[str, Any]) -> dict[str, Any]:

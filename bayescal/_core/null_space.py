@@ -170,11 +170,11 @@ class Spans:
     def generators(self, names: frozenset[str]) -> tuple[frozenset[str], ...]:
         """Return the minimal sets of groups with the same span as the groups `names`, smallest first."""
         closure = names | self.implied(names)
-        dependent = [n for n in self.left if n in closure and self.is_spanned(n, closure - {n})]
+        collinear = [n for n in self.left if n in closure and self.is_spanned(n, closure - {n})]
         sets = list[frozenset[str]]()
-        for count in range(len(dependent) + 1):
-            for subset in itertools.combinations(dependent, count):
-                base = (closure - {*dependent, *self.latent}).union(subset)
+        for count in range(len(collinear) + 1):
+            for subset in itertools.combinations(collinear, count):
+                base = (closure - {*collinear, *self.latent}).union(subset)
                 if not any(s <= base for s in sets) and closure <= base | self.implied(base):
                     sets.append(base)
         return tuple(sets)

@@ -21,14 +21,14 @@ _last_line = 0.0  # time of the last line, s
 _bar: Any = None  # shown in a notebook
 
 
-def tell(what: str, share: float | None = None) -> None:
+def tell(operation: str, share: float | None = None) -> None:
     """Print a progress line on stderr; in a notebook, show a bar."""
     global _last_line
     _last_line = time.monotonic()
     if "ipykernel" in sys.modules:
-        show_bar(f"{what} …", share)
+        show_bar(f"{operation} …", share)
     else:
-        print(f"bayescal: {what} …", file=sys.stderr, flush=True)
+        print(f"bayescal: {operation} …", file=sys.stderr, flush=True)
 
 
 def show_bar(text: str, share: float | None = None) -> None:
@@ -56,39 +56,41 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"bayescal: note: {one_line(note)}", file=sys.stderr, flush=True)
 
 
-def counted(items: Sequence[Any], what: str) -> Iterator[Any]:
+def counted(items: Sequence[Any], noun: str) -> Iterator[Any]:
     """Yield items, with a progress line every ten seconds: number of items and estimated remaining time."""
     start = time.monotonic()
     for i, item in enumerate(items):
         elapsed = time.monotonic() - start
         if min(silence(), elapsed) >= INTERVAL_SECONDS:
-            left = elapsed * (len(items) / i - 1)
-            tell(f"{i} of {len(items)} {what}, about {left:,.0f} s left", i / len(items))
+            remaining = elapsed * (len(items) / i - 1)
+            tell(f"{i} of {len(items)} {noun}, about {remaining:,.0f} s left", i / len(items))
         yield item
 
 
 @contextmanager
-def stage(what: str, first: float = FIRST_SECONDS) -> Iterator[None]:
-    """Print progress lines of an operation after `first` seconds, and whenever there is no other line."""
-    start, done = time.monotonic(), threading.Event()
+def stage(operation: str, delay: float = FIRST_SECONDS) -> Iterator[None]:
+    """Print progress lines of an operation after `delay` seconds, and whenever there is no other line."""
+    start, end_event = time.monotonic(), threading.Event()
 
     def watch() -> None:
-        pause, printed = first, first >= INTERVAL_SECONDS
-        while not done.wait(pause):
+        pause, printed = delay, delay >= INTERVAL_SECONDS
+        while not end_event.wait(pause):
             now = time.monotonic()
             idle_seconds = now - max(_last_line, start)
-            if _open_stages[-1:] == [done] and (idle_seconds >= INTERVAL_SECONDS or not printed):
+            if _open_stages[-1:] == [end_event] and (
+                idle_seconds >= INTERVAL_SECONDS or not printed
+            ):
                 so_far = f", {now - start:.0f} s so far" if printed else ""
-                tell(f"{what}{so_far}")
+                tell(f"{operation}{so_far}")
                 idle_seconds, printed = 0.0, True
             pause = max(INTERVAL_SECONDS - idle_seconds, 0.5)
 
-    _open_stages.append(done)
+    _open_stages.append(end_event)
     threading.Thread(target=watch, daemon=True, name="bayescal progress").start()
     try:
         yield
     finally:
-        done.set()
-        _open_stages.remove(done)
+        end_event.set()
+        _open_stages.remove(end_event)
         if _bar is not None and not _open_stages:
             show_bar("")

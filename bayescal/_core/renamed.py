@@ -20,9 +20,9 @@ class _Former(NamedTuple):
 def renamed(**names: str) -> Callable[[C], C]:
     """Decorate a class with aliases of renamed attributes: former="new"."""
 
-    def with_former(cls: C) -> C:
+    def add_aliases(cls: C) -> C:
         for name, new in names.items():
             setattr(cls, name, _Former(name, new))
         return cls
 
-    return with_former
+    return add_aliases

@@ -80,17 +80,17 @@ class Namespace:
         return np.stack(outputs)
 
 
-def _dispatch(path: str, on_host: Callable[..., Any]) -> Callable[..., Any]:
-    of_jax = attrgetter(path)
+def _dispatch(path: str, numpy_function: Callable[..., Any]) -> Callable[..., Any]:
+    get_jax_function = attrgetter(path)
 
     def function(*args: Any, **kwargs: Any) -> Any:
         is_host = HOST_TYPES.issuperset(map(type, (*args, *kwargs.values())))
         if not is_host and (is_traced(args) or is_traced(kwargs)):
-            return of_jax(sys.modules["jax"].numpy)(*args, **kwargs)
-        return on_host(*args, **kwargs)
+            return get_jax_function(sys.modules["jax"].numpy)(*args, **kwargs)
+        return numpy_function(*args, **kwargs)
 
-    if hasattr(on_host, "accumulate"):
-        function.accumulate = _dispatch(f"{path}.accumulate", on_host.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
+    if hasattr(numpy_function, "accumulate"):
+        function.accumulate = _dispatch(f"{path}.accumulate", numpy_function.accumulate)  # pyright: ignore[reportFunctionMemberAccess]
     return function
 
 

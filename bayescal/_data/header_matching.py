@@ -485,17 +485,17 @@ class MatchedFile:
             for name, column in self.expected.items()
             if _is_required(column) and name not in {*self.positions, *self.options.columns}
         ]
-        has = f"It has: {names_in(self.table)}. "
+        headers = f"It has: {names_in(self.table)}. "
         for column in absent:
-            self._note_lack(column, self.rule(column.name).candidates(unmatched), has)
-            has = ""  # list the headers only once
+            self._note_lack(column, self.rule(column.name).candidates(unmatched), headers)
+            headers = ""  # list the headers only once
         return bool(absent)
 
-    def _note_lack(self, column: Column, candidates: Sequence[Header], has: str) -> None:
+    def _note_lack(self, column: Column, candidates: Sequence[Header], headers: str) -> None:
         expected = f"{column.name} [{column.example}]" if column.unit else column.name
         expected += f" ({column.meaning})" * bool(column.meaning)
         if not candidates:
-            self.report(column.name, "no such column", expected, f"{has}Add such a column")
+            self.report(column.name, "no such column", expected, f"{headers}Add such a column")
             return
         proposed = candidates[:MAX_SHOWN_HEADERS]
         choices = [self._as_column(column, header) for header in proposed]
@@ -511,7 +511,7 @@ class MatchedFile:
         if len(channel_names) > 1 and column.name == output_name(self.instrument):
             channels_option = option("--channels", ",".join(channel_names))
             advice += f"For a joint analysis of these channels of one device: {channels_option}. "
-        cure = f"{has}{advice}Add such a column, or name it"
+        cure = f"{headers}{advice}Add such a column, or name it"
         self.report(column.name, "no such column", expected, cure, suggestion)
 
     def _as_column(self, column: Column, header: Header) -> str:

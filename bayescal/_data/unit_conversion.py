@@ -400,9 +400,9 @@ def basis_factor(
         unit_sets.append((*column_units, *BASE))
     unit_sets.append((*column_units, *time_units, *others))
     for units in unit_sets:
-        size = _product_factor(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
-        if size is not None:
-            return factor * size
+        product_factor = _product_factor(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
+        if product_factor is not None:
+            return factor * product_factor
     raise InputError(
         f"a coefficient in [{unit}] on a slot in [{slot_unit}] needs a basis in [{_format_base(basis)}], but no "
         f"product of the units of its columns ({_list_units(column_units)}) has this dimension"

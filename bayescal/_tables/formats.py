@@ -35,18 +35,18 @@ from bayescal._tables.raw_table import (
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     """Open a Parquet file; units are in column names or the fields' metadata. Arguments as in `open_table`."""
-    with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
-        check_width(file, opened.metadata.num_columns)
-        schema, rows = opened.schema_arrow, opened.metadata.num_rows
+    with as_format(file, "Parquet"), pq.ParquetFile(path) as parquet:
+        check_width(file, parquet.metadata.num_columns)
+        schema, rows = parquet.schema_arrow, parquet.metadata.num_rows
     unpacked.refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), unpacked.ARRAYS)
     check_size(file, rows, len(schema), max_bytes)
 
     def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
         cells = {}
-        with as_format(file, "Parquet"), pq.ParquetFile(path) as opened:
+        with as_format(file, "Parquet"), pq.ParquetFile(path) as parquet:
             for position, number in requested.items():
                 name, kind = schema.names[position], schema.types[position]
-                column = opened.read(columns=[name]).column(name)
+                column = parquet.read(columns=[name]).column(name)
                 is_number = types.is_integer(kind) or types.is_floating(kind)
                 if number and (is_number or types.is_decimal(kind)):
                     values = column.cast(pa.float64()).to_numpy()
@@ -174,9 +174,9 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
             return np.array(["".join(map(chr, row)) for row in np.atleast_2d(array)])
         return np.squeeze(array) if array.dtype.kind in "iufb" else None
 
-    with h5py.File(path) as opened:
-        unpacked.refuse_hdf5(opened, file, path.stat().st_size)
-        return {str(name): value(opened[name]) for name in opened if not str(name).startswith("#")}
+    with h5py.File(path) as hdf5:
+        unpacked.refuse_hdf5(hdf5, file, path.stat().st_size)
+        return {str(name): value(hdf5[name]) for name in hdf5 if not str(name).startswith("#")}
 
 
 def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:

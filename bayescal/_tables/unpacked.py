@@ -35,12 +35,12 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
         raise unusable(file, fault, _AS_CSV)
 
 
-def refuse_hdf5(opened: Any, file: str, size: int) -> None:
+def refuse_hdf5(hdf5: Any, file: str, size: int) -> None:
     """Raise InputError if an open HDF5 file is too large, has circular groups, or links to other files."""
     import h5py  # takes a tenth of a second
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
-    total, pending, visited = 0, [opened], {h5o.get_info(opened.id).addr}
+    total, pending, visited = 0, [hdf5], {h5o.get_info(hdf5.id).addr}
     while pending:
         group = pending.pop()
         for name in group:

@@ -228,7 +228,7 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_055,
+    "bayescal/_core": 2_048,
     "bayescal/_tables": 1_487,
     "bayescal/_data": 4_105,
     "bayescal/_model": 5_468,
