@@ -21,7 +21,7 @@ def chebvander(x: Float[np.ndarray, "*b"], count: int) -> Float[np.ndarray, "*b 
 
 @cache
 def values_to_coefficients(count: int) -> Float[np.ndarray, "k c"]:
-    """Return the matrix from values at the nodes to Chebyshev coefficients: a discrete cosine transform."""
+    """Return the matrix that maps values at Chebyshev nodes to Chebyshev coefficients (a discrete cosine transform)."""
     scale = np.where(np.arange(count) == 0, 1, 2)[:, None] / count
     return scale * chebvander(chebpts(count), count).T
 

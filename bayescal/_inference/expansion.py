@@ -1,9 +1,9 @@
-"""Local expansions of an effect's basis columns in its shapes: J(v) = Σᵣ factorᵣ(v)·columnsᵣ.
+"""Local expansions of an effect's basis columns in its shapes v: J(v) = Σᵣ factorᵣ(v)·columnsᵣ.
 
-In one shape, on an interval ("box") of half width w about m, a truncated Chebyshev series in u = (v − m)/w, fitted at
-Chebyshev nodes and tested between them. Columns too steep for the smallest box (near a step), and those of several
-shapes, are Taylor series of second order about a point, by central differences. For draws of a Gaussian fit,
-multivariate polynomials by least squares.
+In one shape, on an interval ("box") of half width w about m, the expansion is a truncated Chebyshev series in
+u = (v − m)/w, fitted at Chebyshev nodes and tested between them. Columns too steep for the smallest box (near a step),
+and those of several shapes, are Taylor series of second order about a point, by central differences. For draws of a
+Laplace approximation, columns are multivariate polynomials fitted by least squares.
 Source: L. Trefethen, Approximation Theory and Approximation Practice, SIAM 2013, ch. 3 (series from values at nodes).
 """
 
@@ -21,41 +21,41 @@ from jaxtyping import Float
 
 from bayescal._inference.chebyshev import chebpts, chebvander, values_to_coefficients
 
-COUNT = 9  # Chebyshev nodes of a box
-BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
-HALVINGS = 7  # of the box width, at most
-FAILURES = 2  # failed fits of a box, after which no further one is attempted
+NODES = 9  # Chebyshev nodes of a box
+MAX_BOX_WIDTH_SD = 1.2  # of the largest box, prior standard deviations of a shape
+MAX_HALVINGS = 7  # of the box width, at most
+MAX_FAILS = 2  # failed fits of a box, after which no further one is attempted
 TERM_TOLERANCE = 1e-9  # smallest term, relative to the largest element
 TOLERANCE = 1e-8  # largest error, relative to the largest element
-DIFFERENCE = 2e-3  # step of a coordinate, for Taylor series by central differences
+DIFF_STEP = 2e-3  # step of a coordinate, for Taylor series by central differences
 TEST_DRAWS = 12  # draws at which fitted polynomials are tested
 RANK_TOLERANCE = 1e-7  # smallest principal component of polynomials, relative to the largest
-BOX_SD = 5.0  # half width of the region of polynomials, standard deviations of a Gaussian fit of φ
+REGION_SD = 5.0  # half width of the polynomials' region, standard deviations of φ
 # Polynomial degrees tried in turn, by the number of shapes.
 DEGREES = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
 LIST_SIZE = 8  # coordinates per `ListedColumns`
-MAX_POINTS = 8  # cached Taylor series
+MAX_CACHED_POINTS = 8  # cached Taylor series
 _NUMBERS = itertools.count()
-_ORDERS = np.arange(COUNT)
+_ORDERS = np.arange(NODES)
 _TEST_POINTS = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tested, in half widths
 
 
 class Factors(NamedTuple):
-    """Factors of an expansion's columns at one coordinate of the shapes, with gradient and Hessian."""
+    """Factors (r,) of an expansion's columns at one point of the shapes' coordinates, with gradient and Hessian."""
 
     value: Float[np.ndarray, "r"]
-    first: Float[np.ndarray, "d r"]
-    second: Float[np.ndarray, "d d r"]
+    gradient: Float[np.ndarray, "d r"]
+    hessian: Float[np.ndarray, "d d r"]
 
 
 @dataclass(eq=False)
 class Expansion:
-    """Columns J(v) = Σᵣ sᵣ(v)·columns[:, :, r] near a coordinate of the shapes.
+    """Expansion J(v) = Σᵣ factorᵣ(v)·columns[:, :, r] of basis columns about a point of the shapes' coordinates v.
 
     Attributes:
         columns: terms of the expansion of each coefficient's column (n, k, r).
         middle: coordinates of the expansion point (d,).
-        half: half width of the box; zero for a Taylor series, valid at its point alone.
+        half: half width of the box; zero for a Taylor series, valid at its point only.
         orders: Chebyshev orders of the terms (r,); empty for a Taylor series.
         number: unique identifier, a key of caches.
     """
@@ -70,30 +70,30 @@ class Expansion:
         self.number: int = next(_NUMBERS)
 
     def distance(self, v: Float[np.ndarray, "d"]) -> float:
-        """Return the distance of a coordinate from the middle, in half widths."""
+        """Return the largest distance of coordinates (d,) from the expansion point, in half widths of the box."""
         distance = float(np.max(np.abs(v - self.middle), initial=0.0))
         return distance / self.half if self.half else np.inf if distance else 0.0
 
     def factors(self, v: Float[np.ndarray, "d"]) -> Factors:
-        """Return the factors, gradient and Hessian at a coordinate inside the box."""
+        """Return the factors with gradient and Hessian at coordinates (d,) inside the box."""
         if not self.half:
             return _taylor_terms(len(v), self.rank)
         u, k = (v[0] - self.middle[0]) / self.half, self.orders
         angle = np.arccos(min(max(u, -1 + 1e-12), 1 - 1e-12))
         value, sin = np.cos(k * angle), np.sin(angle)
-        first = k * np.sin(k * angle) / sin
-        second = (u * first - k**2 * value) / sin**2
-        return Factors(value, first[None] / self.half, second[None, None] / self.half**2)
+        gradient = k * np.sin(k * angle) / sin
+        hessian = (u * gradient - k**2 * value) / sin**2
+        return Factors(value, gradient[None] / self.half, hessian[None, None] / self.half**2)
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         """Evaluate the r factors of the expanded columns at b points of the expansion's box, (b, r)."""
         if not self.half:
             return np.broadcast_to(_taylor_terms(v.shape[1], self.rank).value, (len(v), self.rank))
-        return chebvander((v[:, 0] - self.middle[0]) / self.half, COUNT)[:, self.orders]
+        return chebvander((v[:, 0] - self.middle[0]) / self.half, NODES)[:, self.orders]
 
 
 class ListedColumns(Expansion):
-    """Columns at a list of coordinates (r, d), valid at these alone, without derivatives."""
+    """Columns at a list of r points (r, d), valid at these points only, without derivatives."""
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         return np.all(v[:, None] == self.middle, axis=2).astype(float)
@@ -110,7 +110,7 @@ class Polynomials:
         self.centre: np.ndarray = draws.mean(axis=0)
         covariance = np.atleast_2d(np.cov(draws.T))
         ridge = 1e-12 * np.diag(np.diag(covariance))
-        self.root: np.ndarray = BOX_SD * np.linalg.cholesky(covariance + ridge)
+        self.root: np.ndarray = REGION_SD * np.linalg.cholesky(covariance + ridge)
         self.degree = degree
         self.dim: int = len(self.centre)
         powers = list(itertools.combinations_with_replacement(range(self.dim + 1), degree))
@@ -127,11 +127,11 @@ class Polynomials:
         return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
 
     def contains(self, coordinates: Float[np.ndarray, "*b m"]) -> np.ndarray:
-        """Return whether coordinates are inside the region of the fit (*b,)."""
+        """Return whether points (*b, m) are inside the region of the fit (*b,)."""
         return np.max(np.abs(self._standardise(coordinates)), axis=-1) <= 1
 
     def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
-        """Evaluate all terms at coordinates (b, t), clipped to the region of the fit along the ray to its centre."""
+        """Evaluate all t terms at b points (b, t), clipped to the region of the fit along the ray to its centre."""
         z = self._standardise(coordinates)
         clipped = z / np.maximum(1.0, np.max(np.abs(z), axis=1))[:, None]
         values = chebvander(clipped, self.degree + 1)
@@ -139,7 +139,7 @@ class Polynomials:
 
 
 class PolynomialColumns(Expansion):
-    """Columns as polynomials of the shapes, fitted to draws of the Laplace approximation of φ; no derivatives."""
+    """Columns as polynomials of the shapes, fitted in the region of the Laplace approximation; without derivatives."""
 
     def __init__(
         self,
@@ -149,13 +149,13 @@ class PolynomialColumns(Expansion):
     ) -> None:
         super().__init__(columns, basis.centre)
         self.polynomials: Polynomials = basis
-        self.share: np.ndarray = combination
+        self.combination: np.ndarray = combination
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
-        return self.polynomials.terms(v) @ self.share
+        return self.polynomials.terms(v) @ self.combination
 
     def contains(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
-        """Return whether coordinates are inside the region of the fit (*b,)."""
+        """Return whether points are inside the region of the fit (*b,)."""
         return self.polynomials.contains(v)
 
 
@@ -168,14 +168,14 @@ class Expansions:
         self._columns = columns
         self.dim = dim
         self._boxes, self._places = list[Expansion](), list[Expansion]()
-        self._halvings, self._failures = 0, 0 if dim == 1 else FAILURES
+        self._level, self._failures = 0, 0 if dim == 1 else MAX_FAILS
 
     @property
     def nbytes(self) -> int:
         return sum(e.columns.nbytes for e in (*self._boxes, *self._places))
 
     def get(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
-        """Return an expansion valid at a coordinate, the nearest box first; differentiable if `with_grad`."""
+        """Return an expansion valid at v, from the nearest box if possible; differentiable if `with_grad`."""
         with_grad = with_grad and self.dim > 0
         nearest = min(self._boxes, key=lambda box: box.distance(v), default=None)
         if nearest is not None and nearest.distance(v) <= 1:
@@ -186,19 +186,19 @@ class Expansions:
         for place in self._places:
             if place.distance(v) == 0 and (place.rank > 1 or not with_grad):
                 return place
-        place = self._taylor(v) if with_grad else Expansion(self._columns(v[None])[0, ..., None], v)
-        self._places = [*self._places[1 - MAX_POINTS :], place]
+        place = self._expand(v) if with_grad else Expansion(self._columns(v[None])[0, ..., None], v)
+        self._places = [*self._places[1 - MAX_CACHED_POINTS :], place]
         return place
 
     def cover(self, v: Float[np.ndarray, "b d"]) -> tuple[list[Expansion], np.ndarray]:
-        """Return expansions that cover several coordinates, and the index of the one for each (b,)."""
+        """Return expansions that cover several points (b, d), and the index of the expansion for each point (b,)."""
         if not self.dim:
             return [self.get(v[0], False)], np.zeros(len(v), dtype=int)
         expansions, index = list[Expansion](), np.full(len(v), -1)
         for box in self._boxes:
-            inside = (index < 0) & (np.abs(v[:, 0] - box.middle[0]) <= box.half)
-            if inside.any():
-                index[inside] = len(expansions)
+            is_inside = (index < 0) & (np.abs(v[:, 0] - box.middle[0]) <= box.half)
+            if is_inside.any():
+                index[is_inside] = len(expansions)
                 expansions.append(box)
         uncovered = np.flatnonzero(index < 0)
         # Duplicates removed: the factors of `ListedColumns` would count a coordinate twice.
@@ -210,7 +210,7 @@ class Expansions:
         return expansions, index
 
     def fit_polynomials(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:
-        """Fit polynomials of increasing degree to the columns in the region of some draws; None if not finite."""
+        """Fit polynomials of increasing degree to the columns in the region of draws; None for non-finite columns."""
         best, fit = np.inf, None
         for degree in DEGREES.get(self.dim, ()):
             basis = Polynomials(draws, degree)
@@ -236,18 +236,18 @@ class Expansions:
 
     def _fit_box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:
         """Fit a Chebyshev series on the largest possible box about v; None if the smallest box fails."""
-        for halvings in range(self._halvings, HALVINGS + 1) if self._failures < FAILURES else ():
-            half = 0.5 * BOX_WIDTH * 2.0**-halvings
-            computed = self._columns(v + half * np.append(chebpts(COUNT), _TEST_POINTS)[:, None])
-            nodes = computed[:COUNT].reshape(COUNT, -1)
-            exact = computed[COUNT:].reshape(len(_TEST_POINTS), -1)
-            coefficients = values_to_coefficients(COUNT) @ nodes
+        for halvings in range(self._level, MAX_HALVINGS + 1) if self._failures < MAX_FAILS else ():
+            half = 0.5 * MAX_BOX_WIDTH_SD * 2.0**-halvings
+            computed = self._columns(v + half * np.append(chebpts(NODES), _TEST_POINTS)[:, None])
+            nodes = computed[:NODES].reshape(NODES, -1)
+            exact = computed[NODES:].reshape(len(_TEST_POINTS), -1)
+            coefficients = values_to_coefficients(NODES) @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(
-                np.abs(chebvander(_TEST_POINTS, COUNT) @ coefficients - exact), initial=0.0
+                np.abs(chebvander(_TEST_POINTS, NODES) @ coefficients - exact), initial=0.0
             )
             if error <= TOLERANCE * largest:
-                self._halvings = halvings
+                self._level = halvings
                 magnitudes = np.max(np.abs(coefficients), axis=1, initial=0.0)
                 orders = np.flatnonzero((magnitudes > TERM_TOLERANCE * largest) | (_ORDERS == 0))
                 terms = coefficients[orders].reshape(-1, *computed.shape[1:])
@@ -255,20 +255,20 @@ class Expansions:
         self._failures += 1
         return None
 
-    def _taylor(self, v: Float[np.ndarray, "d"]) -> Expansion:
+    def _expand(self, v: Float[np.ndarray, "d"]) -> Expansion:
         """Return the second-order Taylor series about v: columns, gradient, Hessian (`_lower_indices`)."""
-        h, dim = DIFFERENCE, self.dim
+        h, dim = DIFF_STEP, self.dim
         unit = h * np.eye(dim)
         mixed = [unit[i] + unit[j] for i, j in _lower_indices(dim) if i != j]
         shifts = np.array([np.zeros(dim), *unit, *-unit, *mixed, *np.negative(mixed)])
         computed = self._columns(v + shifts.reshape(-1, dim))
-        centre, up, down = computed[0], computed[1 : 1 + dim], computed[1 + dim : 1 + 2 * dim]
+        centre, upper, lower = computed[0], computed[1 : 1 + dim], computed[1 + dim : 1 + 2 * dim]
         mixed_sums = iter(computed[1 + 2 * dim :].reshape(2, -1, *centre.shape).sum(axis=0))
-        terms = [centre, *((up - down) / (2 * h))]
+        terms = [centre, *((upper - lower) / (2 * h))]
         for i, j in _lower_indices(dim):
-            second = up[i] - 2 * centre + down[i]
+            second = upper[i] - 2 * centre + lower[i]
             if i != j:
-                second = 0.5 * (next(mixed_sums) - second - up[j] - down[j])
+                second = 0.5 * (next(mixed_sums) - second - upper[j] - lower[j])
             terms.append(second / h**2)
         return Expansion(np.stack(terms, axis=2), v)
 
@@ -280,9 +280,9 @@ def _lower_indices(dim: int) -> list[tuple[int, int]]:
 @cache
 def _taylor_terms(dim: int, rank: int) -> Factors:
     """Return the factors of a Taylor series at its point: value (1, 0, …), gradient and Hessian unit vectors."""
-    first, second = np.zeros((dim, rank)), np.zeros((dim, dim, rank))
+    gradient, hessian = np.zeros((dim, rank)), np.zeros((dim, dim, rank))
     if rank > 1:
-        first = np.eye(rank)[1 : 1 + dim]
+        gradient = np.eye(rank)[1 : 1 + dim]
         for k, (i, j) in enumerate(_lower_indices(dim)):
-            second[i, j, 1 + dim + k] = second[j, i, 1 + dim + k] = 1.0
-    return Factors(np.eye(rank)[0], first, second)
+            hessian[i, j, 1 + dim + k] = hessian[j, i, 1 + dim + k] = 1.0
+    return Factors(np.eye(rank)[0], gradient, hessian)

@@ -1,6 +1,6 @@
-"""Basis columns of effects by NumPy, vectorised over values of the shapes.
+"""Evaluate basis columns of effects by NumPy, vectorised over values of the shapes.
 
-A user's basis that calls JAX functions is compiled for the readings and called once per value.
+A user-defined basis that calls JAX functions is compiled for the readings and called once per value.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from bayescal._core.xp import is_traced
 from bayescal._model.effect import Basis, evaluate_basis
 from bayescal._model.frame import Frame
 
-NUMBERS_AT_ONCE = 4_000_000  # array elements per batch, which bounds memory
+MAX_ELEMENTS = 4_000_000  # array elements per batch, which bounds memory
 
 
 class HostColumns:
-    """Basis columns on the readings of one device, or of several devices: a frame with a leading axis."""
+    """Evaluator of basis columns on the readings of one device, or of several (frame with a leading axis)."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
@@ -39,7 +39,7 @@ class HostColumns:
         """
         if basis not in self._programs:
             try:
-                columns = self._matrix(basis, shapes, shifts)
+                columns = self._evaluate_matrix(basis, shapes, shifts)
                 if not is_traced(columns):
                     return columns
             except ModelError:
@@ -47,7 +47,7 @@ class HostColumns:
             except Exception:  # the basis does not accept NumPy arrays
                 pass
             self._is_vectorised[basis] = False
-            self._programs[basis] = jax.jit(partial(self._matrix, basis))
+            self._programs[basis] = jax.jit(partial(self._evaluate_matrix, basis))
         return np.asarray(self._programs[basis](shapes, shifts))
 
     def evaluate_many(
@@ -61,23 +61,23 @@ class HostColumns:
         lengths += [len(shift) for shift in shifts.values() if shift.ndim > 1]
         size = max(lengths, default=1)
         parts = []
-        for part in np.array_split(np.arange(size), -(-size * self.frame.size // NUMBERS_AT_ONCE)):
+        for part in np.array_split(np.arange(size), -(-size * self.frame.size // MAX_ELEMENTS)):
             values = {n: np.broadcast_to(v, (size,))[part] for n, v in shapes.items()}
-            moved = {n: m[part] if m.ndim > 1 else m for n, m in shifts.items()}
-            parts.append(self._evaluate_part(basis, values, moved, len(part)))
+            part_shifts = {n: m[part] if m.ndim > 1 else m for n, m in shifts.items()}
+            parts.append(self._evaluate_part(basis, values, part_shifts, len(part)))
         return np.concatenate(parts)
 
     def _evaluate_part(
         self, basis: Basis, shapes: Mapping[str, Any], shifts: Mapping[str, Any], size: int
     ) -> Float[np.ndarray, "s n k"]:
         def column_at(i: int) -> Float[np.ndarray, "n k"]:
-            moved = {n: m[i] if m.ndim > 1 else m for n, m in shifts.items()}
-            return self.evaluate(basis, {n: v[i] for n, v in shapes.items()}, moved)
+            part_shifts = {n: m[i] if m.ndim > 1 else m for n, m in shifts.items()}
+            return self.evaluate(basis, {n: v[i] for n, v in shapes.items()}, part_shifts)
 
         if size > 1 and self._is_vectorised.get(basis, True):
             try:
                 columns_of_shapes = {n: v[:, None] for n, v in shapes.items()}
-                columns = self._matrix(basis, columns_of_shapes, shifts, (size,))
+                columns = self._evaluate_matrix(basis, columns_of_shapes, shifts, (size,))
             except Exception:  # not vectorised
                 columns = None
             # The right array shape does not prove that the basis is vectorised: compare one value.
@@ -90,7 +90,7 @@ class HostColumns:
             self._is_vectorised[basis] = False
         return np.array([column_at(i) for i in range(size)])
 
-    def _matrix(
+    def _evaluate_matrix(
         self,
         basis: Basis,
         shapes: Mapping[str, Any],

@@ -147,7 +147,7 @@ class Marginal(Method):
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         is_unlimited = is_unlimited or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
-            with deadline.until(None if is_unlimited else nuts_chains.TIME_LIMIT, words=TOO_SHORT):
+            with deadline.until(None if is_unlimited else nuts_chains.MAX_TIME_S, words=TOO_SHORT):
                 chains = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
             to_unknowns = jax.jit(lambda q: jax.lax.map(lambda u: unpack(u)[:2], q, batch_size=64))
             x, v = to_unknowns(chains.draws.reshape(-1, start.size))

@@ -23,16 +23,16 @@ class Verdict:
     """Reliability of a fit, with the reasons against it.
 
     Attributes:
-        ok: nothing below stands against it.
-        reasons: what stands against it, each a sentence.
-        notes: how it was done and what to know, each a sentence.
-        sampler: what produced the draws.
+        ok: whether the fit converged.
+        reasons: reasons why it did not, each a sentence.
+        notes: remarks on method and result, each a sentence.
+        sampler: name of the sampling method.
         pareto_k: Pareto k̂ of the joint weights; None for chains.
         ess: smallest effective sample size over the unknowns.
         r_hat: largest R-hat; None for independent draws.
-        divergences: of NUTS.
-        against: of a fit that converged, why it is not to be used, as the checks of `calibrate` found.
-        checked: whether these checks were made, whatever they found.
+        divergences: number of divergent transitions of NUTS.
+        against: failed acceptance checks of `calibrate`, reasons why a converged fit must not be used.
+        checked: whether these checks were made.
     """
 
     ok: bool
@@ -58,7 +58,7 @@ class Verdict:
 
     @classmethod
     def read(cls, described: dict[str, Any]) -> Verdict:
-        """Read a verdict written as JSON, whose tuples come back as lists.
+        """Restore a verdict from its fields as read from JSON.
 
         Raises:
             KeyError: a field is missing.
@@ -68,10 +68,10 @@ class Verdict:
         return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     def __str__(self) -> str:
-        head, why = (
+        head, ending = (
             ("converged", ".") if self.ok else ("NOT converged", ": " + " ".join(self.reasons))
         )
-        return " ".join([f"{head} ({self.sampler}){why}", *self.notes])
+        return " ".join([f"{head} ({self.sampler}){ending}", *self.notes])
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Draws:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a method, without names and units."""
+    """Result of a fitting method, in vectors x and v without names and units."""
 
     layout: Layout  # with the promotions that the method chose
     draws: Draws
@@ -113,7 +113,7 @@ class Method(abc.ABC):
         """Fit the model. Lack of convergence does not raise: it is in the verdict.
 
         Args:
-            problem: the model on its readings.
-            seed: of every random number.
-            start: starting point of the mode, φ by name.
+            problem: model bound to readings.
+            seed: seed of the random-number generator.
+            start: starting point of the search for the mode, φ by name.
         """

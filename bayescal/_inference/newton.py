@@ -17,7 +17,7 @@ from bayescal._inference.gaussian import LOG_2PI
 
 FIRST_STEP_PRIOR_SD = 0.02  # initial difference step, in prior scales
 STEP_SD = 0.05  # difference step, in posterior standard deviations
-FORWARD_RATIO = 0.2  # forward difference step over `DIFFERENCE`
+FORWARD_RATIO = 0.2  # forward over central difference step
 MIN_CURVATURE = 0.05  # floor of the eigenvalues of the scaled curvature
 # Largest correlation whose cross term is reused, and distance (posterior deviations) within which all are.
 MAX_REUSED_CORRELATION, MAX_REUSE_DISTANCE_SD = 0.03, 0.1

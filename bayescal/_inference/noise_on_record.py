@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.lazy_jax import jax
-from bayescal._inference.programs import program
+from bayescal._inference.programs import compile_on_call
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import LOG_2PI, Noise, add_variance, log_density_with_extra
@@ -119,7 +119,7 @@ def _width(table: np.ndarray) -> int:
     return width
 
 
-@program
+@compile_on_call
 def _whitened(law: Noise, frame: Frame, tables, extras, values):
     """Whiten tables, or one table at several φ; return whitened tables and log deviations of innovations."""
     axis = 0 if tables.ndim == 3 else None
@@ -212,7 +212,7 @@ def density_terms(
     return DensityTerms(middle, highest, (low - high) / (2 * h), (2 * middle - low - high) / h**2)
 
 
-@program
+@compile_on_call
 def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
     def log_density(args):
         residual, extra, phi = args
@@ -223,7 +223,7 @@ def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
     return jax.lax.map(log_density, (residuals, extra, values), batch_size=batch_size)
 
 
-@partial(program, costly=True)  # random numbers are expensive
+@partial(compile_on_call, costly=True)  # random numbers are expensive
 def _samples(law: Noise, frame: Frame, means, keys, values):
     def draw(args):
         mean, key, phi = args

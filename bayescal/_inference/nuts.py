@@ -1,4 +1,4 @@
-"""NumPyro's own NUTS on the plain, non-centred program: the reference, and the way to take a model further."""
+"""NumPyro's NUTS on a non-centred program of the model: a reference method, and an export of models to NumPyro."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from bayescal._model.parameters import Layout, bind
 
 
 class NUTS(Method):
-    """NumPyro's NUTS on every unknown, learned spreads non-centred.
+    """NumPyro's NUTS on every unknown, non-centred for groups with an estimated standard deviation.
 
     Attributes:
         warmup, draws: iterations of each chain.
-        chains: run side by side.
+        chains: number of chains, run in parallel.
         dense: whether a dense mass matrix is adapted.
     """
 
@@ -51,14 +51,14 @@ class NUTS(Method):
         with deadline.finishing():
             mode = find_mode(problem, start=start)
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
-        init = init_near_mode(problem, mode)
-        kernel = plan.kernel(build_program(layout, frame), init_strategy=init)
+        init_strategy = make_init_strategy(problem, mode)
+        kernel = plan.kernel(build_program(layout, frame), init_strategy=init_strategy)
         deadline.current().defer_interrupt()
         try:
             with stage("NUTS on every unknown"):
                 chains = run_kernel(kernel, jax.random.key(seed), (y,), None, plan)
-        except deadline.TimeIsUp as early:
-            return Marginal().approximate(problem, mode, seed, (), str(early))
+        except deadline.TimeIsUp as interrupt:
+            return Marginal().approximate(problem, mode, seed, (), str(interrupt))
         sites = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn((y,), {}))))(chains.draws)
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         chains = chains._replace(draws=np.concatenate([x, v], axis=2))
@@ -66,11 +66,11 @@ class NUTS(Method):
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
-def init_near_mode(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
-    """Return NumPyro's strategy for where chains begin: about the mode, a standard deviation to either side.
+def make_init_strategy(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
+    """Return a NumPyro initialisation strategy: starting points drawn about the mode, by its standard deviations.
 
-    From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
-    on one, since its slope widens the variance.
+    From prior draws, chains may end at another, far less probable mode: with noise on an input each steep line is near
+    one, since its slope widens the variance.
     """
     from numpyro.infer import init_to_median  # half a second that only these chains need
 
@@ -83,22 +83,22 @@ def init_near_mode(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
         z = (mode.x - prior.weight * prior.mean) / scale
         sd = np.sqrt(np.diag(conditional.covariance))
         triples = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
-        starts |= {h.name: (h.prior.value, at, sd_of_v) for h, at, sd_of_v in triples}
+        starts |= {h.name: (h.prior.value, mean, sd_of_v) for h, mean, sd_of_v in triples}
         for b in problem.layout.x_blocks:
             name = b.name if b.coefficient.flat else f"{b.name}.standard"
             starts[name] = (jnp.asarray, z[b.x_slice], (sd / scale)[b.x_slice])
 
-    def begin(site: Any) -> Any:
+    def draw_start(site: Any) -> Any:
         if site["type"] != "sample" or site["name"] not in starts:
             return init_to_median(site, num_samples=50)
-        value, at, sd_of_v = starts[site["name"]]
-        return value(at + sd_of_v * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
+        value, mean, sd_of_v = starts[site["name"]]
+        return value(mean + sd_of_v * jax.random.normal(site["kwargs"]["rng_key"], np.shape(mean)))
 
-    return partial(begin)
+    return partial(draw_start)
 
 
 def to_numpyro_distribution(prior: priors.Normal | priors.FlatLine | priors.Positive) -> Any:
-    """Return a prior of φ, of the value in its own unit, as a NumPyro distribution."""
+    """Return a prior of φ as a NumPyro distribution of the value in its own unit."""
     import numpyro.distributions as dist  # NumPyro only where its program is asked for
 
     match prior:
@@ -112,16 +112,16 @@ def to_numpyro_distribution(prior: priors.Normal | priors.FlatLine | priors.Posi
             return prior.distribution
         case priors.HalfNormal() | priors.HalfCauchy():
             return getattr(dist, type(prior).__name__)(prior.scale)
-    real = isinstance(prior, priors.FlatLine)
+    is_real = isinstance(prior, priors.FlatLine)
     return dist.ImproperUniform(
-        dist.constraints.real if real else dist.constraints.positive, (), ()
+        dist.constraints.real if is_real else dist.constraints.positive, (), ()
     )
 
 
 def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], None]:
-    """Return a model on its readings as a NumPyro program of the output, to take further.
+    """Return a model on its readings as a NumPyro program, a function of the output, for extension by the user.
 
-    Its sites are every unknown by name in its reported unit, group coefficients as `name.standard` in units of their
+    Its sites are all unknowns by name in their reported units, group coefficients as `name.standard` in units of their
     between-group standard deviation; `numpyro.infer.MCMC(NUTS(program)).run(key, readings["output"])` samples it.
 
     Raises:
@@ -133,10 +133,10 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
 
 
 def build_program(layout: Layout, frame: Frame) -> Callable:
-    """Return the model as a NumPyro program of the output, non-centred where a spread is learned.
+    """Return the model as a NumPyro program, a function of the output; non-centred where a group sd is estimated.
 
-    Its sites are every unknown by name in its reported unit (group coefficients as `name.standard`, in units
-    of their spread), the deterministic vectors `x` and `v`, and the likelihood as a factor.
+    Its sites are all unknowns by name in their reported units (group coefficients as `name.standard`, in units of their
+    standard deviation), the deterministic vectors `x` and `v`, and the likelihood as a factor.
     """
     import numpyro
     import numpyro.distributions as dist
@@ -145,7 +145,7 @@ def build_program(layout: Layout, frame: Frame) -> Callable:
         values, v = {}, []
         for h in layout.hypers:
             values[h.name] = numpyro.sample(h.name, to_numpyro_distribution(h.prior))
-            # The engine's coordinate of the value: draws are handed on in these, whatever NumPyro samples in.
+            # The coordinate of the value in this package: draws are returned in these.
             v.append(h.prior.coordinate(jnp.asarray(values[h.name])))
         v = jnp.stack(v) if v else jnp.zeros(0)
         values.update({name: jnp.asarray(value) for name, value in layout.model.fixed})
@@ -153,14 +153,14 @@ def build_program(layout: Layout, frame: Frame) -> Callable:
         for b in layout.x_blocks:
             c = b.coefficient
             if c.flat:
-                line = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
-                site = numpyro.sample(b.name, line)
+                flat = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
+                site = numpyro.sample(b.name, flat)
             else:
                 z = numpyro.sample(
                     f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)
                 )
-                spread = c.size if b.group_sd_name is None else values[b.group_sd_name]
-                site = b.mean + spread * z
+                sd = c.size if b.group_sd_name is None else values[b.group_sd_name]
+                site = b.mean + sd * z
             x.append(site)
         x = jnp.concatenate(x) if x else jnp.zeros(0)
         numpyro.deterministic("x", x)

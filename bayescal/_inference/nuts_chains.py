@@ -22,12 +22,12 @@ from bayescal._model import forward
 
 # Iterations per compiled block; the deadline and Ctrl-C are checked between blocks.
 BLOCK = 4
-FEWEST_STEPS = 7  # leapfrog steps per iteration for a lower bound of the run time: tree depth three
-TIME_LIMIT = 300.0  # s, time limit of NUTS as a fallback without another limit
+MIN_STEPS = 7  # leapfrog steps per iteration (tree depth 3) in the lower bound of the run time
+MAX_TIME_S = 300.0  # s, time limit of NUTS as a fallback without another limit
 
 
 class Chains(NamedTuple):
-    """Draws in the sampler's coordinates (chains, draws, …), number of divergences, mean number of leapfrog steps."""
+    """NUTS draws in the sampler's coordinates (chains, draws, …), number of divergences, mean leapfrog steps."""
 
     draws: Any
     divergences: int
@@ -75,8 +75,8 @@ def run(
 def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Plan) -> Chains:
     """Run a NumPyro kernel, all chains vectorised, in blocks of a few iterations.
 
-    The run time is estimated from the first block; chains that would exceed the deadline are stopped. `starts` None:
-    the kernel chooses starting points.
+    The run time is estimated from the first block; chains that would exceed the deadline are stopped. starts: starting
+    points; None: chosen by the kernel.
 
     Raises:
         TimeIsUp: the deadline is reached, or would be.
@@ -94,22 +94,22 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
         lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=supported(ALWAYS)
     )
     block = block.lower(state).compile()  # excluded from the timing
-    by_block = []
+    blocks = []
     for iteration in range(0, count, BLOCK):
         limit.ask()
-        started = time.monotonic()
+        start = time.monotonic()
         state, samples = jax.block_until_ready(block(state))
-        by_block.append(jax.tree.map(np.asarray, samples))
+        blocks.append(jax.tree.map(np.asarray, samples))
         if iteration == 0:
             # A lower bound, by shallow trees, so that no chain is stopped that would have finished.
-            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(by_block[0][2]), axis=-1))))
-            elapsed = time.monotonic() - started
-            needed = elapsed / BLOCK * min(1.0, FEWEST_STEPS / steps) * (count - BLOCK)
-            if time.monotonic() + needed > limit.ends_at:
-                duration = f"{needed:.0f} s" if needed < 100 else f"{needed / 60:.0f} minutes"
-                raise deadline.TimeIsUp(f"{limit.why}, where chains take {duration} or more")
+            steps = max(1.0, float(np.mean(np.max(np.atleast_2d(blocks[0][2]), axis=-1))))
+            elapsed = time.monotonic() - start
+            seconds = elapsed / BLOCK * min(1.0, MIN_STEPS / steps) * (count - BLOCK)
+            if time.monotonic() + seconds > limit.ends_at:
+                duration = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} minutes"
+                raise deadline.TimeIsUp(f"{limit.why}; NUTS would take {duration} or more")
     z, diverging, steps = jax.tree.map(
-        lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *by_block
+        lambda *blocks: np.concatenate(blocks)[plan.warmup : count], *blocks
     )
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
@@ -125,7 +125,7 @@ def whiten_posterior(problem: Problem, mode: Mode):
     y, d, p = jnp.asarray(record.y), len(layout.hypers), layout.size
     density, hyper_at_mode = Density(problem, mode.x, mode.flat, mode.v), problem.hyper(mode.v)
     gram, prior = density.gram(mode.v, hyper_at_mode), problem.prior(hyper_at_mode, mode.flat)
-    pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.x))
+    rhs = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.x))
     centre = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.x))
     amplitude = next(iter(problem.noise.amplitudes), None)
 
@@ -139,9 +139,9 @@ def whiten_posterior(problem: Problem, mode: Mode):
         precision = sd[:, None] * gram.jtj * sd / ratio + jnp.diag(prior.weight)
         chol = jnp.linalg.cholesky(precision)
         solve = jax.scipy.linalg.solve_triangular
-        solved = solve(chol, sd * pull / ratio, lower=True)
-        volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
-        return centre + sd * solve(chol, solved + z, lower=True, trans=1), volume
+        white_rhs = solve(chol, sd * rhs / ratio, lower=True)
+        log_volume = jnp.sum(jnp.log(sd)) - jnp.sum(jnp.log(jnp.diagonal(chol)))
+        return centre + sd * solve(chol, white_rhs + z, lower=True, trans=1), log_volume
 
     def unpack(q: Float[Array, "dim"]):
         x, log_jacobian = unwhiten(q[:d], q[d:])

@@ -1,4 +1,4 @@
-"""Compiled JAX programs of an instrument's response, if it is not affine, and its derivatives.
+"""Compiled JAX programs of a non-affine instrument response and its derivatives.
 
 Programs are independent of a model's effects, so that a search over structures compiles nothing. Records are padded to
 a few lengths by repeating the last reading, so that records of similar length share programs.
@@ -20,18 +20,18 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
 
-STEP = 1.25  # ratio of successive padded lengths
+LENGTH_RATIO = 1.25  # ratio of successive padded lengths
 # Smallest padded length.
-SHORTEST_LENGTH = 32
-# Readings from which run time outweighs twice the compile time.
-OPTIMISED_READINGS = 2000
+MIN_PADDED_LENGTH = 32
+# Number of readings at which the run time outweighs twice the compile time.
+MIN_OPTIMISED_READINGS = 2000
 
 
 def padded_length(size: int) -> int:
     """Return the padded length of a record."""
     # A geometric series: padding is an eighth on average, and ten lengths cover a decade.
-    steps = max(0, math.ceil(math.log(size / SHORTEST_LENGTH, STEP) - 1e-9))
-    return max(size, round(SHORTEST_LENGTH * STEP**steps))
+    steps = max(0, math.ceil(math.log(size / MIN_PADDED_LENGTH, LENGTH_RATIO) - 1e-9))
+    return max(size, round(MIN_PADDED_LENGTH * LENGTH_RATIO**steps))
 
 
 def pad_frame(frame: Frame) -> Frame:
@@ -57,65 +57,65 @@ def pad_frame(frame: Frame) -> Frame:
     return jax.tree.map(jnp.asarray, padded_frame)
 
 
-def program(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
-    """Compile a function (static value, frame, *arrays) on its first call.
+def compile_on_call(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
+    """Return a function of (static argument, frame, *arrays) that is compiled at its first call.
 
-    With full optimisation if `costly`, for long records and for laws that loop over readings; else with fast options.
+    It is fully optimised if `costly`, for long records and for laws that loop over readings; otherwise compiled fast.
     """
 
     @cache
-    def compile_once(optimised: bool) -> Callable[..., Any]:
-        options = supported(ALWAYS if optimised else QUICK)
+    def compile_once(is_optimised: bool) -> Callable[..., Any]:
+        options = supported(ALWAYS if is_optimised else QUICK)
         return jax.jit(function, static_argnums=0, compiler_options=options)
 
     @wraps(function)
-    def call(what: Any, frame: Frame, *args: Any) -> Any:
-        loops = not getattr(what, "independent", True)  # through all readings, at each φ
-        optimised = frame.size >= OPTIMISED_READINGS or loops or costly
-        return compile_once(optimised)(what, frame, *args)
+    def call(argument: Any, frame: Frame, *args: Any) -> Any:
+        has_loop = not getattr(argument, "independent", True)  # through all readings, at each φ
+        is_optimised = frame.size >= MIN_OPTIMISED_READINGS or has_loop or costly
+        return compile_once(is_optimised)(argument, frame, *args)
 
     return call
 
 
 # Slot values or column shifts by name: (n,), or (b, n) for b draws.
-ByName = dict[str, Array]
+Arrays = dict[str, Array]
 
 
-@program
+@compile_on_call
 def respond_many(
-    response: Callable[..., Any], frame: Frame, slots: ByName, shifts: ByName
+    response: Callable[..., Any], frame: Frame, slots: Arrays, shifts: Arrays
 ) -> Float[Array, "b n"]:
     """Return the expected outputs at b sets of slot values and column shifts."""
     return jax.vmap(partial(_respond, response, frame))((slots, shifts))
 
 
 class ResponseSpec(NamedTuple):
-    """An instrument's response, and whether to differentiate it in reverse mode, by all slots at once."""
+    """An instrument's response, and whether to differentiate it in reverse mode, for all slots at once."""
 
     response: Callable[..., Any]
-    backward: bool
+    reverse_mode: bool
 
 
-@program
+@compile_on_call
 def differentiate(
-    what: ResponseSpec, frame: Frame, slots: ByName, shifts: ByName
+    spec: ResponseSpec, frame: Frame, slots: Arrays, shifts: Arrays
 ) -> tuple[Array, dict[str, Array]]:
     """Return the expected output (n,), and its derivatives with respect to each slot and shifted column (n,)."""
 
-    def respond(slots: ByName, shifts: ByName) -> Array:
-        return _respond(what.response, frame, (slots, shifts))
+    def respond(slots: Arrays, shifts: Arrays) -> Array:
+        return _respond(spec.response, frame, (slots, shifts))
 
-    return differentiate_response(respond, slots, shifts, what.backward)
+    return differentiate_response(respond, slots, shifts, spec.reverse_mode)
 
 
-@program
+@compile_on_call
 def differentiate_many(
-    what: ResponseSpec, frame: Frame, slots: ByName, shifts: ByName
+    spec: ResponseSpec, frame: Frame, slots: Arrays, shifts: Arrays
 ) -> tuple[Array, dict[str, Array]]:
     """Return expected outputs and derivatives at b sets of slot values and column shifts."""
-    return jax.vmap(partial(differentiate.__wrapped__, what, frame))(slots, shifts)
+    return jax.vmap(partial(differentiate.__wrapped__, spec, frame))(slots, shifts)
 
 
-def _respond(response: Callable[..., Any], frame: Frame, arguments: tuple[ByName, ByName]) -> Array:
+def _respond(response: Callable[..., Any], frame: Frame, arguments: tuple[Arrays, Arrays]) -> Array:
     slots, shifts = arguments
     return jnp.broadcast_to(response(slots, frame.shift_columns(shifts)), (frame.size,))

@@ -18,22 +18,22 @@ from bayescal._inference.laplace import NO_START, Mode, find_mode
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Problem
 
-# Root-sum-square over the readings, in noise standard deviations, of the second-order term of a product of two
-# unknowns, from which one of them is sampled: below it the mean log likelihood changes by less than ½·0.3² nats.
-PRODUCT_SD = 0.3
+# Smallest second-order term of a significant product of two unknowns, root-sum-square over the readings in noise
+# standard deviations: smaller ones change the mean log likelihood by less than ½·0.3² nats.
+MIN_PRODUCT_SD = 0.3
 
-MAX_PROMOTED = 6  # promoted entries of φ
-STEP = 0.01  # difference step, posterior standard deviations
-MAX_MEMBERS = 12  # of a promoted group coefficient
+MAX_PROMOTED = 6  # number of promoted entries of φ
+DIFF_STEP_SD = 0.01  # difference step, posterior standard deviations
+MAX_MEMBERS = 12  # number of members of a promoted group coefficient
 
 
 def promote_products(
     problem: Problem, requested: tuple[str, ...] | None, start: Mapping[str, float] = NO_START
 ) -> tuple[Problem, tuple[str, ...], Mode | None]:
-    """Promote significant coefficients (or those `requested`); return problem, notes, and mode if computed.
+    """Promote coefficients with significant products, or those `requested`; return problem, notes, mode (or None).
 
     Raises:
-        ModelError: a name that was asked for is no coefficient of the model.
+        ModelError: a requested name is not a coefficient of the model.
     """
     layout, record, notes = problem.layout, problem.record, ()
     if requested is not None:
@@ -41,33 +41,33 @@ def promote_products(
         for name in requested:
             if name not in names:
                 raise ModelError(
-                    f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(names)}"
+                    f"promote: {name!r} is not a coefficient that can be promoted (available: {', '.join(names)})"
                 )
         return Problem(layout.promote(*requested), record), (), None
     while problem.size and not problem.affine:
-        capacity, threshold = MAX_PROMOTED - len(layout.phi_indices("promoted")), PRODUCT_SD
+        capacity, threshold = MAX_PROMOTED - len(layout.phi_indices("promoted")), MIN_PRODUCT_SD
         blocks = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MAX_MEMBERS]
         blocks = [b for b in blocks if b.size <= capacity]
         if not blocks:
             return problem, notes, None
         mode = find_mode(problem, start=start)
-        sizes = _second_order(problem, mode)
+        sizes = _compute_second_order(problem, mode)
         strength = {b.name: float(np.sqrt(np.sum(sizes[b.x_slice] ** 2))) for b in blocks}
         # Either factor can be promoted. One with a learned standard deviation would form a funnel with it: last choice.
-        strong = [b for b in blocks if strength[b.name] >= threshold]
-        if not strong:
+        significant = [b for b in blocks if strength[b.name] >= threshold]
+        if not significant:
             return problem, notes, mode
-        ungrouped = [b for b in strong if b.coefficient.group_sd is None]
-        strongest = max(ungrouped or strong, key=lambda b: strength[b.name])
+        ungrouped = [b for b in significant if b.coefficient.group_sd is None]
+        strongest = max(ungrouped or significant, key=lambda b: strength[b.name])
         # Together with the effect's other coefficients in the same slot, if they all fit.
         group = [b for b in blocks if b.effect is strongest.effect and b.slot == strongest.slot]
         group = [b for b in group if b is strongest or strength[b.name] >= 0.1 * threshold]
-        promoted = group if sum(b.size for b in group) <= capacity else [strongest]
-        layout = layout.promote(*(b.name for b in promoted))
-        names = ", ".join(b.name for b in promoted)
-        verb, whose = ("are", "the") if len(promoted) > 1 else ("is", "its")
+        selected_blocks = group if sum(b.size for b in group) <= capacity else [strongest]
+        layout = layout.promote(*(b.name for b in selected_blocks))
+        names = ", ".join(b.name for b in selected_blocks)
+        verb, article = ("are", "the") if len(selected_blocks) > 1 else ("is", "its")
         note = (
-            f"{names} {verb} sampled with the hyper-parameters: {whose} product with other "
+            f"{names} {verb} sampled with the hyper-parameters: {article} product with other "
             f"unknowns amounts to {strength[strongest.name]:.2g} noise standard deviations."
         )
         notes = (*notes, note)
@@ -75,8 +75,8 @@ def promote_products(
     return problem, notes, None
 
 
-def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
-    """Return the second-order term of each entry of x, root-sum-square over readings, noise deviations (p,)."""
+def _compute_second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
+    """Return the second-order Taylor term of each entry of x, root-sum-square over readings, noise deviations (p,)."""
     hyper = problem.hyper(mode.v)
     conditional = Density(problem, mode.x, mode.flat).condition_at(mode.v)[1]
     if conditional is None:
@@ -86,7 +86,7 @@ def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     noise = np.sqrt(variance(problem.noise, hyper, problem.record))[:, None]
     sizes = []
     # ∂J/∂xᵢ·sd(xᵢ) times a square root of the covariance of x, in units of each reading's noise.
-    for step in STEP * np.diag(np.sqrt(variances)):
+    for step in DIFF_STEP_SD * np.diag(np.sqrt(variances)):
         up, down = (problem.linearise(mode.x + s, hyper).jacobian for s in (step, -step))
-        sizes.append(np.linalg.norm((up - down) / (2 * STEP) @ root / noise))
+        sizes.append(np.linalg.norm((up - down) / (2 * DIFF_STEP_SD) @ root / noise))
     return np.array(sizes)

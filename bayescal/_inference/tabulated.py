@@ -501,10 +501,10 @@ class _StructureRows:
         factors, slopes = self.multipliers.copy(), []
         for i, rows, terms in self._dynamic_rows:
             shapes = self.parts[i].shapes
-            part_factors = self.expansions[i].factors(v[shapes])
-            factors[rows] *= part_factors.value[terms]
+            values = self.expansions[i].factors(v[shapes])
+            factors[rows] *= values.value[terms]
             if with_grad:
-                gradients, hessians = part_factors.first[:, terms], part_factors.second[:, :, terms]
+                gradients, hessians = values.gradient[:, terms], values.hessian[:, :, terms]
                 multipliers = self.multipliers[rows]
                 slopes.append((rows, shapes, gradients * multipliers, hessians * multipliers))
         return factors, slopes

@@ -1,4 +1,4 @@
-"""The composed model in JAX: expected output and Jacobian, log density, simulation.
+"""A model in JAX: expected output and Jacobian, log density, simulation.
 
 All functions are pure JAX functions of a `Layout` (static), a `Frame`, and values.
 """
@@ -49,7 +49,7 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
 def compose_at(
     layout: Layout, frame: Frame, x: Array, hyper: Values, with_grad: bool = False
 ) -> tuple[composition.TracedColumns, tuple[Term, ...], composition.ResponseArguments]:
-    """Compose the model at (x, φ); return its column source, its terms and the slot values."""
+    """Return the column source, the terms and the response's arguments (slot values) at (x, φ)."""
     source = composition.TracedColumns(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)
     values = [composition.expand_coefficient(source, t, x, hyper) for t in terms]
@@ -66,7 +66,7 @@ def linearise(
 def predict_moments(
     layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
-    """Return the expected output (n,), and the variance of each reading from noisy inputs (n,); None if none."""
+    """Return the expected output (n,), and the variance of each reading from noisy inputs (n,), None without these."""
     has_noisy_inputs = any(b.place == "input" for b in layout.blocks)
     source, terms, composed = compose_at(layout, frame, x, hyper, with_grad=has_noisy_inputs)
     if not has_noisy_inputs:

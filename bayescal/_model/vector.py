@@ -38,7 +38,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
 NEAR_RATIO = 1.5  # largest |output|/magnitude, or its inverse, to fit without an ellipsoid
-INVERSIONS = 1  # Newton steps before the differentiated one: error 1e-7 for 10 % nonlinearity
+NEWTON_STEPS = 1  # before the differentiated step: error 1e-7 for 10 % nonlinearity
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
@@ -110,14 +110,14 @@ class Vector:
         vectors = centred @ np.linalg.cholesky(quadratic_form), centred @ quadratic_form
         direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in vectors)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
-        present = [name in columns for name in names]
-        projected = np.zeros(len(y), bool)
-        if all(present):
-            projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
+        is_present = [name in columns for name in names]
+        mask = np.zeros(len(y), bool)
+        if all(is_present):
+            mask = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
         for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
-            columns[name] = np.where(projected, columns[name], values) if all(present) else values
+            columns[name] = np.where(mask, columns[name], values) if all(is_present) else values
         projections = np.sum(normal * outputs, axis=1)
-        return replace(frame, columns=columns), np.where(projected, y, projections)
+        return replace(frame, columns=columns), np.where(mask, y, projections)
 
 
 def radial_residual(ratio: Any) -> Any:
@@ -135,7 +135,7 @@ def invert_equation(
         value, inverse = _linearise_and_invert(outputs, force)
         return value, lambda residual: jnp.sum(inverse * residual[:, None, :], axis=2)
 
-    start = jax.lax.stop_gradient(stepped(equation, y, y, INVERSIONS))
+    start = jax.lax.stop_gradient(stepped(equation, y, y, NEWTON_STEPS))
     force = stepped(equation, y, start, 1)
     return force, _linearise_and_invert(outputs, force)[1]
 
