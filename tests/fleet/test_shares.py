@@ -34,7 +34,7 @@ def _sum(curves: np.ndarray, effects: tuple[str, ...]) -> np.ndarray:
 
 def test_a_fleet_of_one_device_is_its_search(rng) -> None:
     log = {s: float(rng.normal(0, 3)) for s in SETS}
-    found = shares([Evidence(dict.fromkeys(NAMES, 0.2), log)], seed=1, rounds=20_000)
+    found = shares([Evidence(dict.fromkeys(NAMES, 0.2), log)], seed=1, size=20_000)
     weight = {s: v + len(s) * np.log(0.2 / 0.8) for s, v in log.items()}
     for name in NAMES:
         inside = logsumexp([v for s, v in weight.items() if name in s])
@@ -62,7 +62,7 @@ def test_intervals_of_shares_cover() -> None:
     rng, covered = np.random.default_rng(7), []
     for seed in range(60):
         true = {"lag": rng.random(), "voltage": rng.random() * (seed % 2)}
-        found = shares(fleet(rng, 30, true, size=6.0)[0], seed, rounds=400)
+        found = shares(fleet(rng, 30, true, size=6.0)[0], seed, size=400)
         covered += [found.low[n] <= share <= found.high[n] for n, share in true.items() if share]
     assert (
         len(covered) == 90 and sum(covered) >= 79

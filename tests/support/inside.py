@@ -10,7 +10,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._annexes.fleet.find_devices import Evidence as Evidence
-from bayescal._annexes.fleet.find_devices import shares as shares
+from bayescal._annexes.fleet.find_devices import estimate_shares as shares
 from bayescal._annexes.imu.imu_annex import Triad as Triad
 from bayescal._annexes.imu.still_stretches import still_stretches as still_stretches
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
@@ -144,7 +144,7 @@ def write_plain_json(data: Any, path: Path) -> None:
 
 
 # Readings that a task of a batch takes: some five devices.
-SMALL_TASKS = ("bayescal._annexes.fleet.fit_batch.READINGS_PER_TASK", 100)
+SMALL_TASKS = ("bayescal._annexes.fleet.fit_batch.MAX_READINGS_PER_FIT_TASK", 100)
 
 
 def cluster_of(workers: int) -> Any:

@@ -21,10 +21,10 @@ from bayescal._annexes.fleet.find_devices import EFFECTS, DeviceStructure
 from bayescal._annexes.fleet.population import estimate_population
 
 FORMAT = "bayescal.batch/1"
-# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
+# Probability that a fleet without outliers has a device flagged; divided among devices and quantities (C. Bonferroni).
 FAMILY_WISE_ERROR = 0.01
-SHOWN_DEVICES = 10  # devices, files that are named in print
-SHOWN_ALIKE = 3  # of those of which the same is said
+MAX_PRINTED_ROWS = 10  # devices, files or effects listed in printed results
+MAX_NAMES_PER_REASON = 3  # names printed of devices or files with the same reason
 SCHEMA = pa.schema(
     {
         **{"device": pa.string(), "coefficient": pa.string()},
@@ -35,22 +35,23 @@ SCHEMA = pa.schema(
 )
 COEFFICIENTS = ["coefficient", "median", "between devices", "population sd", "typical sd"]
 COEFFICIENTS += ["unit", "devices"]
-COLUMNS = SCHEMA.names[:7]  # of the table that a user sees
+TABLE_COLUMNS = SCHEMA.names[:7]  # of `BatchResult.table`
 
 
-def first_few(items: Mapping[str, str], head: str = "", ending: str = "") -> list[str]:
-    """Return names and what is said of them, once where it is the same: the first ten, and how many more there are."""
+def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "") -> list[str]:
+    """Format names with their reasons, one line per distinct reason, at most ten; count the names not listed."""
     by_reason: dict[str, list[str]] = {}
-    for name, why in items.items():
-        key = why.replace(repr(name), "").replace(f"device {name}", "")
+    for name, reason in reasons.items():
+        key = reason.replace(repr(name), "").replace(f"device {name}", "")
         by_reason.setdefault(key, []).append(name)
-    groups = sorted(by_reason.values(), key=len, reverse=True)[:SHOWN_DEVICES]
+    groups = sorted(by_reason.values(), key=len, reverse=True)[:MAX_PRINTED_ROWS]
     lines = []
     for names in groups:
-        others = f" and {len(names) - SHOWN_ALIKE} more" * (len(names) > SHOWN_ALIKE)
-        lines.append(f"  {head}{', '.join(names[:SHOWN_ALIKE])}{others}: {items[names[0]]}")
-    hidden = len(items) - sum(map(len, groups))
-    return [*lines, f"  … and {hidden} more{ending}"] if hidden > 0 else lines
+        listed, hidden = ", ".join(names[:MAX_NAMES_PER_REASON]), len(names) - MAX_NAMES_PER_REASON
+        others = f" and {hidden} more" * (hidden > 0)
+        lines.append(f"  {prefix}{listed}{others}: {reasons[names[0]]}")
+    hidden = len(reasons) - sum(map(len, groups))
+    return [*lines, f"  … and {hidden} more{suffix}"] if hidden > 0 else lines
 
 
 # Heads of printed tables.
@@ -61,19 +62,19 @@ EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
 EFFECT_HEADS |= {"share": "expected share", "low": "share, if any: 2.5 %", "high": "97.5 %"}
 
 
-def printed(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> str:
-    """Format a table with so many significant digits."""
+def format_table(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> str:
+    """Format a table with `digits` significant digits and the column heads `heads`."""
 
-    def cell(v: Any) -> str:
+    def format_cell(v: Any) -> str:
         number = "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
         return ws.unit_label(v) if isinstance(v, str) and v in units else number
 
     units = {*table.get("unit", ())}
-    rows = [[*map(cell, row)] for row in table.to_numpy()]
+    rows = [[*map(format_cell, row)] for row in table.to_numpy()]
     return str(ws.plain_table([heads.get(n, n) for n in table.columns], rows))
 
 
-NOT_CHECKED = "missing effects were looked for in none of them (--find, in Python find=True)"
+NO_SEARCH = "no device was searched for missing effects (--find, in Python find=True)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +83,13 @@ class DeviceResult:
 
     Attributes:
         device: its name.
-        reason: why its fit is not to be relied on: a refusal, or what the fit did not reach; empty if nothing.
-        names, units: of its unknowns; none if it was refused.
-        mean: (q,), in these units.
-        covariance: (q, q); NaN for what is held at its estimate (standard deviations, by least squares).
-        readings: how many were fitted; NaN if that is not known.
-        t0: reference temperature, °C; NaN where there is none.
-        structure: what is missing from its model, if that was looked for; not saved.
+        reason: why its fit is unreliable: an error message or its failed checks; empty for a reliable fit.
+        names, units: of its q unknowns; empty if the device was rejected.
+        mean: posterior mean of each unknown (q,), in `units`.
+        covariance: posterior covariance (q, q); NaN for fixed parameters (standard deviations, by least squares).
+        readings: number of readings fitted; NaN if not known.
+        t0: reference temperature, °C; NaN if the model has none.
+        structure: effects missing from its model, if it was searched for them; not saved.
     """
 
     device: str = ""
@@ -103,17 +104,17 @@ class DeviceResult:
 
     @property
     def ok(self) -> bool:
-        """Return whether its fit is to be relied on; what the model lacks is another question."""
+        """Return whether the fit is reliable; its model may still lack effects."""
         return not self.reason
 
     @property
     def sd(self) -> np.ndarray:
-        """Return standard uncertainties, (q,); NaN for what is held."""
+        """Return standard uncertainties, (q,); NaN for fixed parameters."""
         variance = np.diag(self.covariance)
         return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
     def __getitem__(self, name: str) -> tuple[float, float]:
-        """Return mean and standard uncertainty of one unknown; raise InputError if nothing is called so."""
+        """Return mean and standard uncertainty of the unknown `name`; raise InputError if there is none."""
         if name not in self.names:
             others = ", ".join(self.names) or "none"
             raise bc.InputError(f"device {self.device!r} has no unknown {name!r}; it has: {others}")
@@ -127,8 +128,8 @@ class DeviceResult:
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
-def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
-    """Return one row for each device and unknown, and one of a device that has none."""
+def _tabulate(results: Iterable[DeviceResult]) -> pa.Table:
+    """Tabulate results: one row per device and unknown, and one row for a device without unknowns."""
     rows = [
         (fit.device, name, mean, sd, unit, fit.ok, fit.reason, covariance, fit.readings, fit.t0)
         for fit in results
@@ -142,13 +143,13 @@ def _rows_of(results: Iterable[DeviceResult]) -> pa.Table:
 
 
 def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
-    """Return the devices of a results table; raise ValueError if rows of one are missing or not contiguous."""
+    """Split a results table by device; raise ValueError if rows of a device are missing or not contiguous."""
     fits = list[DeviceResult]()
     for name, group in groupby(rows.to_pylist(), lambda row: row["device"]):
         first, *_ = group_rows = [*group]
-        of_unknowns = [row for row in group_rows if row["coefficient"] is not None]
+        unknown_rows = [row for row in group_rows if row["coefficient"] is not None]
         keys = ("coefficient", "unit", "mean", "covariance")
-        names, units, mean, covariance = ([row[key] for row in of_unknowns] for key in keys)
+        names, units, mean, covariance = ([row[key] for row in unknown_rows] for key in keys)
         moments = np.array(mean), np.reshape(covariance, (len(mean), len(mean)))
         fields = (*names,), (*units,), *moments, first["readings"], first["T0"]
         fits.append(DeviceResult(name, first["reason"], *fields))
@@ -157,8 +158,8 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
     return tuple(fits)
 
 
-def refuse_suffix(path: Path) -> Path:
-    """Return a path to save a batch to; raise InputError for another suffix than .parquet."""
+def require_parquet(path: Path) -> Path:
+    """Return the path of a file to save a batch to; raise InputError if its suffix is not .parquet."""
     if path.suffix != ".parquet":
         raise bc.InputError(f"a batch is saved as Parquet: name it ….parquet, not {path.name!r}")
     return path
@@ -167,16 +168,16 @@ def refuse_suffix(path: Path) -> Path:
 @ws.renamed(doubted="unreliable")
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Fits of many devices. `result["A17"]` or `result[3]` is one device's; `table()` is all of them.
+    """Fits of many devices: `result["A17"]` or `result[3]` of one device, `table()` of all.
 
     Attributes:
-        results: one a device, in the order in which they came.
+        results: one per device, in input order.
         about: instrument, effects, method, seed and notes.
-        odd: devices that are not like the others, and in what.
-        checked: devices in which it was looked for what the model lacks (`find`).
-        missing: file → why its devices are not among the results.
-        left_out: what stands in folders of readings and was not read → why.
-        effects: where effects were looked for, one row an effect, as `effects_table` says; else no rows.
+        odd: outlying device → one message per outlying quantity.
+        checked: number of devices searched for missing effects (`find`).
+        missing: unreadable file → error message.
+        left_out: entry of a folder of readings that was not read → reason.
+        effects: one row per effect found by `find`: devices with it and its share of the fleet; else without rows.
     """
 
     results: tuple[DeviceResult, ...]
@@ -193,12 +194,12 @@ class BatchResult:
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """Return the names, in the order in which they came."""
+        """Return the devices' names, in input order."""
         return tuple(self._by_name)
 
     @property
     def ok(self) -> np.ndarray:
-        """Return whether each fit is to be relied on, (devices,); what the model lacks is another question."""
+        """Return whether each device's fit is reliable, (devices,); its model may still lack effects."""
         return np.array([fit.ok for fit in self.results], dtype=bool)
 
     def __len__(self) -> int:
@@ -208,7 +209,7 @@ class BatchResult:
         return iter(self.results)
 
     def __getitem__(self, device: str | int) -> DeviceResult:
-        """Return one device's result, by its name or its place; raise InputError if there is none."""
+        """Return the result of one device, by name or index; raise InputError if there is none."""
         if isinstance(device, int) and -len(self) <= device < len(self):
             return self.results[device]
         if device in self._by_name:
@@ -217,27 +218,27 @@ class BatchResult:
         raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
 
     def table(self) -> pd.DataFrame:
-        """Return one row for each device and unknown: device, coefficient, mean, sd, unit, ok, reason.
+        """Return one row per device and unknown: device, coefficient, mean, sd, unit, ok, reason.
 
-        A device that was refused has one row without a coefficient. Devices in the order in which they came.
+        A rejected device has one row without a coefficient. Devices are in input order.
         """
-        return _rows_of(self.results).select(COLUMNS).to_pandas()
+        return _tabulate(self.results).select(TABLE_COLUMNS).to_pandas()
 
     @property
     def fitted(self) -> int:
-        """Count the devices whose fit is to be relied on."""
+        """Return the number of devices with a reliable fit."""
         return sum(fit.ok for fit in self)
 
     @property
     def unreliable(self) -> dict[str, str]:
-        """Return the devices whose fit is not to be relied on, and why."""
+        """Return device → reason of each device without a reliable fit."""
         return {fit.device: fit.reason for fit in self if not fit.ok}
 
     def coefficients(self) -> pd.DataFrame:
-        """Return one row a coefficient, over the devices that are fitted.
+        """Return one row per coefficient, over the devices with a reliable fit.
 
-        Columns: median, experimental standard deviation between devices; that of the population, without what
-        readings leave open (restricted likelihood); median standard uncertainty, unit, devices.
+        Columns: median and experimental standard deviation of the estimates; standard deviation in the population,
+        without the estimates' uncertainties (restricted likelihood); median standard uncertainty, unit, devices.
         """
 
         def row(name: str, unit: str, g: pd.DataFrame) -> list[Any]:
@@ -252,7 +253,7 @@ class BatchResult:
         return pd.DataFrame(rows, columns=COEFFICIENTS)
 
     def data(self) -> dict[str, Any]:
-        """Return the whole without its devices, as plain data."""
+        """Return the batch's summary, without single devices' results, as JSON data."""
         fields = ("checked", "odd", "missing", "left_out", "about")
         return ws.as_json(
             {
@@ -267,65 +268,64 @@ class BatchResult:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the table to Parquet, with each unknown's row of the covariance. `load_batch` reads it back.
+        """Write the table to Parquet, with each unknown's row of the covariance, for `load_batch`.
 
         Args:
-            path: a name ….parquet; the whole without its devices, as of `data`, stands in its metadata.
+            path: file name ending in .parquet; the batch's summary, `data()`, is in its metadata.
 
         Raises:
-            InputError: another suffix, or a place that cannot be written to.
+            InputError: another suffix, or the file cannot be written.
         """
-        path = refuse_suffix(Path(path))
-        head = {"bayescal": json.dumps(self.data(), allow_nan=False)}
-        with ws.replacing_for_user(path) as place:
-            table = _rows_of(self.results).replace_schema_metadata(head)
-            pq.write_table(table, place, write_page_checksum=True)
+        path = require_parquet(Path(path))
+        metadata = {"bayescal": json.dumps(self.data(), allow_nan=False)}
+        with ws.replacing_for_user(path) as temporary_path:
+            table = _tabulate(self.results).replace_schema_metadata(metadata)
+            pq.write_table(table, temporary_path, write_page_checksum=True)
         return path
 
     def _repr_html_(self) -> str:
         return f"<pre>{ws.html_text(self)}</pre>"
 
     def __str__(self) -> str:
-        bad, odd = self.unreliable, {n: "; ".join(why) for n, why in self.odd.items()}
+        outliers = {name: "; ".join(messages) for name, messages in self.odd.items()}
         lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
-        lines += first_few(bad)
-        searched = f"{self.checked} searched for missing effects"
-        lines.append(searched if self.checked else NOT_CHECKED)
-        if odd:
+        lines += format_reasons(self.unreliable)
+        lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
+        if outliers:
             chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
-            lines.append(f"{len(odd)} of {len(self)} devices are not like the others ({chance}):")
-        lines += first_few(odd, ending=", all in `odd`")
-        lines += first_few(self.missing, "no results of ", " files")
-        lines += first_few(self.left_out, "not read: ", ", not read either")
-        lines += [printed(self.coefficients(), 4, HEADS)] * bool(self.fitted)
+            lines.append(f"{len(outliers)} of {len(self)} devices are outliers ({chance}):")
+        lines += format_reasons(outliers, suffix=", all in `odd`")
+        lines += format_reasons(self.missing, "no results of ", " files")
+        lines += format_reasons(self.left_out, "not read: ", ", not read either")
+        lines += [format_table(self.coefficients(), 4, HEADS)] * bool(self.fitted)
         if len(self.effects):
-            table = printed(self.effects.head(SHOWN_DEVICES), 3, EFFECT_HEADS)
+            table = format_table(self.effects.head(MAX_PRINTED_ROWS), 3, EFFECT_HEADS)
             lines.append(f"effects in addition to the model given:\n{table}")
         return "\n".join(lines)
 
 
 def load_batch(path: str | Path) -> BatchResult:
-    """Read a saved batch back.
+    """Read a saved batch.
 
     Raises:
-        InputError: there is no such file, it is no batch of this version, or it is damaged.
+        InputError: the file does not exist, is damaged, or is not a batch of this version.
     """
     path = Path(path)
     if not path.is_file():
         raise bc.InputError(f"There is no file {path}: give a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        head = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
-        if head["schema"] != FORMAT:
-            raise KeyError(head["schema"])
-        content = ("about", "odd", "checked", "missing", "left_out")
+        metadata = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
+        if metadata["schema"] != FORMAT:
+            raise KeyError(metadata["schema"])
+        fields = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
             _split_by_device(table.select(SCHEMA.names).cast(SCHEMA)),
-            effects=pd.DataFrame(head["effects"], columns=EFFECTS),
-            **{name: head[name] for name in content},
+            effects=pd.DataFrame(metadata["effects"], columns=EFFECTS),
+            **{name: metadata[name] for name in fields},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(
-            f"{path.name} is no batch of this version, or a damaged one ({type(error).__name__}). Take a copy, "
+            f"{path.name} is damaged, or is not a batch of this version ({type(error).__name__}). Use a backup copy, "
             "or run the batch again"
         ) from None

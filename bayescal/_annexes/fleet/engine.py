@@ -1,7 +1,7 @@
-"""Where tasks run: in this process, or on the workers of a Dask cluster. Results are the same bit for bit.
+"""Execution of tasks in this process or on the workers of a Dask cluster, with bit-identical results.
 
-Whoever reaches a scheduler or a worker of Dask can have it run code. A local one listens on the loopback interface
-alone, takes only those who hold a key that never leaves memory (TLS, both sides), and serves no page.
+Any client of a Dask scheduler or worker can execute code on it. A local cluster therefore listens on the loopback
+interface only, requires mutual TLS with a key that is kept in memory, and serves no dashboard.
 """
 
 from __future__ import annotations
@@ -20,34 +20,36 @@ from bayescal import workshop as ws
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
-INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
-LOOPBACK = "127.0.0.1"
-ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
-RETRIES = 2  # of a task that failed; a worker that died does not count
-POLL_SECONDS = 2.0  # between looks at the deadline and the workers
-WORKER_TIMEOUT = 200.0  # seconds without a worker, after which a run is given up
-LARGEST_TASKS = "4GB"  # which a scheduler takes without a warning: twice what a file may hold
-NOT_REACHED = "not reached ({}): give more time"
+INSTALL_ADVICE = "Fleets run on Dask: pip install 'bayescal[fleet]'"
+LOOPBACK_ADDRESS = "127.0.0.1"
+CONNECTION_TIMEOUT_S = 20.0  # within which a scheduler must answer
+MAX_TASK_RETRIES = 2  # of a failed task; tasks of a worker that died do not count
+POLL_INTERVAL_S = 2.0  # between checks of the deadline and of the workers
+WORKER_TIMEOUT_S = 200.0  # without a worker, after which a run is abandoned
+MAX_TASK_SIZE = (
+    "4GB"  # that a scheduler accepts without a warning: twice the maximum size of a file
+)
+NOT_PROCESSED = "not processed ({}): give more time"
 
 
 @contextmanager
 def open_cluster(
     workers: int | None, scheduler: str | None = None, files: Sequence[Path] = ()
 ) -> Iterator[Client]:
-    """Open a client of so many local processes, or of the cluster at an address; close it at the end.
+    """Open a client of `workers` local processes, or of the cluster at the address `scheduler`; close it on exit.
 
-    Its workers get Python files of the user's own.
+    `files`, the user's Python files, are uploaded to the workers.
 
     Raises:
-        InputError: Dask is not installed, or nobody answers at the address.
+        InputError: Dask is not installed, or no scheduler answers at the address.
     """
     if not all(map(importlib.util.find_spec, ("distributed", "cryptography"))):
-        raise bc.InputError(INSTALL)
+        raise bc.InputError(INSTALL_ADVICE)
     from distributed import Client
 
-    with nullcontext(scheduler) if scheduler else _local_cluster(workers) as place:
+    with nullcontext(scheduler) if scheduler else _open_local_cluster(workers) as cluster:
         try:
-            client = Client(place, timeout=ANSWER_SECONDS)
+            client = Client(cluster, timeout=CONNECTION_TIMEOUT_S)
         except (OSError, ValueError, TimeoutError) as error:
             raise bc.InputError(
                 f"no scheduler answers at {scheduler!r} ({error}): start one with `dask scheduler`, and workers with "
@@ -59,7 +61,7 @@ def open_cluster(
             yield client
 
 
-def _local_cluster(workers: int | None) -> LocalCluster:
+def _open_local_cluster(workers: int | None) -> LocalCluster:
     """Open a local worker pool that accepts tasks from this process only."""
     import dask.config
     from distributed import LocalCluster
@@ -74,9 +76,9 @@ def _local_cluster(workers: int | None) -> LocalCluster:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            host=LOOPBACK,
+            host=LOOPBACK_ADDRESS,
             security=Security.temporary(),
-            dashboard_address=f"{LOOPBACK}:0",
+            dashboard_address=f"{LOOPBACK_ADDRESS}:0",
             scheduler_kwargs={"dashboard": False},
         )
 
@@ -86,52 +88,51 @@ def dask_setup(_: Any) -> None:
     ws.obey_no_folder()
 
 
-# Place of a task, what it returned, why it failed: empty where it did not.
+# Index of a task, its result, and its error message (empty on success).
 Outcome = tuple[int, Any, str]
 
 
 def run_tasks(
     client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
 ) -> Iterator[Outcome]:
-    """Run a function on each of several arguments, and yield outcomes as they come in.
+    """Run a function on each task's arguments, and yield the outcomes as tasks complete.
 
-    Tasks that the deadline leaves out fail with that reason.
+    Tasks that do not complete before the deadline fail with that reason.
     """
     end = ws.deadline.current()
     if client is None:
         for index, task in enumerate(tasks):
-            missed = index and end.over
-            value, why = (
-                (None, NOT_REACHED.format(end.why)) if missed else run_guarded(function, task)
-            )
-            yield index, value, why
+            if index and end.over:
+                yield index, None, NOT_PROCESSED.format(end.why)
+            else:
+                yield index, *run_guarded(function, task)
         return
     import dask.config
 
-    executor = client.get_executor(pure=False, retries=RETRIES)
-    # Devices that were read are part of a task.
-    with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASKS}):
+    executor = client.get_executor(pure=False, retries=MAX_TASK_RETRIES)
+    # A task contains the readings of its devices.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
         futures = {executor.submit(run_guarded, function, t): i for i, t in enumerate(tasks)}
-    idle = 0.0  # s without a worker
-    while futures and not end.over and idle <= WORKER_TIMEOUT:
-        done, _ = wait(futures, POLL_SECONDS, FIRST_COMPLETED)
-        idle = 0.0 if done or client.nthreads() else idle + POLL_SECONDS
+    idle_seconds = 0.0  # without a worker
+    while futures and not end.over and idle_seconds <= WORKER_TIMEOUT_S:
+        done, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
+        idle_seconds = 0.0 if done or client.nthreads() else idle_seconds + POLL_INTERVAL_S
         for future in done:
             index = futures.pop(future)
             try:
                 yield index, *future.result()
-            except Exception as error:  # whatever a cluster says of tasks it gave up
-                yield index, None, f"the cluster gave it up: {str(error) or type(error).__name__}"
+            except Exception as error:  # any error of a cluster that abandons a task
+                yield index, None, f"the task was abandoned: {str(error) or type(error).__name__}"
             end.defer_interrupt()
-    lost = "the cluster has no worker left: start workers"
-    why = NOT_REACHED.format(end.why) if end.over else lost
+    no_worker = "the cluster has no worker left: start workers"
+    reason = NOT_PROCESSED.format(end.why) if end.over else no_worker
     for future, index in futures.items():
         future.cancel()
-        yield index, None, why
+        yield index, None, reason
 
 
 def run_guarded(function: Callable[..., Any], task: tuple) -> tuple[Any, str]:
-    """Return a task's value; or why it failed, if the readings or a file are the cause."""
+    """Run a task; return its value and "", or None and the message of an error in its readings or files."""
     try:
         return function(*task), ""
     except (bc.BayescalError, OSError) as error:

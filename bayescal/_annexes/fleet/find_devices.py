@@ -1,12 +1,11 @@
-"""Each device's structure searched by itself; then which share of the fleet has each effect.
+"""Search for each device's structure separately, and estimation of the share of the fleet that has each effect.
 
-The search is that of `calibrate`: the same structures, the same walk, the same posterior; what a fleet does without
-are the checks and pictures of every step.
+The search is that of `calibrate`, without the checks and pictures of each step.
 
-All devices together separate substitutes that no single device can. The fleet has an effect or not; if it has, any
-share of its devices is as probable as another. Given the shares, devices are independent. What is known of one device
-is the evidence of its structures; shares and structures are drawn in turn (Gibbs sampling: S. Geman and D. Geman, IEEE
-Trans. Pattern Anal. 6 (1984) 721). Of one device alone, an effect is as probable as its search finds it.
+Jointly, devices distinguish alternative effects that a single device cannot. The model is hierarchical: the fleet has
+an effect or not; if it has, the share of devices with it has a uniform prior; given the shares, devices are
+independent, each with the evidences of its structures. Shares and structures are sampled in turn (Gibbs sampling: S.
+Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a single device, the probabilities are its search's.
 """
 
 from __future__ import annotations
@@ -26,23 +25,21 @@ from bayescal import workshop as ws
 
 # Columns of the table of effects.
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
-# Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
-KEPT_PROBABILITY = 0.01
-# Nats behind a device's best structure, up to which others are kept: D devices know the odds of a share up to about D,
-# and ln 10⁶ = 13.8: no fleet of a million brings back what is farther behind.
-BEHIND_NATS = 15.0
-
-KEPT_STRUCTURES = 50  # structures of a device
-MAX_EFFECTS = 3  # added to a device at most
+MIN_EXPECTED_DEVICES = 0.01  # expected number of devices above which an effect is tabulated
+# Log evidence below that of a device's best structure, up to which others are stored. D devices determine the odds of a
+# share up to about D, and ln 10⁶ = 13.8: structures further below are negligible even in a fleet of a million.
+MAX_DEFICIT_NATS = 15.0
+MAX_STRUCTURES_PER_DEVICE = 50  # stored
+MAX_EFFECTS_PER_DEVICE = 3  # added by the search
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of one device's readings on its structures."""
+    """Log evidences of one device's structures, and prior probabilities of its effects."""
 
-    # effect → probability, before the readings, that a device lacks it; what it cannot show is not named
+    # effect → prior probability that a device has it; without effects that the readings cannot show
     prior: Mapping[str, float]
-    # sets of effects, all noise laws together → natural logarithm, up to a constant
+    # set of effects → natural logarithm of the evidence, summed over noise laws, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
 
 
@@ -50,11 +47,11 @@ class Evidence:
 class DeviceStructure:
     """Effects missing from one device's model."""
 
-    # effects, families: of the structure to use: forms, and what they are of
+    # effects, families: of the median-probability structure, by form and by family of forms
     effects: tuple[str, ...]
     families: frozenset[str]
-    possible: frozenset[str]  # effects of which one is missing, with probability 0.95
-    evidence: Evidence  # of its structures
+    possible: frozenset[str]  # effects in sets of which one is missing with probability 0.95
+    evidence: Evidence  # of all its structures
 
 
 def search_device(
@@ -63,11 +60,11 @@ def search_device(
     candidates: tuple[bc.Effect, ...],
     reference: Mapping[str, Any],
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
-    """Search one device's structures; return the one to use, its model, and its φ by name at the mode.
+    """Search a device's structures; return the median-probability one, its model, and its φ by name at the mode.
 
     Raises:
-        BayescalError: the readings lack what the model needs.
-        TimeIsUp: the walk was ended early.
+        BayescalError: the readings lack a column that the model needs.
+        TimeIsUp: the deadline ended the search.
     """
     model.require(readings)
     constants = {**ws.reference_of(readings), **reference}
@@ -75,117 +72,117 @@ def search_device(
         model, readings, constants, effects=candidates, widen_noise=True
     )
     structures = replace(structures, near_best_only=True)
-    if stopped := ws.explore(ws.Library(structures), MAX_EFFECTS):
+    if stopped := ws.explore(ws.Library(structures), MAX_EFFECTS_PER_DEVICE):
         raise ws.deadline.TimeIsUp(stopped)
     posterior = ws.Posterior.from_structures(structures)
     chosen = posterior.median_structure
-    weighed = structures.evaluate(chosen)
-    odds = {
+    evaluated = structures.evaluate(chosen)
+    log_odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in forms]))
         for n, forms in structures.forms.items()
     }
-    prior = {n: float(expit(of_family)) for n, of_family in odds.items()}
+    prior = {name: float(expit(family_odds)) for name, family_odds in log_odds.items()}
     structure = DeviceStructure(
         tuple(sorted(chosen.effects)),
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
-        Evidence(prior, _weighed(posterior, odds)),
+        Evidence(prior, _log_evidences(posterior, log_odds)),
     )
-    return structure, weighed.model, weighed.phi
+    return structure, evaluated.model, evaluated.phi
 
 
-def _weighed(
+def _log_evidences(
     posterior: ws.Posterior, log_odds: Mapping[str, float]
 ) -> dict[tuple[str, ...], float]:
-    """Return log evidence of sets of effects, in whatever form, less that of the best."""
+    """Return the log evidence of each set of effects, summed over their forms, relative to the largest."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.log_posterior, strict=True):
         effects = tuple(sorted(posterior.space.families(structure.effects)))
         log_evidence = log_posterior - sum(log_odds[name] for name in effects)
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), log_evidence))
     best = max(total.values())
-    order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
-    return {e: round(total[e] - best, 6) for e in order if total[e] > best - BEHIND_NATS}
+    largest = sorted(total, key=lambda effects: -total[effects])[:MAX_STRUCTURES_PER_DEVICE]
+    return {e: round(total[e] - best, 6) for e in largest if total[e] > best - MAX_DEFICIT_NATS}
 
 
-# Of Gibbs sampling: until shares are at rest, and those that are averaged.
-BURN_IN, ROUNDS = 200, 1000
-NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
+BURN_IN, SIZE = 200, 1000  # numbers of Gibbs samples: discarded, and averaged
+MIN_SHARE, MAX_SHARE = 1e-12, 1 - 1e-12  # limits of a share, so that its log odds are finite
 
 
-def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> pd.DataFrame:
-    """Estimate the share of each effect, from all devices.
+def estimate_shares(devices: Sequence[Evidence], seed: int = 0, size: int = SIZE) -> pd.DataFrame:
+    """Estimate the share of the fleet that has each effect, from all devices jointly.
 
     Args:
-        devices: what each of them says.
-        seed, rounds: of the draws, and how many count.
+        devices: evidence of each device.
+        seed: seed of the random numbers.
+        size: number of Gibbs samples, without burn-in.
 
     Returns:
-        By effect: probability that any device has it (`in fleet`), mean of the number of devices that have it
-        (`expected`) and of their share, and its 95 % interval if any device has it (`low`, `high`).
+        By effect: probability that any device has it (`in fleet`), posterior mean of the number of devices with it
+        (`expected`) and of their `share`, and the share's 95 % interval if any device has it (`low`, `high`).
     """
     names = sorted({name for device in devices for name in device.prior})
     if not names:
         return pd.DataFrame(columns=EFFECTS[3:])
-    # All devices' structures, one below the other, each with the effects that it has.
+    # Rows: the structures of all devices in turn.
     sets = [effects for device in devices for effects in device.log_evidence]
     has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
     log_evidence = np.array([v for device in devices for v in device.log_evidence.values()])
     lengths = np.array([len(device.log_evidence) for device in devices])
     begins = np.cumsum(lengths) - lengths
     priors = [[d.prior[n] for d in devices if n in d.prior] for n in names]
-    able, prior = np.array([*map(len, priors)]), np.array([np.mean(p) for p in priors])
-    of_any = np.minimum(2 * prior, 0.5)  # half of it is then that of one device
-    nowhere = of_any / (able + 1)  # the less probable, the more devices could show it and do not
+    # n_observable: number of devices whose readings could show the effect.
+    n_observable, prior = np.array([*map(len, priors)]), np.array([np.mean(p) for p in priors])
+    in_fleet_prior = np.minimum(2 * prior, 0.5)  # one device then has half of it
+    unseen_prior = in_fleet_prior / (n_observable + 1)  # in the fleet, but in none of its devices
+    unseen_probability = unseen_prior / (unseen_prior + 1 - in_fleet_prior)
     rng = np.random.default_rng(seed)
 
-    def drawn(share: Float[np.ndarray, "e"]) -> Float[np.ndarray, "d e"]:
-        """Draw a structure for each device, and return which effects each has."""
-        inside = np.clip(share, NONE, ALL)
-        weight = log_evidence + has_effect @ (np.log(inside) - np.log1p(-inside))
-        weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
-        picks = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
-        return has_effect[picks]
+    def draw_effects(share: Float[np.ndarray, "e"]) -> Float[np.ndarray, "d e"]:
+        """Draw a structure for each device; return a mask of the effects that it has."""
+        clipped = np.clip(share, MIN_SHARE, MAX_SHARE)
+        log_weight = log_evidence + has_effect @ (np.log(clipped) - np.log1p(-clipped))
+        log_weight += rng.gumbel(size=len(log_weight))  # the largest is then a draw by weight
+        is_drawn = log_weight == np.repeat(np.maximum.reduceat(log_weight, begins), lengths)
+        return has_effect[is_drawn]
 
-    share, has = prior, np.ones(len(names), dtype=bool)
-    visible, counts, present = [], [], []
-    for i in range(BURN_IN + rounds):
-        each_has = drawn(np.where(has, share, 0.0))
-        count = each_has.sum(axis=0).astype(int)
-        share = rng.beta(1.0 + count, 1.0 + able - count)
-        if i >= BURN_IN // 2:  # before, every effect may find its devices
-            # The fleet has an effect surely where a device has.
-            has = (count > 0) | (rng.random(len(count)) < nowhere / (nowhere + 1 - of_any))
+    share, in_fleet = prior, np.ones(len(names), dtype=bool)
+    share_draws, count_draws, in_fleet_draws = [], [], []
+    for i in range(BURN_IN + size):
+        count = draw_effects(np.where(in_fleet, share, 0.0)).sum(axis=0).astype(int)
+        share = rng.beta(1.0 + count, 1.0 + n_observable - count)
+        if i >= BURN_IN // 2:  # before, all effects are in the fleet, to reach devices
+            in_fleet = (count > 0) | (rng.random(len(count)) < unseen_probability)
         if i >= BURN_IN:
-            visible.append(share)
-            counts.append(count)
-            present.append(has)
-    low, high = np.quantile(visible, (0.025, 0.975), axis=0)
+            share_draws.append(share)
+            count_draws.append(count)
+            in_fleet_draws.append(in_fleet)
+    low, high = np.quantile(share_draws, (0.025, 0.975), axis=0)
     columns = {
-        "in fleet": np.mean(present, axis=0),
-        "expected": np.mean(counts, axis=0),
-        "share": np.mean(np.where(present, visible, 0.0), axis=0),
+        "in fleet": np.mean(in_fleet_draws, axis=0),
+        "expected": np.mean(count_draws, axis=0),
+        "share": np.mean(np.where(in_fleet_draws, share_draws, 0.0), axis=0),
         "low": low,
         "high": high,
     }
     return pd.DataFrame(columns, index=names)
 
 
-def common_model(
+def build_common_model(
     model: bc.Model,
     structures: Sequence[DeviceStructure],
     table: pd.DataFrame,
     candidates: Sequence[bc.Effect],
 ) -> bc.Model:
-    """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
+    """Add to the model the effects, except placeholders, that any device has, to compare all devices with one model.
 
-    `table` is that of `effects_table`; `candidates` are the user's own.
+    `table` is that of `tabulate_effects`; `candidates` are user-defined effects.
     """
     in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
-    named = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
+    by_name = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
     count = Counter(name for structure in structures for name in structure.effects)
     for name, _ in count.most_common():  # of a family its most frequent form
-        effect = named.get(name) or model.instrument.effect(name)
+        effect = by_name.get(name) or model.instrument.effect(name)
         effects = {e.family or e.name for e in model.effects}
         family = effect.family or name
         if family in in_fleet and family not in effects and not effect.is_placeholder:
@@ -193,20 +190,20 @@ def common_model(
     return model
 
 
-def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
-    """Return one row an effect, the most probable first.
+def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
+    """Return one row per effect, the most frequent first.
 
-    Columns: effect; devices whose own structure has it; in how many it is one of the effects of which one is missing.
-    Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
-    interval if any device has it.
+    Columns: effect; number of devices whose structure has it; number in which it is in a set of effects of which one is
+    missing. From all devices jointly: probability that any has it, expected number with it, their share, and the
+    share's 95 % interval if any device has it.
     """
-    named = Counter(name for structure in structures for name in structure.families)
+    in_structure = Counter(name for structure in structures for name in structure.families)
     possible = Counter(name for structure in structures for name in structure.possible)
-    table = shares([structure.evidence for structure in structures], seed)
+    table = estimate_shares([structure.evidence for structure in structures], seed)
     table["effect"] = table.index
-    table["devices"] = [named[name] for name in table.index]
+    table["devices"] = [in_structure[name] for name in table.index]
     table["possible"] = [possible[name] for name in table.index]
-    counted = (table["devices"] > 0) | (table["possible"] > 0)
-    table = table[counted | (table["expected"] > KEPT_PROBABILITY)]
+    is_found = (table["devices"] > 0) | (table["possible"] > 0)
+    table = table[is_found | (table["expected"] > MIN_EXPECTED_DEVICES)]
     order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
     return table.sort_values(**order)[EFFECTS]

@@ -1,4 +1,4 @@
-"""Fit many devices of one type with `fit_batch`, in this process or on a cluster.
+"""Fitting of many devices of one type, `fit_batch`, in this process or on a cluster.
 
 A task reads one file, or fits one batch of devices.
 """
@@ -17,19 +17,20 @@ import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, first_few, refuse_suffix
-from bayescal._annexes.fleet.devices import Devices, devices_of, files_of
+from bayescal._annexes.fleet import batch_result
+from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, format_reasons
+from bayescal._annexes.fleet.devices import Devices, list_files, read_devices
 from bayescal._annexes.fleet.engine import run_tasks
-from bayescal._annexes.fleet.find_devices import common_model, effects_table, search_device
-from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailored
-from bayescal._annexes.fleet.odd_devices import odd_devices
+from bayescal._annexes.fleet.find_devices import build_common_model, search_device, tabulate_effects
+from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailor_model
+from bayescal._annexes.fleet.odd_devices import find_outlying_devices
 
 if TYPE_CHECKING:
     from distributed import Client
 
-READINGS_PER_TASK = 500_000  # which with JAX take 0.6 GB of a worker
-READINGS_PER_SEARCH = 5_000  # so that no more than a minute or two is lost with a worker
-PROGRESS_SECONDS = 9.0  # between two lines about how far it is
+MAX_READINGS_PER_FIT_TASK = 500_000  # they take 0.6 GB of a worker's memory, JAX included
+MAX_READINGS_PER_SEARCH_TASK = 5_000  # so that a worker's death costs no more than a minute or two
+PROGRESS_INTERVAL_S = 9.0  # between progress messages
 
 Paths = str | Path | Sequence[str | Path]
 Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] | Paths
@@ -37,31 +38,31 @@ Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] |
 
 @dataclass(frozen=True)
 class Request:
-    """The model and options that are fitted to every device."""
+    """The model to fit to every device, and the options of its fit and search."""
 
-    model: bc.Model  # what is fitted
-    fit_options: FitOptions  # of every fit
-    find: bool  # whether each device's missing effects are searched
-    candidates: tuple[bc.Effect, ...]  # of the user's own, which are searched too
-    settings: bc.Settings  # that hold where this was asked, and are to hold on the workers
+    model: bc.Model  # to fit
+    fit_options: FitOptions
+    find: bool  # whether to search each device for missing effects
+    candidates: tuple[bc.Effect, ...]  # user-defined effects for that search
+    settings: bc.Settings  # of the caller, for use on the workers
 
 
 def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
     """Search and fit one batch of devices."""
     with bc.use_settings(request.settings):
-        results = {name: DeviceResult(reason=why) for name, why in devices.refused.items()}
-        good, structures, starts = dict(devices.measurements), {}, dict[str, Mapping[str, float]]()
-        models, options = dict.fromkeys(good, request.model), request.fit_options
-        for name in [*good] if request.find else ():
+        results = {name: DeviceResult(reason=error) for name, error in devices.refused.items()}
+        measurements, starts = dict(devices.measurements), dict[str, Mapping[str, float]]()
+        models, structures = dict.fromkeys(measurements, request.model), {}
+        for name in [*measurements] if request.find else ():
             try:
-                arguments = good[name], request.candidates, options.reference
-                searched = search_device(request.model, *arguments)
-                structures[name], models[name], starts[name] = searched
+                arguments = measurements[name], request.candidates, request.fit_options.reference
+                found = search_device(request.model, *arguments)
+                structures[name], models[name], starts[name] = found
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 results[name] = DeviceResult(reason=str(error))
-                del good[name]
+                del measurements[name]
         with ws.deadline.finishing() if request.find else nullcontext():
-            results |= fit_devices(models, good, options, starts)
+            results |= fit_devices(models, measurements, request.fit_options, starts)
         return [
             replace(results[name], device=name, structure=structures.get(name))
             for name in devices.names
@@ -71,32 +72,32 @@ def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
 def read_file(
     path: Path, model: bc.Model, options: ws.ReadOptions, settings: bc.Settings
 ) -> Devices:
-    """Read the devices of a file, with the columns that a model needs."""
+    """Read the devices of a file, with the columns that a model's effects need."""
     needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
     with bc.use_settings(settings):
-        return devices_of(path, model.instrument, options, needs)
+        return read_devices(path, model.instrument, options, needs)
 
 
-def run_each(
-    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], what: str
+def run_with_progress(
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
 ) -> Iterator[tuple[int, Any, str]]:
-    """Yield what a function gives of tasks as it comes, as `run_tasks`, and say how many of `what` are done."""
+    """Run tasks and yield their outcomes as `run_tasks` does; report the number of `noun` (plural) completed."""
     start = last = time.monotonic()
     for count, outcome in enumerate(run_tasks(client, function, tasks), start=1):
         yield outcome
-        if time.monotonic() > last + PROGRESS_SECONDS and count < len(tasks):
-            last, share = time.monotonic(), count / len(tasks)
-            seconds = (last - start) * (1 / share - 1)
-            ws.tell(f"{count:,} of {len(tasks):,} {what}, about {seconds:,.0f} s left", share)
+        if time.monotonic() > last + PROGRESS_INTERVAL_S and count < len(tasks):
+            last, fraction = time.monotonic(), count / len(tasks)
+            seconds = (last - start) * (1 / fraction - 1)
+            ws.tell(f"{count:,} of {len(tasks):,} {noun}, about {seconds:,.0f} s left", fraction)
 
 
 def read_files(
     files: Sequence[Path], model: bc.Model, options: ws.ReadOptions, client: Client | None
 ) -> tuple[Devices, dict[str, str]]:
-    """Read files of devices; return these, and of files that cannot be read why."""
+    """Read files of devices; return the devices, and file name → error message of each unreadable file."""
     by_file, errors = dict[int, Devices](), dict[str, str]()
     tasks = [(path, model, options, ws.settings()) for path in files]
-    for i, devices, error in run_each(client, read_file, tasks, "files"):
+    for i, devices, error in run_with_progress(client, read_file, tasks, "files"):
         if error:
             errors[files[i].name] = error
         else:
@@ -105,23 +106,23 @@ def read_files(
 
 
 def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
-    """Fit all devices, some at a time; those that are not reached have that reason."""
+    """Fit all devices, in batches; devices that are not processed before the deadline get that reason."""
     sizes = [len(devices.measurements.get(name, ())) for name in devices.names]
-    most = READINGS_PER_SEARCH if request.find else READINGS_PER_TASK
-    cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // most)) + 1
-    parts = [devices.some(part.tolist()) for part in np.split(np.array(devices.names), cuts)]
-    tasks, results = [(request, part) for part in parts], dict[str, DeviceResult]()
-    for i, fitted, error in run_each(client, fit_device_batch, tasks, "parts of the devices"):
-        refused = {name: DeviceResult(name, error) for name in parts[i].names}
-        results |= refused if error else {fit.device: fit for fit in fitted}
+    max_readings = MAX_READINGS_PER_SEARCH_TASK if request.find else MAX_READINGS_PER_FIT_TASK
+    cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // max_readings)) + 1
+    batches = [devices.select(b.tolist()) for b in np.split(np.array(devices.names), cuts)]
+    tasks, results = [(request, batch) for batch in batches], dict[str, DeviceResult]()
+    for i, fits, error in run_with_progress(client, fit_device_batch, tasks, "batches of devices"):
+        failed = {name: DeviceResult(name, error) for name in batches[i].names}
+        results |= failed if error else {fit.device: fit for fit in fits}
     return tuple(results[name] for name in devices.names)
 
 
-def tailored_to_any(model: bc.Model, devices: Devices) -> bc.Model:
-    """Return the model tailored to the first device that it can be tailored to, if it can be at all."""
+def tailor_to_fleet(model: bc.Model, devices: Devices) -> bc.Model:
+    """Tailor a model to the readings of the first device that allows it; return it unchanged if none does."""
     for readings in devices if model.instrument.tailor is not None else ():
         with suppress(bc.InputError):
-            return tailored(model, readings)
+            return tailor_model(model, readings)
     return model
 
 
@@ -139,56 +140,58 @@ def fit_batch(
     find: bool = False,
     effects: Sequence[bc.Effect] = (),
 ) -> BatchResult:
-    """Fit one model to many devices of one type, each by itself, in a few compiled programs.
+    """Fit one model to each of many devices of one type, in a few compiled programs.
 
         result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet")
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
         bc.fit_batch(model, "fleet/", out="fleet.parquet", client=distributed.Client("tcp://10.0.0.5:8786"))
 
-    Estimates, uncertainties and objections are those of `fit` with the same method and seed. A device whose readings
-    cannot be used, or against whose fit something stands, gets a reason and changes nothing for the others.
+    Estimates, uncertainties and failed checks are those of `fit` with the same method and seed. A device with unusable
+    readings or an unreliable fit gets a reason, and does not affect the others.
 
-    Files are read and devices are fitted here or by the workers of a Dask `client`, with the same numbers. A file that
-    cannot be read is named in `missing`; a device that stands in several files is refused.
+    Files are read and devices are fitted in this process, or by the workers of a Dask `client` with the same results. A
+    file that cannot be read is listed in `missing`; a device that is in several files is rejected.
 
     Args:
-        model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
-        readings: `split_devices(…)`; paths of files with a column `device` and of folders of files; or measurements,
-            one a device (a mapping names them).
-        method: `LeastSquares()` if not given. `Marginal()` samples without chains: a device that needs them is told.
-        seed: of every random number, or NumPy's generator, which draws it.
+        model: to fit. An instrument that adapts to its readings (unit, plausible sizes) adapts to the first device.
+        readings: `split_devices(…)`; paths of files with a column `device` and of folders of files; or one
+            Measurements per device, named by the keys of a mapping.
+        method: default `LeastSquares()`. `Marginal()` samples without chains: a device that needs them gets a reason.
+        seed: of the random numbers, or a NumPy generator to draw it from.
         reference: constants of the bases, in place of each device's own.
-        time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
-        client: of a Dask cluster whose workers see the files under the same paths.
-        out: where the result is saved, as by `BatchResult.save`.
-        columns: how files are read: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
-        find: whether each device's missing effects are searched (about a second a device).
-        effects: candidates of one's own for that search.
+        time_limit: seconds after which the remaining devices are rejected with that reason, as on Ctrl-C.
+        client: of a Dask cluster whose workers have the files under the same paths.
+        out: file to save the result to, as in `BatchResult.save`.
+        columns: options for reading files: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
+        find: whether to search each device for missing effects (about a second per device).
+        effects: user-defined candidate effects for that search.
 
     Raises:
-        InputError: no device that can be used, paths that are not there, a result that cannot be written.
+        InputError: no usable device, a missing path, or a result that cannot be written.
     """
-    out = None if out is None else refuse_suffix(Path(out))  # before anything is fitted
+    out = (
+        None if out is None else batch_result.require_parquet(Path(out))
+    )  # before anything is fitted
     method = method or bc.LeastSquares()
-    if isinstance(method, bc.Marginal):  # chains of single devices, minutes each, are left to `fit`
+    if isinstance(method, bc.Marginal):  # without chains, which take minutes per device
         method = replace(method, chains=False)
     options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
-    paths, missing, left_out = _paths(readings), dict[str, str](), dict[str, str]()
+    paths, missing, left_out = _list_paths(readings), dict[str, str](), dict[str, str]()
     ws.check_files_exist([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):
         if paths:
-            files, left_out = files_of([path.resolve() for path in paths])
-            lines = first_few(left_out, "not read: ")
+            files, left_out = list_files([path.resolve() for path in paths])
+            lines = format_reasons(left_out, "not read: ")
             ws.print_notes(line.strip() for line in lines)
             devices, missing = read_files(files, model, read_options, client)
         else:
             devices = (
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
             )
-        model = tailored_to_any(model, devices)
+        model = tailor_to_fleet(model, devices)
         request = Request(model, options, find, tuple(effects), ws.settings())
         result = _fit(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
@@ -203,7 +206,7 @@ def _fit(
     devices: Devices,
     missing: dict[str, str],
 ) -> BatchResult:
-    """Fit all devices, and compare them; raise InputError if none can be used."""
+    """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
     model, options = request.model, request.fit_options
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
@@ -219,37 +222,37 @@ def _fit(
     result = BatchResult(results, about)
     if not any(fit.names for fit in result):
         reasons = result.unreliable | missing
-        lines = "\n".join(first_few(reasons)).strip()
-        raise bc.InputError(f"none of the devices can be used; {lines or 'there is none'}")
+        lines = "\n".join(format_reasons(reasons)).strip()
+        raise bc.InputError(f"no device can be used: {lines or 'there are no devices'}")
     structures = [fit.structure for fit in results if fit.structure is not None]
-    effects = effects_table(structures, options.seed)
-    common = common_model(model, structures, effects, request.candidates)
-    if shapes := _usual_shapes(common, model, results):
-        common = common.fix(shapes)
-    t0, compared = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
+    effects = tabulate_effects(structures, options.seed)
+    common_model = build_common_model(model, structures, effects, request.candidates)
+    if shapes := _median_shapes(common_model, model, results):
+        common_model = common_model.fix(shapes)
+    t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
     t0_differs = "T0" not in options.reference and t0.dropna().nunique() > 1
     if t0_differs:  # offsets are compared at one temperature
         reference = {**options.reference, "T0": float(t0.median().round())}
         options = replace(options, reference=reference, method=bc.LeastSquares())
-    if t0_differs or common is not model:
-        request = replace(request, model=common, fit_options=options, find=False)
-        compared = fit_all(client, request, devices)
-    odd = odd_devices(compared, t0, common.noise.parameters())
-    return replace(result, odd=odd, checked=len(structures), effects=effects)
+    if t0_differs or common_model is not model:
+        request = replace(request, model=common_model, fit_options=options, find=False)
+        comparable_fits = fit_all(client, request, devices)
+    outliers = find_outlying_devices(comparable_fits, t0, common_model.noise.parameters())
+    return replace(result, odd=outliers, checked=len(structures), effects=effects)
 
 
-def _usual_shapes(
-    common: bc.Model, model: bc.Model, results: Sequence[DeviceResult]
+def _median_shapes(
+    common_model: bc.Model, model: bc.Model, results: Sequence[DeviceResult]
 ) -> dict[str, float]:
-    """Return the medians of shapes over the devices that have them: of the others these would be the priors'."""
-    added = (e for e in common.effects if e.name not in model.names)
-    names = [e.shape_name(s) for e in added for s in e.shapes]
+    """Return each added effect's shape parameters: medians over the devices with the effect, as others have priors."""
+    added_effects = (e for e in common_model.effects if e.name not in model.names)
+    names = [e.shape_name(s) for e in added_effects for s in e.shapes]
     means = {n: [fit[n][0] for fit in results if fit.ok and n in fit.names] for n in names}
     return {name: float(np.median(values)) for name, values in means.items() if values}
 
 
-def _paths(readings: Any) -> list[Path]:
-    """Return paths of files, where they are given; else none."""
+def _list_paths(readings: Any) -> list[Path]:
+    """Return the paths of files, if `readings` are paths; else an empty list."""
     if isinstance(readings, str | Path):
         return [Path(readings)]
     if isinstance(readings, Devices | Mapping):

@@ -1,19 +1,19 @@
-"""Many devices of one type, each by itself: what `fit` gives of it, one by one or all at once.
+"""Fits of many devices of one type: each by `fit`, or many jointly in closed form, with the same result.
 
-A device is fitted by `fit`: its result is the mean and covariance of that posterior, and what stands against it. Least
-squares of plain devices, against which nothing can stand, has a closed form but for one number, the noise, that gives
-the same: the expected output is affine in the coefficients, their priors are fixed and proper, the noise is white. With
-x₀ the ordinary least squares, r what it leaves, s prior standard deviations, m prior means and U·diag(d)·Vᵀ the
-singular value decomposition of J·s, the restricted likelihood of the noise σ is
+The result of a device is the mean and covariance of its posterior, and its failed checks. The least-squares fit of a
+*regular* device, which passes all checks, has a closed form except for the noise σ: its expected output is affine in
+the coefficients, their priors are fixed and proper, and its noise is white. With J the Jacobian, x₀ the ordinary
+least-squares estimate, r its n residuals, s the prior standard deviations, m the prior means and U·diag(d)·Vᵀ the
+singular value decomposition of J·s, the restricted likelihood of σ is
 
     −2 log L(σ) = n log σ² + |r|²/σ² + Σ log(1 + d²/σ²) + d²w²/(σ² + d²),     w = Vᵀ·(x₀ − m)/s,
 
-and the coefficients stand σ²/(σ² + d²) of w from x₀ toward their priors. A device is no plain one where L has several
-maxima or a coefficient stands far from its prior's mean (the noise may take up what a prior forbids), where outputs are
-so far from zero that digits are lost, and where a unit may be wrong.
+and the coefficients are shrunk from x₀ toward m by the fraction σ²/(σ² + d²) of w. A device is not regular if L has
+several maxima, if a coefficient is far from its prior mean (the noise may absorb what a prior excludes), if its outputs
+are so far from zero that digits are lost, or if a unit may be wrong.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
-Devices of equally many readings are one record, whose arrays have a leading axis.
+Devices with the same number of readings form one record, whose arrays have a leading axis.
 """
 
 from __future__ import annotations
@@ -29,37 +29,37 @@ from jaxtyping import Bool, Float
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import DeviceResult
-from bayescal._annexes.fleet.engine import NOT_REACHED
+from bayescal._annexes.fleet.engine import NOT_PROCESSED
 from bayescal.workshop import build_frame, reference_of
 
 Reference = dict[str, Any]  # constants of bases
 
-PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
-PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
-PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
-JACOBIAN_TOLERANCE = 1e-9  # of a Jacobian, up to which devices together have that of each alone
-ROUNDS = 60  # of σ² and the degrees of freedom that coefficients leave
-DIGITS = 1e-12  # of σ², to which it is the same from below and from above
-LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
-NOISE = "noise.white"
+MAX_PRIOR_DISTANCE_SD = 3.0  # of a regular device's coefficient from its prior mean
+MIN_SIZE_RATIO = 1e-5  # between noise and column sizes; below it a unit may be wrong
+MAX_OUTPUT_TO_NOISE = 1e6  # up to which an output keeps enough digits
+JACOBIAN_RTOL = 1e-9  # between the joint and a single device's Jacobian
+NOISE_ITERATIONS = 60  # of σ² and the effective degrees of freedom
+VARIANCE_RTOL = 1e-12  # between the σ² iterated from below and from above
+MIN_RSS_FRACTION = 1e-24  # residual over total sum of squares, below which the noise counts as zero
+NOISE_NAME = "noise.white"
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How every device is fitted."""
+    """Options of each device's fit."""
 
-    method: ws.Method  # of every fit
-    seed: int  # of every random number
+    method: ws.Method  # fitting method
+    seed: int  # of the random numbers
     reference: Reference  # constants of the bases, in place of each device's own
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
-        """Return the constants of a device."""
-        of_readings = reference_of(readings)
-        return of_readings | {n: v for n, v in self.reference.items() if n in of_readings}
+        """Return a device's constants of the bases: those of its readings, replaced by given ones."""
+        constants = reference_of(readings)
+        return constants | {n: v for n, v in self.reference.items() if n in constants}
 
 
-def tailored(model: bc.Model, readings: bc.Measurements) -> bc.Model:
-    """Return the model of the instrument tailored to one device's readings, if it can be; what was changed stays."""
+def tailor_model(model: bc.Model, readings: bc.Measurements) -> bc.Model:
+    """Tailor a model's instrument, with its default effects and noise, to one device's readings."""
     general = model.instrument
     specific = general.for_readings(readings)
     old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
@@ -74,58 +74,58 @@ def fit_devices(
     options: FitOptions,
     starts: Mapping[str, Mapping[str, float]],
 ) -> dict[str, DeviceResult]:
-    """Fit each device by its model, from `starts`, plain ones together; refuse those that the deadline leaves out."""
+    """Fit each device with its model, from `starts`, regular devices jointly; reject those after the deadline."""
     results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
-        for some in _fit_linear_devices(models, devices, options):
-            results |= some
+        for group_results in _fit_regular_devices(models, devices, options):
+            results |= group_results
             deadline.defer_interrupt()
             deadline.ask()
         for name in [name for name in devices if name not in results]:
             start = starts.get(name, {})
-            results[name] = fit_alone(models[name], devices[name], options, start)
+            results[name] = fit_device(models[name], devices[name], options, start)
             deadline.defer_interrupt()
             deadline.ask()
-    not_reached = DeviceResult(reason=NOT_REACHED.format(deadline.why))
-    return dict.fromkeys(devices, not_reached) | results
+    not_processed = DeviceResult(reason=NOT_PROCESSED.format(deadline.why))
+    return dict.fromkeys(devices, not_processed) | results
 
 
-def fit_alone(
+def fit_device(
     model: bc.Model, readings: bc.Measurements, options: FitOptions, start: Mapping[str, float]
 ) -> DeviceResult:
-    """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
+    """Fit one device by `fit`; return its posterior moments and failed checks."""
     reference = options.reference_for(readings)
-    how: dict[str, Any] = {"seed": options.seed, "reference": reference, "start": start}
+    fit_options: dict[str, Any] = {"seed": options.seed, "reference": reference, "start": start}
     try:
-        fitted = bc.fit(model, readings, options.method, strict=False, **how)
+        fitted = bc.fit(model, readings, options.method, strict=False, **fit_options)
     except bc.BayescalError as error:
         return DeviceResult(reason=str(error))
-    table, of = fitted.values.reshape(-1, len(fitted.unknowns)), fitted.unknowns
-    covariance = np.atleast_2d(np.cov(table.T))
-    constant = np.ptp(table, axis=0) == 0
-    covariance[constant], covariance[:, constant] = np.nan, np.nan
-    reason, t0 = " ".join(map(str, _against(fitted))), float(fitted.reference.get("T0", np.nan))  # pyright: ignore
-    moments = of.names, of.units, table.mean(axis=0), covariance, len(readings), t0
-    return DeviceResult("", reason, *moments)
+    draws, unknowns = fitted.values.reshape(-1, len(fitted.unknowns)), fitted.unknowns
+    covariance = np.atleast_2d(np.cov(draws.T))
+    is_constant = np.ptp(draws, axis=0) == 0
+    covariance[is_constant], covariance[:, is_constant] = np.nan, np.nan
+    reason, t0 = " ".join(map(str, _failed_checks(fitted))), fitted.reference.get("T0", np.nan)
+    moments = unknowns.names, unknowns.units, draws.mean(axis=0), covariance
+    return DeviceResult("", reason, *moments, len(readings), float(t0))  # pyright: ignore
 
 
-def _against(fitted: bc.Calibration) -> Sequence[Any]:
-    """Return what stands against a device that was fitted by itself."""
+def _failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
+    """Return the failed checks of a single device's fit."""
     if not fitted.verdict.ok:
         return fitted.verdict.reasons
-    free = fitted.layout.size
-    if NOISE not in dict(fitted.model.fixed) and len(fitted.readings) <= free:
-        return [ws.Claim("readings.too_few", count=len(fitted.readings), free=free)]
+    n_coefficients = fitted.layout.size
+    if NOISE_NAME not in dict(fitted.model.fixed) and len(fitted.readings) <= n_coefficients:
+        return [ws.Claim("readings.too_few", count=len(fitted.readings), free=n_coefficients)]
     return [claim] if (claim := ws.explain_missing_noise(fitted)) else fitted.conflicts
 
 
-# Devices all at once ----------------------------------------------------------------------------------------------
+# Joint fits -------------------------------------------------------------------------------------------------------
 
 
-def _fit_linear_devices(
+def _fit_regular_devices(
     models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], options: FitOptions
 ) -> Iterator[dict[str, DeviceResult]]:
-    """Fit devices whose outputs depend on the effects of one model alone, and on these linearly."""
+    """Fit the regular devices jointly, if all have one model that is linear in its coefficients; yield by groups."""
     distinct_models = {id(model): model for model in models.values()}
     if not isinstance(options.method, bc.LeastSquares) or len(distinct_models) != 1:
         return
@@ -133,67 +133,66 @@ def _fit_linear_devices(
     columns = ({c.name for c in model.instrument.columns} | model.columns) - {ws.UNCERTAINTY}
     groups: dict[Any, list[str]] = {}
     for name, device in devices.items():
-        numbers = {n for n in device.columns if device.unit(n) is not None}
-        if numbers <= columns and {*model.columns} <= {*device.columns}:
+        numeric = {n for n in device.columns if device.unit(n) is not None}
+        if numeric <= columns and {*model.columns} <= {*device.columns}:
             groups.setdefault((len(device), *device.columns), []).append(name)
     for (count, *_), names in groups.items():
-        some = [devices[name] for name in names]
-        if model.with_nuisances(some[0]) is not model:
+        group = [devices[name] for name in names]
+        if model.with_nuisances(group[0]) is not model:
             continue
-        references = [options.reference_for(device) for device in some]
-        frames = [build_frame(d, r) for d, r in zip(some, references, strict=True)]
-        problem = _together(model, some[0], frames)
+        references = [options.reference_for(device) for device in group]
+        frames = [build_frame(d, r) for d, r in zip(group, references, strict=True)]
+        problem = _bind_jointly(model, group[0], frames)
         if problem is None:
             continue
-        with np.errstate(all="ignore"):  # of devices that are no plain ones
-            plain, x, covariance, sd = _solve(problem, *_linearise(problem))
-        if NOISE not in dict(model.fixed):
+        with np.errstate(all="ignore"):  # in devices that are not regular
+            is_regular, x, covariance, sd = _solve(problem, *_linearise(problem))
+        if NOISE_NAME not in dict(model.fixed):
             x = np.column_stack([x, sd])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-        of = ws.Unknowns.of(problem.layout)
+        unknowns = ws.Unknowns.of(problem.layout)
+        common = "", "", unknowns.names, unknowns.units
         t0 = [r.get("T0", np.nan) for r in references]
         yield {
-            names[k]: DeviceResult("", "", of.names, of.units, x[k], covariance[k], count, t0[k])
-            for k in np.flatnonzero(plain)
+            names[k]: DeviceResult(*common, x[k], covariance[k], count, t0[k])
+            for k in np.flatnonzero(is_regular)
         }
 
 
 def _stack(arrays: Sequence[Any]) -> Any:
-    """Return arrays of several devices with a leading axis, also within dictionaries."""
+    """Stack arrays of several devices along a leading axis, also within dictionaries."""
     if not isinstance(arrays[0], Mapping):
         return np.stack(arrays)
     return {name: _stack([array[name] for array in arrays]) for name in arrays[0]}
 
 
-def _together(
+def _bind_jointly(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
-    """Return a model on the readings of several devices at once; None where it has no closed form, or not together."""
+    """Bind a model to several devices' readings jointly; None if it has no closed form or is not the same for each."""
     layout = ws.bind(model, first, reference=frames[0].reference)[0]
-    plain = all(
+    has_fixed_priors = all(
         b.place != "input" and b.coefficient.per is None and not b.coefficient.flat
         for b in layout.blocks
     )
-    sized = 0 < layout.size < len(first) and not any(e.open for e in model.effects)
-    if not (
-        plain and sized and model.noise.first and all(h.kind == "noise" for h in layout.hypers)
-    ):
+    is_determined = 0 < layout.size < len(first) and not any(e.open for e in model.effects)
+    is_white = model.noise.first and all(h.kind == "noise" for h in layout.hypers)
+    if not (has_fixed_priors and is_determined and is_white):
         return None
     try:
-        together = bc.Frame(**_stack([*map(vars, frames)]))
-        constants = {n: v[:, None] for n, v in together.reference.items()}
-        frame = replace(together, reference=constants, silence=together.silence[:, None])
-        problem, alone = (
+        stacked = bc.Frame(**_stack([*map(vars, frames)]))
+        constants = {n: v[:, None] for n, v in stacked.reference.items()}
+        frame = replace(stacked, reference=constants, silence=stacked.silence[:, None])
+        problem, single_problem = (
             ws.Problem(layout, ws.Record(model.instrument, f, f["output"]))
             for f in (frame, frames[0])
         )
-        if alone.affine:
-            # A basis may be of all readings that it is given, a response of one device's.
-            jacobian, single = _linearise(problem)[1][0], _linearise(alone)[1]
-            atol = JACOBIAN_TOLERANCE * np.max(np.abs(single))
-            how = {"rtol": JACOBIAN_TOLERANCE, "atol": atol}
-            return problem if np.allclose(jacobian, single, **how) else None
-    except (ValueError, TypeError, LookupError, bc.BayescalError):  # of two axes
+        if single_problem.affine:
+            # A basis may depend on all readings in its frame: then the Jacobians differ.
+            jacobian, single_jacobian = _linearise(problem)[1][0], _linearise(single_problem)[1]
+            atol = JACOBIAN_RTOL * np.max(np.abs(single_jacobian))
+            return problem if np.allclose(jacobian, single_jacobian, JACOBIAN_RTOL, atol) else None
+    except (ValueError, TypeError, LookupError, bc.BayescalError):  # two-dimensional arrays
         pass
     return None
 
@@ -201,75 +200,76 @@ def _together(
 def _linearise(
     problem: ws.Problem,
 ) -> tuple[Float[np.ndarray, "*b n"], Float[np.ndarray, "*b n p"]]:
-    """Return what priors' means leave of the outputs, and the Jacobian."""
+    """Return the residuals of the outputs at the prior means, and the Jacobian with respect to the coefficients."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
-    line = problem.linearise_dynamic(problem.mean_of_x, hyper, problem.terms)
-    return problem.record.y - line.mean, line.jacobian
+    linearised = problem.linearise_dynamic(problem.mean_of_x, hyper, problem.terms)
+    return problem.record.y - linearised.mean, linearised.jacobian
 
 
 def _solve(
     problem: ws.Problem, y: Float[np.ndarray, "b n"], jacobian: Float[np.ndarray, "b n p"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return which devices are plain (b,), their coefficients (b, p), covariances (b, p, p) and σ (b,).
+    """Solve b devices; return a mask of the regular ones (b,), coefficients (b, p), covariances (b, p, p) and σ (b,).
 
     Args:
-        problem: of all.
-        y: outputs less those expected at the priors' means.
-        jacobian: by the coefficients.
+        problem: joint problem of the devices.
+        y: residuals of the outputs at the prior means.
+        jacobian: with respect to the coefficients.
     """
     n, p = jacobian.shape[1:]
     scale = problem.sizes.evaluate(problem.fixed_values)
     columns = jacobian * scale
-    base, upper = np.linalg.qr(columns)
+    q, upper = np.linalg.qr(columns)
     diagonal = np.abs(np.diagonal(upper, axis1=1, axis2=2))
-    determined = np.all(diagonal > PLAIN_SHARE * np.linalg.norm(columns, axis=1), axis=1)
-    upper = np.where(determined[:, None, None], upper, np.eye(p))
+    is_determined = np.all(diagonal > MIN_SIZE_RATIO * np.linalg.norm(columns, axis=1), axis=1)
+    upper = np.where(is_determined[:, None, None], upper, np.eye(p))
     residual, z0 = y, np.zeros((len(y), p, 1))
-    for _ in range(2):  # a second time for the digits of outputs far from zero
-        step = np.linalg.solve(upper, base.mT @ residual[:, :, None])
+    for _ in range(2):  # the second is iterative refinement, for outputs far from zero
+        step = np.linalg.solve(upper, q.mT @ residual[:, :, None])
         residual, z0 = residual - (columns @ step)[:, :, 0], z0 + step
     _, d, vt = np.linalg.svd(upper)
     rss, d2, w = np.sum(residual**2, axis=1), d**2, (vt @ z0)[:, :, 0]
-    if NOISE in problem.fixed_values:
-        variance, alone = np.full(len(y), problem.fixed_values[NOISE] ** 2), True
+    if NOISE_NAME in problem.fixed_values:
+        variance, is_unique = np.full(len(y), problem.fixed_values[NOISE_NAME] ** 2), True
     else:
-        variance, alone = _noise_variance(n - p, rss, d2 * w**2, d2)
-    share, sd = variance[:, None] / (variance[:, None] + d2), np.sqrt(variance)
-    z = (z0 - vt.mT @ (share * w)[:, :, None])[:, :, 0]
-    covariance = scale[:, None] * (vt.mT * share[:, None] @ vt) * scale
+        variance, is_unique = _noise_variance(n - p, rss, d2 * w**2, d2)
+    shrinkage, sd = variance[:, None] / (variance[:, None] + d2), np.sqrt(variance)
+    z = (z0 - vt.mT @ (shrinkage * w)[:, :, None])[:, :, 0]
+    covariance = scale[:, None] * (vt.mT * shrinkage[:, None] @ vt) * scale
     x, output = problem.mean_of_x + scale * z, problem.record.y
-    range_, reach = np.ptp(output, axis=1), np.max(np.abs(columns), axis=1)
-    plain = (
-        determined
-        & alone
-        & np.all(np.abs(z) < PLAIN_SD, axis=1)
-        & (rss > LEAST_NOISE * np.sum(y**2, axis=1))
-        & (sd < range_)
-        & np.all((PLAIN_SHARE * reach < sd[:, None]) & (PLAIN_SHARE * sd[:, None] < reach), axis=1)
-        & (PLAIN_DIGITS * np.minimum(sd, range_) > np.max(np.abs([output, y]), axis=(0, 2)))
+    output_range, sizes = np.ptp(output, axis=1), np.max(np.abs(columns), axis=1)
+    noise, max_output = sd[:, None], np.max(np.abs([output, y]), axis=(0, 2))
+    is_regular = (
+        is_determined
+        & is_unique
+        & np.all(np.abs(z) < MAX_PRIOR_DISTANCE_SD, axis=1)
+        & (rss > MIN_RSS_FRACTION * np.sum(y**2, axis=1))
+        & (sd < output_range)
+        & np.all((MIN_SIZE_RATIO * sizes < noise) & (MIN_SIZE_RATIO * noise < sizes), axis=1)
+        & (MAX_OUTPUT_TO_NOISE * np.minimum(sd, output_range) > max_output)
         & np.all(np.isfinite(x), axis=1)
     )
-    return plain, x, covariance, sd
+    return is_regular, x, covariance, sd
 
 
 def _noise_variance(
-    free: int,
+    dof: int,
     rss: Float[np.ndarray, "b"],
     c2: Float[np.ndarray, "b p"],
     d2: Float[np.ndarray, "b p"],
 ) -> tuple[Float[np.ndarray, "b"], Bool[np.ndarray, "b"]]:
-    """Return the σ² of greatest restricted likelihood, and whether it is so from below and from above.
+    """Return the restricted-likelihood estimate of σ², and whether iterations from below and from above agree.
 
-    There it is the squares of the residuals over the degrees of freedom that they have, which are found in turn as
-    `LeastSquares` finds them: from where noise explains none of the readings, and from where it explains all.
+    σ² is the residual sum of squares over the effective degrees of freedom, iterated as in `LeastSquares` from two
+    starts: noise explains none of the readings, or all.
 
     Args:
-        free: readings less coefficients.
-        rss: sums of squares that no column explains.
-        c2, d2: squares along the singular vectors, and of the singular values.
+        dof: number of readings less number of coefficients.
+        rss: residual sums of squares of ordinary least squares.
+        c2, d2: d²w² and d² in the restricted likelihood of the module's docstring.
     """
-    s = np.stack([rss / free, (rss + np.sum(c2, axis=1)) / (free + d2.shape[1])])
-    for _ in range(ROUNDS):
-        share = s[:, :, None] / (s[:, :, None] + d2)
-        s = (rss + np.sum(share**2 * c2, axis=2)) / (free + np.sum(share, axis=2))
-    return s[0], np.abs(s[1] / s[0] - 1) < DIGITS
+    s = np.stack([rss / dof, (rss + np.sum(c2, axis=1)) / (dof + d2.shape[1])])
+    for _ in range(NOISE_ITERATIONS):
+        shrinkage = s[:, :, None] / (s[:, :, None] + d2)
+        s = (rss + np.sum(shrinkage**2 * c2, axis=2)) / (dof + np.sum(shrinkage, axis=2))
+    return s[0], np.abs(s[1] / s[0] - 1) < VARIANCE_RTOL

@@ -1,4 +1,4 @@
-"""The annex of fleets: the command for many devices at once. Heavy modules load inside it."""
+"""Registration of the fleet annex: the command `batch` for many devices. Heavy modules are imported on use."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     method: str = ws.opt(
         "least-squares, marginal or nuts.", "least-squares", callback=ws.Shared.method.callback
     )
-    workers: int | None = ws.opt("Processes of this machine that share the work.", min=1)
-    scheduler: str | None = ws.opt("tcp://host:8786: a Dask cluster that does the work.")
-    find: bool = ws.opt("Search each device's missing effects: a second a device.", False)
+    workers: int | None = ws.opt("Number of local worker processes.", min=1)
+    scheduler: str | None = ws.opt("Address of a Dask cluster to use, such as tcp://host:8786.")
+    find: bool = ws.opt("Search each device for missing effects (about 1 s per device).", False)
     time_limit: float | None = ws.Shared.time_limit
     seed: int = ws.Shared.seed
 
     def answer(self) -> ws.Answer:
         from bayescal._annexes.fleet.engine import open_cluster
 
-        _refuse_place(self.out, self.files)
-        chosen = ws.instrument_named(self.instrument)
-        effects = ws.load_effects(self, chosen, None)
-        model = ws.compose(chosen, self, effects)
-        own_files = [] if self.effects_file is None else [self.effects_file]
+        _refuse_output_among_inputs(self.out, self.files)
+        instrument = ws.instrument_named(self.instrument)
+        effects = ws.load_effects(self, instrument, None)
+        model = ws.compose(instrument, self, effects)
+        user_files = [] if self.effects_file is None else [self.effects_file]
         if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too
-            own_files.append(Path(self.instrument.rpartition(":")[0]))
-        cluster = open_cluster(self.workers, self.scheduler, own_files)
+            user_files.append(Path(self.instrument.rpartition(":")[0]))
+        cluster = open_cluster(self.workers, self.scheduler, user_files)
         with cluster if self.workers or self.scheduler else nullcontext() as client:
             batch = bc.fit_batch(
                 model,
@@ -54,9 +54,9 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
                 effects=effects,
             )
         self.keep()
-        bad, lost = len(batch) - batch.fitted, len(batch.missing)
-        messages = [f"{bad} of {len(batch)} devices have no result, or none to rely on"] * bool(bad)
-        messages += [f"{lost} files have none"] * bool(lost)
+        n_failed, n_unread = len(batch) - batch.fitted, len(batch.missing)
+        messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
+        messages += [f"{n_unread} files have no result"] * bool(n_unread)
         data, why = {"file": str(self.out), **batch.data()}, "; ".join(messages)
         return ws.Answer(batch, data, ok=not messages, why=why, written=str(self.out))
 
@@ -64,7 +64,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
 ANNEX = {"commands": (BatchCommand,)}
 
 
-def _refuse_place(out: Path, files: list[Path]) -> None:
-    """Refuse a place that results cannot be written to, before anything is read."""
+def _refuse_output_among_inputs(out: Path, files: list[Path]) -> None:
+    """Raise InputError if the output file exists in a folder of readings."""
     if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
-        raise bc.InputError(f"--out {out} is a file of the folder that is read: name another")
+        raise bc.InputError(f"--out {out} is a file in a folder of readings: name another")

@@ -30,84 +30,84 @@ from bayescal import workshop as ws
 from bayescal._annexes.fleet.batch_result import FAMILY_WISE_ERROR, DeviceResult
 from bayescal._annexes.fleet.population import estimate_population
 
-FEWEST_DEVICES = 4  # devices, of fewer none is compared
-ROUNDS = 50  # until nothing changes, at most
-SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
+MIN_DEVICES = 4  # for a comparison
+MAX_ITERATIONS = 50  # of the forward search
+T0_SD_DEGC = 1.0  # standard deviation of reference temperatures that count as equal
 
 
-def odd_devices(
-    results: Iterable[DeviceResult], t0: pd.Series, of_noise: Collection[str]
+def find_outlying_devices(
+    results: Iterable[DeviceResult], t0: pd.Series, noise_names: Collection[str]
 ) -> dict[str, list[str]]:
-    """Return the devices of which a quantity is not like the others', and what is said of each.
+    """Find the outlying devices; return device → one message per outlying quantity.
 
     Args:
-        results: fits by one model at one temperature.
-        t0: reference temperatures of the devices' own readings by their names, °C.
-        of_noise: names of the coefficients that are standard deviations of the noise.
+        results: fits with one model at one reference temperature.
+        t0: device → reference temperature of its own readings, °C.
+        noise_names: names of the noise standard deviations.
     """
-    good = {fit.device: fit for fit in results if fit.ok}
-    count = Counter(name for fit in good.values() for name in fit.names)
-    names = [name for name, n in count.items() if n == len(good) and "[" not in name]
-    least = FAMILY_WISE_ERROR / max(1, len(good) * (len(names) + 1))
-    odd: dict[str, list[str]] = {}
-    t0 = t0.loc[[*good]].dropna()
-    p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    for device, at in t0.loc[p < least].items():
-        text = f"measured about {ws.number(at)} °C, the others about {ws.number(middle)} °C"
-        odd[str(device)] = [f"{text}: its values are not compared"]
-    compared = [fit for device, fit in good.items() if device not in odd]
-    freedom = np.array([max(1.0, fit.readings - len(names) + 1) for fit in compared])
+    reliable = {fit.device: fit for fit in results if fit.ok}
+    count = Counter(name for fit in reliable.values() for name in fit.names)
+    names = [name for name, n in count.items() if n == len(reliable) and "[" not in name]
+    alpha = FAMILY_WISE_ERROR / max(1, len(reliable) * (len(names) + 1))
+    outliers: dict[str, list[str]] = {}
+    t0 = t0.loc[[*reliable]].dropna()
+    p, t0_mean = predictive_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
+    for device, temperature in t0.loc[p < alpha].items():
+        text = f"measured near {ws.number(temperature)} °C, the others near {ws.number(t0_mean)} °C"
+        outliers[str(device)] = [f"{text}: its values are not compared"]
+    fits = [fit for device, fit in reliable.items() if device not in outliers]
+    residual_dof = np.array([max(1.0, fit.readings - len(names) + 1) for fit in fits])
     for name in names:
-        values = np.array([fit[name] for fit in compared]).reshape(-1, 2)
-        (mean, sd), known_by, power = values.T, freedom, 1.0
+        moments = np.array([fit[name] for fit in fits]).reshape(-1, 2)
+        (mean, sd), dof, power = moments.T, residual_dof, 1.0
         variance = np.nan_to_num(sd) ** 2
-        if name in of_noise:
+        if name in noise_names:
             power, mean = 2 / 3, np.abs(mean)
-            variance, known_by = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
-        p, middle = predicted(mean**power if power < 1 else mean, variance, known_by, least)
-        usual = ws.number(abs(middle) ** (1 / power) if power < 1 else middle)
-        for i in np.flatnonzero(p < least).tolist():
-            unit = ws.unit_label(compared[i].units[compared[i].names.index(name)])
-            text = f"{name} {ws.number(mean[i])}, of the others {usual} {unit}"
-            odd.setdefault(compared[i].device, []).append(text.rstrip())
-    return odd
+            variance, dof = np.median(mean) ** (2 * power) * 2 / (9 * residual_dof), np.inf
+        p, centre = predictive_p_values(mean**power if power < 1 else mean, variance, dof, alpha)
+        inlier_mean = ws.number(abs(centre) ** (1 / power) if power < 1 else centre)
+        for i in np.flatnonzero(p < alpha).tolist():
+            unit = ws.unit_label(fits[i].units[fits[i].names.index(name)])
+            text = f"{name} {ws.number(mean[i])}, the others {inlier_mean} {unit}"
+            outliers.setdefault(fits[i].device, []).append(text.rstrip())
+    return outliers
 
 
-def predicted(
+def predictive_p_values(
     values: Float[np.ndarray, "n"],
     variance: Float[np.ndarray, "n"],
-    freedom: Float[np.ndarray, "n"] | float,
-    least: float,
+    dof: Float[np.ndarray, "n"] | float,
+    alpha: float,
 ) -> tuple[Float[np.ndarray, "n"], float]:
-    """Return the two-sided p of each value in the predictive distribution of the usual ones, and their mean.
+    """Return the two-sided p-value of each value under the inliers' predictive distribution, and the inliers' mean.
 
     Args:
-        values: one of each device.
-        variance: of each, as it is known by itself.
-        freedom: degrees of freedom that these variances are known by.
-        least: p below which a value is none of these.
+        values: one per device.
+        variance: of each value.
+        dof: degrees of freedom of each variance.
+        alpha: significance level, p-value below which a value is an outlier.
     """
     p, mean = np.ones(len(values)), float("nan")
-    if len(values) < FEWEST_DEVICES:
+    if len(values) < MIN_DEVICES:
         return p, mean
-    digits = np.finfo(float).eps * float(np.max(np.abs(values)))
-    variance = np.maximum(variance, max(digits**2, 1e-200))
-    away = np.abs(values - np.median(values))
-    usual = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
-    for _ in range(ROUNDS):
-        mean, between, weight = estimate_population(values[usual], variance[usual])
-        # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
-        own_weight = np.where(usual, 1 / (between + variance), 0.0)
-        away = (values - mean) / (1 - own_weight / weight.sum())
-        curvature = weight @ weight - own_weight**2
-        pull = own_weight**2 * (values - mean) ** 2 / (1 - own_weight / weight.sum()) - own_weight
-        total = np.maximum(between - pull / curvature, 0.0) + variance
-        count = len(weight) - usual
-        total_variance = count / (count - 1) / curvature + variance**2 / freedom
-        t = np.abs(away) / np.sqrt(total + 1 / (weight.sum() - own_weight))
+    rounding = np.finfo(float).eps * float(np.max(np.abs(values)))
+    variance = np.maximum(variance, max(rounding**2, 1e-200))
+    deviation = np.abs(values - np.median(values))
+    is_inlier = deviation <= np.sort(deviation)[max(MIN_DEVICES, len(values) // 2 + 1) - 1]
+    for _ in range(MAX_ITERATIONS):
+        mean, tau2, weights = estimate_population(values[is_inlier], variance[is_inlier])
+        # Leave-one-out estimates: an inlier is removed from μ, and from τ² by one Newton step.
+        weight = np.where(is_inlier, 1 / (tau2 + variance), 0.0)
+        deviation = (values - mean) / (1 - weight / weights.sum())
+        curvature = weights @ weights - weight**2
+        score = weight**2 * (values - mean) ** 2 / (1 - weight / weights.sum()) - weight
+        total = np.maximum(tau2 - score / curvature, 0.0) + variance
+        count = len(weights) - is_inlier
+        total_variance = count / (count - 1) / curvature + variance**2 / dof
+        t = np.abs(deviation) / np.sqrt(total + 1 / (weights.sum() - weight))
         p = 2 * stats.t.sf(t, total**2 / total_variance)
-        now = p >= least
-        if now.sum() < FEWEST_DEVICES or (now == usual).all():
+        is_within = p >= alpha
+        if is_within.sum() < MIN_DEVICES or (is_within == is_inlier).all():
             break
-        usual = now
+        is_inlier = is_within
     return p, mean

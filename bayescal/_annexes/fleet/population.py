@@ -1,6 +1,6 @@
-"""The population that devices are drawn from: mean and variance of values that are known to variances of their own.
+"""Mean μ and between-device variance τ² of a population of devices, from values of known variances.
 
-A value x of variance v is drawn from N(μ, τ² + v). μ and τ² are those of greatest restricted likelihood.
+A value x of variance v is distributed as N(μ, τ² + v). μ and τ² maximise the restricted likelihood.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 """
 
@@ -14,19 +14,19 @@ from scipy.optimize import brentq
 def estimate_population(
     values: Float[np.ndarray, "n"], variance: Float[np.ndarray, "n"]
 ) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Return mean, variance between devices, and weights of values of known variances."""
+    """Return μ, τ² and the weights 1/(τ² + v) of values with variances v."""
 
-    def mean(between: float) -> tuple[float, np.ndarray]:
-        weight = 1 / (between + variance)
-        return float(weight @ values / weight.sum()), weight
+    def weighted_mean(tau2: float) -> tuple[float, np.ndarray]:
+        weights = 1 / (tau2 + variance)
+        return float(weights @ values / weights.sum()), weights
 
-    def slope(between: float) -> float:
-        middle, weight = mean(between)
-        squares = weight**2 @ (values - middle) ** 2
-        return float(squares - weight.sum() + weight @ weight / weight.sum())
+    def score(tau2: float) -> float:  # derivative of 2·log likelihood with respect to τ²
+        mean, weights = weighted_mean(tau2)
+        squares = weights**2 @ (values - mean) ** 2
+        return float(squares - weights.sum() + weights @ weights / weights.sum())
 
-    most = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
-    least = 1e-12 * most
-    between = 0.0 if slope(least) <= 0 else float(brentq(slope, least, most))  # pyright: ignore
-    middle, weight = mean(between)
-    return middle, between, weight
+    upper = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
+    lower = 1e-12 * upper
+    tau2 = 0.0 if score(lower) <= 0 else float(brentq(score, lower, upper))  # pyright: ignore
+    mean, weights = weighted_mean(tau2)
+    return mean, tau2, weights
