@@ -543,7 +543,8 @@ class ExportCommand(InUse, DecisionRule, Command):
         if self.format_ in writers:
             return writers[self.format_](self)
         corrections = [correction for _, correction in self.loaded()]
-        if not corrections or isinstance(corrections[0], bc.Compensator):
+        is_triad = corrections and not isinstance(corrections[0], bc.Compensator)
+        if not is_triad or self.axis or self.device_id:
             self.require_one()
         return self.written(corrections)
 
@@ -567,8 +568,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(single) < len(corrections):
-            fault = f"{single[0]} has one output, but others have three axes: export it alone"
-            raise InputError(fault)
+            raise InputError(f"{single[0]} has one output, others have three axes: give it alone")
         return corrections
 
     def written(self, corrections: Sequence[Any]) -> Answer:

@@ -73,15 +73,11 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def text_of(path: Path) -> str:
-    return path.read_text("utf-8")
-
-
 def test_a_name_is_that_of_everything_in_c(saved: Path, tmp_path: Path) -> None:
     done = run("export", saved / "gyro.nc", "--name", "left", "--out", tmp_path / "a.h")
     assert done.status == 0, done.err
-    assert "left_compensate(" in text_of(tmp_path / "a.h")
-    assert "mems_gyro_" not in text_of(tmp_path / "a.h")
+    assert "left_compensate(" in (tmp_path / "a.h").read_text("utf-8")
+    assert "mems_gyro_" not in (tmp_path / "a.h").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -99,4 +95,10 @@ def test_triads_of_a_unit_in_one_file(saved: Path, tmp_path: Path) -> None:
         done = run("export", *unit, "--out", tmp_path / file, "--name", "imu")
         assert done.status == 0, done.err
         for one in ("accelerometer", "magnetometer"):
-            assert f"imu_{one}_triad_correct(" in text_of(tmp_path / file)
+            assert f"imu_{one}_triad_correct(" in (tmp_path / file).read_text("utf-8")
+
+
+def test_options_that_a_triads_parameters_do_not_use_are_refused(saved: Path) -> None:
+    for option in ("--axis=acc_x=a.nc", "--device-id=acc=1", "--local-gravity=9.8"):
+        done = run("export", saved / "accelerometer_triad.nc", "--format", "px4-params", option)
+        assert (done.status, option.partition("=")[0] in done.err) == (2, True)

@@ -159,11 +159,11 @@ def test_what_a_cubic_cannot_hold_is_projected_and_said() -> None:
     calibration = fitted("rad/s", values, temperature, time, "unknown(time)")
     made = bc.firmware_parameters({"gyro_x": calibration}, "ardupilot-params")
     polynomial = made.axes["gyro_x"]
-    offset = polynomial.of.offset
+    offset = polynomial.offsets.offset
     assert np.abs(offset - values).max() < 1e-4  # the richer model, as it was fitted
     own = np.polyval(np.polyfit(temperature - 35.0, offset, 3), temperature - 35.0)
     assert polynomial.rms == pytest.approx(np.sqrt(np.mean((offset - own) ** 2)), rel=1e-3)
-    assert polynomial.rms > 10 * polynomial.of.uncertainty
+    assert polynomial.rms > 10 * polynomial.offsets.uncertainty
     assert polynomial.expected_error > polynomial.rms
     assert f"{polynomial.rms:.3g}" in made.text()
     assert made.text().isascii()

@@ -75,7 +75,7 @@ def in_the_certificate(text: str) -> dict[str, Stated]:
         u = quantity.findtext(f".//{SI}expandedUnc/{SI}uncertainty")
         if u is not None:
             value = float(quantity.findtext(f".//{SI}value", "nan"))
-            found[name.partition(", by its prior")[0]] = Stated(value, float(u) / 2)
+            found[name.partition(", determined by")[0]] = Stated(value, float(u) / 2)
     return found
 
 

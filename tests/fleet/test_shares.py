@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from tests.support.inside import Evidence, shares
+from tests.support.inside import Evidence, estimate_shares
 
 NAMES, PRIOR, POINTS = ("lag", "voltage", "run"), 0.02, 40
 SETS = [s for count in range(4) for s in itertools.combinations(NAMES, count)]
@@ -34,7 +34,7 @@ def _sum(curves: np.ndarray, effects: tuple[str, ...]) -> np.ndarray:
 
 def test_a_fleet_of_one_device_is_its_search(rng) -> None:
     log = {s: float(rng.normal(0, 3)) for s in SETS}
-    found = shares([Evidence(dict.fromkeys(NAMES, 0.2), log)], seed=1, size=20_000)
+    found = estimate_shares([Evidence(dict.fromkeys(NAMES, 0.2), log)], seed=1, size=20_000)
     weight = {s: v + len(s) * np.log(0.2 / 0.8) for s, v in log.items()}
     for name in NAMES:
         inside = logsumexp([v for s, v in weight.items() if name in s])
@@ -44,7 +44,7 @@ def test_a_fleet_of_one_device_is_its_search(rng) -> None:
 
 def test_substitutes_are_told_apart_by_many_devices(rng) -> None:
     told, (held, *_) = fleet(rng, 60, {"lag": 0.3}, size=5.0)
-    found = shares(told)
+    found = estimate_shares(told)
     alone = [_alone(device, "lag") for device in told]
     assert sum(0.05 < p < 0.95 for p in alone) > held / 3  # of one device it is open
     assert found["in fleet"]["lag"] > 0.99 and found["in fleet"]["voltage"] < 0.1
@@ -62,7 +62,7 @@ def test_intervals_of_shares_cover() -> None:
     rng, covered = np.random.default_rng(7), []
     for seed in range(60):
         true = {"lag": rng.random(), "voltage": rng.random() * (seed % 2)}
-        found = shares(fleet(rng, 30, true, size=6.0)[0], seed, size=400)
+        found = estimate_shares(fleet(rng, 30, true, size=6.0)[0], seed, size=400)
         covered += [found.low[n] <= share <= found.high[n] for n, share in true.items() if share]
     assert (
         len(covered) == 90 and sum(covered) >= 79
@@ -72,5 +72,5 @@ def test_intervals_of_shares_cover() -> None:
 def test_an_effect_that_a_device_cannot_show_is_not_counted_there() -> None:
     shows = Evidence({"lag": PRIOR}, {(): 0.0, ("lag",): 40.0})
     cannot = Evidence({}, {(): 0.0})
-    found = shares([shows] * 5 + [cannot] * 45).loc["lag"]
+    found = estimate_shares([shows] * 5 + [cannot] * 45).loc["lag"]
     assert found.expected == pytest.approx(5) and found.low > 0.5

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 import bayescal as bc
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
-from tests.support.inside import invert_equation, radial_residual, still_stretches
+from tests.support.inside import find_static_segments, invert_equation, radial_residual
 from tests.support.references import shared
 from tests.support.tiers import slow_but
 from tests.support.triad_truth import matrix_of
@@ -252,17 +252,16 @@ def raw_log(poses: int = 24, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.
 
 def test_static_segments_and_the_uncertainty_of_their_means() -> None:
     time, y, force = raw_log()
-    found = still_stretches(time, y)
+    found = find_static_segments(time, y)
     mean = np.array([y[a:b].mean(axis=0) for a, b in zip(found.first, found.last, strict=True)])
     assert len(mean) == len(force)
     matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
     apart = (mean - force @ matrix.T - [0.012, -0.020, 0.035]) / found.uncertainty[:, None]
     assert 0.75 < apart.std() < 1.25
-    assert not found.left_out
-    with pytest.raises(bc.InputError):
-        still_stretches(time, y, shortest=10.0)
-    with pytest.raises(bc.InputError):
-        still_stretches(time[::50], y[::50])
+    assert not found.shorter
+    for arguments in ((time, y, 10.0), (time[::50], y[::50])):
+        with pytest.raises(bc.InputError):
+            find_static_segments(*arguments)
 
 
 def test_the_length_of_a_pose_is_chosen_from_the_log() -> None:
@@ -273,16 +272,15 @@ def test_the_length_of_a_pose_is_chosen_from_the_log() -> None:
     at_first = np.where(at < 2500, all_over, 400)
     for held, count in ((all_over, 24), (at_first, 21)):
         kept = (at % 500 >= 400) | (at % 500 < held)
-        found = still_stretches(np.arange(kept.sum()) / 100, y[kept])
+        found = find_static_segments(np.arange(kept.sum()) / 100, y[kept])
         assert len(found.first) == count
-        assert len(found.left_out) == len(force) - count
+        assert len(found.shorter) == len(force) - count
 
 
 @pytest.mark.slow
 def test_six_positions_are_as_uncertain_as_their_rests_show() -> None:
-    sides = np.concatenate([np.eye(3), -np.eye(3)]) + 0.02 * np.random.default_rng(
-        4
-    ).standard_normal((6, 3))
+    deviations = 0.02 * np.random.default_rng(4).standard_normal((6, 3))
+    sides = np.concatenate([np.eye(3), -np.eye(3)]) + deviations
     sides /= np.linalg.norm(sides, axis=1)[:, None]
     columns = dict(zip(accelerometer_triad.OUTPUTS, (sides @ MATRIX.T + BIAS).T, strict=True))
     stated = {"output_uncertainty": np.full(6, 2e-4)}

@@ -10,9 +10,9 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._annexes.fleet.find_devices import Evidence as Evidence
-from bayescal._annexes.fleet.find_devices import estimate_shares as shares
+from bayescal._annexes.fleet.find_devices import estimate_shares as estimate_shares
 from bayescal._annexes.imu.imu_annex import Triad as Triad
-from bayescal._annexes.imu.still_stretches import still_stretches as still_stretches
+from bayescal._annexes.imu.still_stretches import find_static_segments as find_static_segments
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
 from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantity

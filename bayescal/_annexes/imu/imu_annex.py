@@ -1,6 +1,6 @@
-"""Registration of the annex of three axes: commands, corrections, formats of exports, parts of results.
+"""Registration of the three-axis annex: commands, corrections, export formats, entries of results.
 
-Light: heavy modules load inside.
+Heavy modules are imported on use.
 """
 
 from __future__ import annotations
@@ -12,58 +12,56 @@ from typing import Any, NamedTuple
 import bayescal as bc
 from bayescal import workshop as ws
 
-MAX_EFFECTS_ADDED = 5  # effects that are added
-SENSORS = {"accelerometers": "accelerometer_triad", "gyroscopes": "gyro_triad"}
+MAX_EFFECTS_ADDED = 5  # by the search
+INSTRUMENT_NAMES = {"accelerometers": "accelerometer_triad", "gyroscopes": "gyro_triad"}
 OUTPUTS = ("output_x", "output_y", "output_z")
-FILES = ("correction.h", "correction.py", "correction.json")
-UNIT_FILES = ("imu.h", "imu.py")  # of all triads of a unit
+CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
+UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
-CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
+CAPTION = "Three axes: outputs = offset + matrix · input, each a polynomial in T − T0; ± one standard uncertainty"
 
 
 class Triad(NamedTuple):
-    """A calibrated triad: its search, its correction, and the readings of poses or moves."""
+    """A calibrated triad: its search path, its correction, and its readings of poses or moves."""
 
     trail: bc.SearchPath
     correction: bc.VectorCorrection
     readings: bc.Measurements
 
     def __str__(self) -> str:
-        """Format the search, the coefficients, and offset and matrix as exports have them."""
+        """Format the search path, the coefficients, and the correction."""
         return f"{self.trail}\n\n{ws.coefficients_text(self.trail)}\n\n{self.correction}"
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     """Options of the commands for three axes, of one triad or of both triads of a unit."""
 
-    shortest: float | None = ws.opt(
-        "Shortest pose in a log, s; 2, or 1 where many are shorter.", min=0.1
-    )
-    baseline: bool = ws.opt("Look for no effect beside bias, scale, misalignment.", False)
+    shortest: float | None = ws.opt("Minimum pose in a log, s; 2, or 1 if many are brief.", min=0.1)
+    baseline: bool = ws.opt("Fit bias, scale, misalignment only, without a search.", False)
     time_limit: float | None = ws.Shared.time_limit
     seed: int = ws.Shared.seed
     out: Path | None = ws.Shared.folder
-    name: str | None = ws.opt("With which all names in C begin; else that of the instrument.")
+    name: str | None = ws.opt("Prefix of all names in C; default: the instrument's name.")
 
     def calibrate(self, model: bc.Model, readings: bc.Measurements, uncalibrated: int = 1) -> Triad:
         """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
 
         Args:
-            model: start of the search.
-            readings: of poses or moves.
-            uncalibrated: number of triads of the unit that are not calibrated yet, and share the time.
+            model: initial model of the search.
+            readings: readings of poses or moves.
+            uncalibrated: number of triads of the unit not yet calibrated, which share the remaining time.
         """
         undetermined = bc.undetermined(model, readings)
         if undetermined.add:
             ws.print_notes([str(undetermined)])
-        # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
-        # nothing to tell the noise by, so would draws.
-        is_open = len(readings) <= sum(len(e.coefficients) for e in model.effects)
-        method = bc.LeastSquares() if is_open else bc.Marginal(chains=not undetermined.add)
-        limit = 0 if self.baseline or is_open else MAX_EFFECTS_ADDED
+        # Chains would explore the priors of unidentified directions for minutes; without residual degrees of freedom
+        # to estimate the noise, so would draws.
+        has_no_dof = len(readings) <= sum(len(e.coefficients) for e in model.effects)
+        method = bc.LeastSquares() if has_no_dof else bc.Marginal(chains=not undetermined.add)
+        max_effects = 0 if self.baseline or has_no_dof else MAX_EFFECTS_ADDED
         with ws.deadline.sooner(1 / uncalibrated):
-            trail = bc.calibrate(model, readings, method=method, seed=self.seed, max_effects=limit)
-        # Averaged over the structures.
+            options = {"method": method, "seed": self.seed, "max_effects": max_effects}
+            trail = bc.calibrate(model, readings, **options)
         triad = Triad(trail, bc.vector_correction(trail.calibration), readings)
         ws.print_notes(triad.correction.notes)
         if not self.json_:
@@ -71,19 +69,19 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         return triad
 
     def finish(self, triads: Mapping[str, Triad], folder: Path | None) -> ws.Answer:
-        """Write and draw triads, by their subfolders of a folder, if there is one; return the command's answer."""
-        drawn = True
+        """Write the results and pictures of triads, by subfolder, to a folder if given; return the command's answer."""
+        is_drawn = True
         if folder is not None:
-            with ws.whole_folder(folder) as hidden:
-                _write(triads, hidden, self.name)
-            drawn = _draw(triads, folder)
-            for place in dict.fromkeys((*triads, "")) if not self.json_ else ():
-                names = (*ws.files_of(folder / place), ws.MANIFEST)
-                print(f"written: {folder / place}/{', '.join(names)}")
-        why = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
-        data = {place: triad.correction.data() for place, triad in triads.items()}
+            with ws.whole_folder(folder) as staging:
+                _write(triads, staging, self.name)
+            is_drawn = _draw(triads, folder)
+            for subfolder in dict.fromkeys((*triads, "")) if not self.json_ else ():
+                names = (*ws.files_of(folder / subfolder), ws.MANIFEST)
+                print(f"written: {folder / subfolder}/{', '.join(names)}")
+        reasons = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
+        data = {subfolder: triad.correction.data() for subfolder, triad in triads.items()}
         json_data = data.get("", data) if self.json_ else None
-        return ws.Answer(json_data, ok=not why, why="; ".join(why[:1]), drawn=drawn)
+        return ws.Answer(json_data, ok=not reasons, why="; ".join(reasons[:1]), drawn=is_drawn)
 
 
 class TriadCommand(TriadOptions, ws.Command):
@@ -91,21 +89,21 @@ class TriadCommand(TriadOptions, ws.Command):
 
     example = "bayescal triad log.csv --instrument gyro_triad --out result"
     instrument: str = ws.opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
-    poses: bool = ws.opt("Rows are poses or rates (else: finds steady stretches of a log).", False)
-    dry_run: bool = ws.opt("Say what these poses leave open and which to add; fit nothing.", False)
+    poses: bool = ws.opt("Rows are poses or rates; default: find a log's static segments.", False)
+    dry_run: bool = ws.opt("List unidentified parameters and poses to add, without a fit.", False)
 
     def answer(self) -> ws.Answer:
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
         if self.poses and self.shortest is not None:
-            raise bc.InputError("--shortest is of poses in a log: leave it out, or --poses")
+            raise bc.InputError("--shortest applies to logs: leave it out, or --poses")
         if ws.instrument_named(self.instrument).vector is None:
             raise bc.InputError(
-                f"--instrument {self.instrument}: it has one output; `bayescal calibrate` is for it"
+                f"--instrument {self.instrument} has one output: use `bayescal calibrate`"
             )
-        chosen, model, readings = ws.open_request(self)
+        instrument, model, readings = ws.open_request(self)
         if not self.poses:
-            readings = bc.poses(readings, chosen, shortest=self.shortest)
-            model = chosen.for_readings(readings).baseline()
+            readings = bc.poses(readings, instrument, shortest=self.shortest)
+            model = instrument.for_readings(readings).baseline()
         ws.print_notes(readings.flags)
         if self.dry_run:
             return ws.Answer(str(bc.undetermined(model, readings)))
@@ -117,47 +115,44 @@ class ImuCommand(TriadOptions, ws.Command):
     """Calibrate accelerometers and gyroscopes by one log."""
 
     example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
-    accelerometers: str | None = ws.opt(
-        "Their three columns, as ax,ay,az; else by the usual names."
-    )
-    gyroscopes: str | None = ws.opt("Their three columns, as gx,gy,gz; else by the usual names.")
+    accelerometers: str | None = ws.opt("Their columns, such as ax,ay,az; default: usual names.")
+    gyroscopes: str | None = ws.opt("Their columns, such as gx,gy,gz; default: usual names.")
 
     def answer(self) -> ws.Answer:
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
         with ws.result_folder(self.out) as folder:
-            (force, forces), (turns, rates) = self.logs()
-            poses = bc.poses(forces, force, shortest=self.shortest)
+            (accs, forces), (gyros, rates) = self.read_logs()
+            poses = bc.poses(forces, accs, shortest=self.shortest)
             ws.print_notes(poses.flags)
-            first = self.calibrate(force.for_readings(poses).baseline(), poses, uncalibrated=2)
-            moves = bc.moves(rates, turns, forces, first.correction, shortest=self.shortest)
+            acc = self.calibrate(accs.for_readings(poses).baseline(), poses, uncalibrated=2)
+            moves = bc.moves(rates, gyros, forces, acc.correction, shortest=self.shortest)
             ws.print_notes(moves.flags)
-            second = self.calibrate(dict(turns.structures)["moves"](), moves)
-            return self.finish({"accelerometer": first, "gyroscope": second}, folder)
+            gyro = self.calibrate(dict(gyros.structures)["moves"](), moves)
+            return self.finish({"accelerometer": acc, "gyroscope": gyro}, folder)
 
-    def logs(self) -> list[tuple[bc.Instrument, bc.Measurements]]:
-        """Read each triad's columns of the log; raise InputError with the objections of both."""
+    def read_logs(self) -> list[tuple[bc.Instrument, bc.Measurements]]:
+        """Read each triad's columns of the log; raise InputError with the errors of both."""
         logs, problems = [], ws.Objections()
-        for sensors, name in SENSORS.items():
+        for sensors, name in INSTRUMENT_NAMES.items():
             instrument, options = ws.instrument_named(name), self.read_options()
-            three = ws.split_names(text := getattr(self, sensors))
-            if len(three) not in (0, 3):
+            names = ws.split_names(text := getattr(self, sensors))
+            if len(names) not in (0, 3):
                 raise bc.InputError(
-                    f"--{sensors} {text!r}: give three, as ax,ay,az, not {len(three)}"
+                    f"--{sensors} {text!r}: give three columns, such as ax,ay,az, not {len(names)}"
                 )
-            options["columns"] = dict(zip(OUTPUTS, three, strict=False)) | options["columns"]
+            options["columns"] = dict(zip(OUTPUTS, names, strict=False)) | options["columns"]
             try:
                 logs.append((instrument, bc.read(self.files, instrument, **options)))
             except bc.InputError as error:
-                missing = {*OUTPUTS} <= {p.column for p in error.problems}
-                came = (
-                    f"holds no three columns called as those of {sensors} are, in a unit that converts to "
-                    f"{instrument.unit}"
+                unit = instrument.unit
+                predicate = f"has no three columns named as usual for {sensors}, in a unit convertible to {unit}"
+                remedy = (
+                    f"Name them ({ws.option(f'--{sensors}', 'X,Y,Z')}), or use a log that has them"
                 )
-                cure = f"Say which they are ({ws.option(f'--{sensors}', 'X,Y,Z')}), or take a log that has them"
-                problem = ws.Objection(self.files[0].name, came, cure=cure)
-                problems += (
-                    [problem] if missing else error.problems or [ws.Objection("", str(error))]
-                )
+                if {*OUTPUTS} <= {p.column for p in error.problems}:
+                    problems += [ws.Objection(self.files[0].name, predicate, cure=remedy)]
+                else:
+                    problems += error.problems or [ws.Objection("", str(error))]
         problems.refuse()
         self.keep()
         return logs
@@ -167,62 +162,62 @@ def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
     """Write the search, the corrections and the readings of each triad to a staging folder, without pictures."""
     first, *others = (triad.correction for triad in triads.values())
     names = ws.names_in_unit(name, [first, *others])
-    for (place, triad), sensor in zip(triads.items(), names, strict=True):
-        ws.write_search(triad.trail, folder / place)
-        for file in FILES:
-            bc.export_vector(triad.correction, folder / place / file, name=sensor)
-        triad.readings.write(folder / place / "poses.csv")
+    for (subfolder, triad), sensor in zip(triads.items(), names, strict=True):
+        ws.write_search(triad.trail, folder / subfolder)
+        for file in CORRECTION_FILES:
+            bc.export_vector(triad.correction, folder / subfolder / file, name=sensor)
+        triad.readings.write(folder / subfolder / "poses.csv")
     for file in UNIT_FILES if others else ():
         bc.export_vector(first, folder / file, others=others, name=name)
 
 
 def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
     """Draw pictures and a report of each triad, and one report of all; return whether all were drawn."""
-    trails = {place: triad.trail for place, triad in triads.items()}
+    trails = {subfolder: triad.trail for subfolder, triad in triads.items()}
     outcomes = [ws.draw_safely(ws.draw_search, trails, folder)]
 
-    def reports() -> None:
-        with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as hidden:
-            for place, chapters in {**trails, "": [*trails.values()]}.items():
-                (hidden / place).mkdir(exist_ok=True)
-                outcomes.append(ws.draw_safely(bc.report, chapters, hidden / place / REPORT))
+    def draw_reports() -> None:
+        with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as staging:
+            for subfolder, chapters in {**trails, "": [*trails.values()]}.items():
+                (staging / subfolder).mkdir(exist_ok=True)
+                outcomes.append(ws.draw_safely(bc.report, chapters, staging / subfolder / REPORT))
 
-    return all((ws.draw_safely(reports), *outcomes))
+    return all((ws.draw_safely(draw_reports), *outcomes))
 
 
 def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
-    """Return the entry `vector` of result.json: terms with standard uncertainties; None for one output."""
+    """Return the entry `vector` of result.json: a correction with standard uncertainties; None for one output."""
     if calibration.model.instrument.vector is None:
         return {"vector": None}
 
-    def data_of(calibration: bc.Calibration) -> dict[str, Any]:
+    def correction_data(calibration: bc.Calibration) -> dict[str, Any]:
         correction = bc.vector_correction(calibration)
         data = {**correction.data(), "uncertainty": correction.uncertainty.tolist()}
         return {name: value for name, value in data.items() if name != "made_by"}
 
-    averaged = None if average is None else {**data_of(average), "averaged": None}
-    return {"vector": {**data_of(calibration), "averaged": averaged}}
+    averaged = None if average is None else {**correction_data(average), "averaged": None}
+    return {"vector": {**correction_data(calibration), "averaged": averaged}}
 
 
 def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
-    """Tabulate the terms of a correction of three axes, at T0 and by temperature, each ± u; none for one output."""
-    if not (last := data.get("vector")):
+    """Tabulate the terms of a three-axis correction, each ± u, from result.json; no table for one output."""
+    if not (vector := data.get("vector")):
         return []
     from bayescal._annexes.imu.vector_correction import term_rows, terms_table
 
-    terms = last["averaged"] or last
+    terms = vector["averaged"] or vector
     rows = term_rows(terms["terms"], terms["uncertainty"], terms["unit"], terms["beside"])
     return [(CAPTION, terms_table(rows))]
 
 
-ROOM = "bayescal._annexes.imu"
+PACKAGE = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
-    "exports": f"{ROOM}.firmware_parameters:export_writers",
-    "corrections": f"{ROOM}.vector_files:KINDS",
+    "exports": f"{PACKAGE}.firmware_parameters:export_writers",
+    "corrections": f"{PACKAGE}.vector_files:CORRECTION_KINDS",
     "corrected": "bayescal:vector_correction",
     "result": result_entries,
     "coefficient_tables": coefficient_tables,
-    "log": f"{ROOM}.logs:open_log",
-    "scalar_readings": f"{ROOM}.scalar_readings:scalar_readings",
+    "log": f"{PACKAGE}.logs:open_log",
+    "scalar_readings": f"{PACKAGE}.scalar_readings:scalar_readings",
 }

@@ -1,4 +1,4 @@
-"""Logs of inertial sensors in their formats: sensors with channels, each sampled at its own times.
+"""Readers of inertial-sensor logs, ArduPilot's and PX4's: sensors with channels, each with its own sampling times.
 
 ArduPilot's .bin (DataFlash), by pymavlink's DFReader: the messages IMU, with the temperature T. Fields and units:
 ardupilot, libraries/AP_InertialSensor/LogStructure.h (TimeUS in µs since start, I the instance, GyrX…Z in rad/s,
@@ -25,7 +25,7 @@ import numpy as np
 import bayescal as bc
 from bayescal import workshop as ws
 
-RATE, ACCELERATION = "rad/s", "m/s^2"  # units in which all these formats log
+RATE_UNIT, FORCE_UNIT = "rad/s", "m/s^2"  # in all these formats
 AXES = ("x", "y", "z")
 
 
@@ -34,18 +34,18 @@ class Sensor:
     """Channels of one sensor that are sampled together."""
 
     time: np.ndarray  # of the samples, s, (n,)
-    # name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit
+    # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,) and their unit
     channels: dict[str, tuple[np.ndarray, str]]
-    temperature: np.ndarray | None = None  # °C, (m,); None where the log has none for this sensor
-    # when the temperature was sampled, s, (m,); None where with the channels
+    temperature: np.ndarray | None = None  # °C, (m,); None if the log has none for this sensor
+    # sampling times of the temperature, s, (m,); None if those of the channels
     temperature_time: np.ndarray | None = None
-    device: str | None = None  # identifier of the device, as the log states it
+    device: str | None = None  # identifier of the device in the log
 
 
-def triad(
+def build_channels(
     kind: str, unit: str, values: Iterable[np.ndarray], instance: int
 ) -> dict[str, tuple[np.ndarray, str]]:
-    """Return the channels of three axes, of the `instance`-th sensor of its kind ("gyro", "acc" or "mag"), from 0."""
+    """Build the channels of three axes of sensor `instance` (from 0) of a kind ("gyro", "acc" or "mag")."""
     number = f"_{instance}" if instance else ""
     return {
         f"{kind}_{axis}{number}": (np.asarray(samples, float), unit)
@@ -53,30 +53,30 @@ def triad(
     }
 
 
-def columns_of(
+def align_channels(
     sensors: Collection[Sensor], chosen: Collection[str], file: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the chosen channels as columns on one time base with temperature and labels, and notes on the conversion.
+    """Align channels on one time base; return columns with temperature and labels, and notes on the conversion.
 
-    The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give their sample nearest
-    in time, so that noise stays as it is; the temperature, where it was sampled at other times, is interpolated between
-    its own. All channels are taken if `chosen` names none that the log has.
+    Rows are the samples of the chosen sensor with the lowest sampling rate. Other sensors contribute the sample nearest
+    in time, which preserves their noise; a temperature with other sampling times is interpolated. All channels are
+    taken if none of `chosen` is in the log.
 
     Raises:
-        InputError: the log has no channels, or no row has all that is asked for.
+        InputError: the log has no channels.
     """
-    holder = {name: sensor for sensor in sensors for name in sensor.channels}
-    if not holder:
-        raise bc.InputError(f"{file!r} is a log without messages of a sensor that is read")
-    headers = {f"{name} [{source.channels[name][1]}]": name for name, source in holder.items()}
-    names = [headers.get(name, name) for name in dict.fromkeys(chosen)]
-    names = [name for name in dict.fromkeys(names) if name in holder] or list(holder)
-    used = list({id(holder[name]): holder[name] for name in names}.values())
-    base = max(used, key=lambda sensor: _median_step(sensor.time))
-    spans = [sensor.time for sensor in used]
-    spans += [] if base.temperature_time is None else [base.temperature_time]
-    low = max(t.min(initial=np.inf) for t in spans)
-    high = min(t.max(initial=-np.inf) for t in spans)
+    sensor_by_channel = {name: sensor for sensor in sensors for name in sensor.channels}
+    if not sensor_by_channel:
+        raise bc.InputError(f"{file!r} is a log without messages of a supported sensor")
+    headers = {f"{n} [{sensor.channels[n][1]}]": n for n, sensor in sensor_by_channel.items()}
+    names = dict.fromkeys(headers.get(name, name) for name in chosen)
+    names = [name for name in names if name in sensor_by_channel] or list(sensor_by_channel)
+    chosen_sensors = list({id(s): s for s in (sensor_by_channel[n] for n in names)}.values())
+    base = max(chosen_sensors, key=lambda sensor: _median_step(sensor.time))
+    times = [sensor.time for sensor in chosen_sensors]
+    times += [] if base.temperature_time is None else [base.temperature_time]
+    low = max(t.min(initial=np.inf) for t in times)
+    high = min(t.max(initial=-np.inf) for t in times)
     rows, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
     time = base.time[rows]
     columns: dict[str, np.ndarray] = {"time [s]": time}
@@ -88,14 +88,14 @@ def columns_of(
         )
     elif base.temperature is not None:
         columns["temperature [degC]"] = base.temperature[rows]
-    if lost := len(base.time) - len(time):
-        notes.append(f"{file}: {lost} samples left out: not all that was asked for was logged then")
+    if omitted := len(base.time) - len(time):
+        notes.append(f"{file}: {omitted} samples omitted: not all channels were logged then")
     for name in names:
-        sensor = holder[name]
-        halfway = 0.5 * (sensor.time[1:] + sensor.time[:-1])  # from one sample to the next
-        at = rows if sensor is base else np.searchsorted(halfway, time)
+        sensor = sensor_by_channel[name]
+        midpoints = 0.5 * (sensor.time[1:] + sensor.time[:-1])
+        nearest = rows if sensor is base else np.searchsorted(midpoints, time)
         values, unit = sensor.channels[name]
-        columns[f"{name} [{unit}]"] = values[at]
+        columns[f"{name} [{unit}]"] = values[nearest]
     if len(names) == 1:
         labels = {"axis": names[0], "device": base.device}
         columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
@@ -107,7 +107,7 @@ def _median_step(time: np.ndarray) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
 
 
-HEAD = b"\xa3\x95"  # every message begins so
+MESSAGE_HEADER = b"\xa3\x95"  # first bytes of each DataFlash message
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
@@ -119,22 +119,22 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
             """Skip the time of day, for which a log without GPS is read to its end; TimeUS suffices."""
 
     with path.open("rb") as file:
-        if file.read(2) != HEAD:
+        if file.read(2) != MESSAGE_HEADER:
             raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
     sensors = []
     with WithoutClock(str(path)) as log:
         messages = _read_messages(log, "IMU")
         while log.recv_match(type=["PARM"], strict=True) is not None:
-            pass  # the reader keeps the parameters
+            pass  # the reader stores the parameters
         corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
     for i in np.unique(messages["I"]):
         samples = messages[messages["I"] == i]
-        channels = triad("gyro", RATE, (samples[f"Gyr{axis}"] for axis in "XYZ"), int(i))
-        channels |= triad("acc", ACCELERATION, (samples[f"Acc{axis}"] for axis in "XYZ"), int(i))
+        channels = build_channels("gyro", RATE_UNIT, (samples[f"Gyr{a}"] for a in "XYZ"), int(i))
+        channels |= build_channels("acc", FORCE_UNIT, (samples[f"Acc{a}"] for a in "XYZ"), int(i))
         sensors.append(Sensor(samples["TimeUS"] * 1e-6, channels, samples["T"].astype(float)))
     return sensors, [
-        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on: the effects found are those "
-        "that it left"
+        f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on: effects found are residual "
+        "effects after that correction"
         for n in corrected
     ]
 
@@ -143,22 +143,22 @@ def _read_messages(log: Any, name: str) -> np.ndarray:
     """Read all messages of a kind at once, as a structured array (n,); raise KeyError if the log describes none."""
     kind = log.name_to_id[name]
     layout = log.formats[kind]
-    places = np.asarray(log.offsets[kind], np.int64)
-    places = places[places + layout.len <= log.data_len]  # the last may be cut short
-    # of a `struct` layout: "<QB64s" as Q, B, 64s
+    offsets = np.asarray(log.offsets[kind], np.int64)
+    offsets = offsets[offsets + layout.len <= log.data_len]  # the last message may be truncated
+    # format characters of a `struct` layout: "<QB64s" as Q, B, 64s
     codes = re.findall(r"\d*[a-zA-Z]", layout.msg_struct)
     dtypes = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     row = np.dtype(list(zip(layout.columns, dtypes, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
-    begin = len(HEAD) + 1
-    raw_bytes = content[places[:, None] + np.arange(begin, begin + row.itemsize)]
+    begin = len(MESSAGE_HEADER) + 1
+    raw_bytes = content[offsets[:, None] + np.arange(begin, begin + row.itemsize)]
     del content  # else the map of the file cannot be closed
     return raw_bytes.view(row)[:, 0]
 
 
 TOPICS = {
-    "sensor_gyro": ("gyro", RATE),
-    "sensor_accel": ("acc", ACCELERATION),
+    "sensor_gyro": ("gyro", RATE_UNIT),
+    "sensor_accel": ("acc", FORCE_UNIT),
     "sensor_mag": ("mag", "gauss"),
 }
 
@@ -175,27 +175,27 @@ def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
         for topic in topics
         if len(topic.data["timestamp"])
     }
-    notes = ["parts of it are damaged and were skipped"] * bool(log.file_corruption)
-    if lost := [dropout.duration / 1000 for dropout in log.dropouts]:
-        notes.append(f"{len(lost)} dropouts while it was logged, the longest of {max(lost):g} s")
-    return [_with_temperature(name, sensors, notes) for name in sensors], notes
+    notes = ["damaged parts of the log were skipped"] * bool(log.file_corruption)
+    if dropouts := [dropout.duration / 1000 for dropout in log.dropouts]:
+        notes.append(f"{len(dropouts)} dropouts in the log, the longest of {max(dropouts):g} s")
+    return [_add_temperature(name, sensors, notes) for name in sensors], notes
 
 
 def _topic_sensor(topic: Any) -> Sensor:
-    """Return an instance of a topic as a sensor with its own temperature."""
+    """Build a sensor from an instance of a topic, with the topic's temperature if it has one."""
     kind, unit = TOPICS[topic.name]
     temperature = np.asarray(topic.data.get("temperature", np.nan), float)
     device = int(topic.data["device_id"][0]) if "device_id" in topic.data else 0
     return Sensor(
         time=np.asarray(topic.data["timestamp"], float) * 1e-6,
-        channels=triad(kind, unit, (topic.data[axis] for axis in AXES), topic.multi_id),
+        channels=build_channels(kind, unit, (topic.data[axis] for axis in AXES), topic.multi_id),
         temperature=temperature if np.isfinite(temperature).any() else None,
         device=str(device) if device else None,
     )
 
 
-def _with_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str]) -> Sensor:
-    """Return a sensor with the temperature of another sensor in its device where it logs none."""
+def _add_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str]) -> Sensor:
+    """Return a sensor; if it logs no temperature, with that of another sensor on the same device."""
     sensor = sensors[name]
     if sensor.temperature is not None or sensor.device is None:
         return sensor
@@ -203,10 +203,10 @@ def _with_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str]
         if other.device == sensor.device and other.temperature is not None:
             is_finite = np.isfinite(other.temperature)
             notes.append(
-                f"{name} logs no temperature; that of {other_name}, of the same device, stands for it"
+                f"{name} logs no temperature; that of {other_name}, on the same device, is used"
             )
-            values, at = other.temperature[is_finite], other.time[is_finite]
-            return replace(sensor, temperature=values, temperature_time=at)
+            temperature, time = other.temperature[is_finite], other.time[is_finite]
+            return replace(sensor, temperature=temperature, temperature_time=time)
     return sensor
 
 
@@ -218,22 +218,22 @@ LOG_FORMATS = {
 
 
 def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
-    """Open the chosen channels of a log; all, if `chosen` names none that it has.
+    """Open the chosen channels of a log; all channels if none of `chosen` is in it.
 
     Raises:
-        InputError: the package that reads it is not installed, or the file is not what its suffix says.
+        InputError: the package that reads the format is not installed, or the file is not in its suffix's format.
     """
     title, package, read = LOG_FORMATS[path.suffix.lower()]
     try:
         importlib.import_module(package)
     except ModuleNotFoundError:
-        reason = f"is a {title}, which the package {package} reads, and that is not installed"
+        reason = f"is a {title}, which needs the package {package}, which is not installed"
         raise ws.unusable(file, reason, "pip install 'bayescal[logs]'") from None
     printed = io.StringIO()  # libraries print; standard output is the command's own
     with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
         sensors, notes = read(path)
     lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
-    columns, column_notes = columns_of(sensors, chosen, file)
+    columns, column_notes = align_channels(sensors, chosen, file)
     notes = (*(f"{file}: {note}" for note in notes), *column_notes)
     return ws.Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

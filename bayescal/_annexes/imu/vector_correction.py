@@ -2,8 +2,8 @@
 
     y = h(f̂),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
-with h an offset, a matrix and terms of higher order of what acts, f, each a polynomial of T − T0 (`vector_series.py`
-makes them of a calibration). What acts beside it (gravity on gyroscopes) adds to the offset, linearly.
+with outputs y, input vector f, H = ∂h/∂f, and h an offset, a matrix and terms of higher order in f, polynomials in T −
+T0 with coefficients p (from `vector_series.py`). A secondary input (gravity on gyroscopes) adds to the offset linearly.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.imu.still_stretches import LoggedRun
 
-ROUNDING = 1e-13  # of the largest term, up to which a term is none
-SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
-# of inputs, that terms of second order multiply
+ROUNDING = 1e-13  # relative to the largest term, below which a term is zero
+TERM_COUNTS = (12, 30, 33)  # number of terms up to first, second and third order in the input
+# axes of the two factors of each second-order term
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST, SECOND = np.array(PAIRS).T
-RELATIVE_STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
-NEWTON_STEPS = 4  # steps of the inverse: each squares the error
+RELATIVE_STEP = 1e-6  # of central differences, to a vector's length: relative error 1e-10
+NEWTON_STEPS = 4  # iterations of the inverse: each squares the error
 Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
 
 @dataclass(frozen=True)
 class CorrectedVector:
-    """Input vectors estimated from three outputs. Of tilt z is up and y to the left of x.
+    """Input vectors estimated from three outputs. For tilt, body z is up and body y to the left of body x.
 
     Attributes:
         vector: f̂ in the body's axes (n, 3), `unit`.
-        covariance: of it (n, 3, 3), `unit` squared.
-        unit: of both.
-        outside: where the temperature is outside the calibrated range (n,).
+        covariance: covariance of f̂ (n, 3, 3), `unit` squared.
+        unit: unit of the input.
+        outside: mask (n,) of temperatures outside the calibrated range.
     """
 
     vector: Float[np.ndarray, "n 3"]
@@ -57,7 +57,7 @@ class CorrectedVector:
 
     @property
     def tilt(self) -> dict[str, Uncertain]:
-        """Return roll and pitch of a body at rest by its specific force, rad, with standard uncertainties.
+        """Return roll and pitch of a body at rest from its specific force, rad, with standard uncertainties.
 
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
         """
@@ -67,12 +67,12 @@ class CorrectedVector:
         }
 
     def _propagate(self, quantity: Callable[[np.ndarray], np.ndarray]) -> Uncertain:
-        """Propagate the covariance to an angle, by its slopes."""
+        """Return an angle and its standard uncertainty, by central differences."""
         step, by_axis = RELATIVE_STEP * np.linalg.norm(self.vector, axis=1), []
         for axis in np.eye(3):
             change = step[:, None] * axis
             difference = quantity(self.vector + change) - quantity(self.vector - change)
-            # The difference of angles across ±π.
+            # Wrap-around at ±π.
             by_axis.append(np.angle(np.exp(1j * difference)) / (2 * step))
         slope = np.stack(by_axis, axis=1)
         variance = np.einsum("ni,nij,nj->n", slope, self.covariance, slope)
@@ -89,19 +89,19 @@ class VectorCorrection(ws.CorrectionInUse):
 
     Attributes:
         outputs: names of the three outputs.
-        unit: of the outputs and of what acts.
+        unit: of the outputs and of the input.
         reference: T0, °C.
-        low, high: temperatures of the calibration, °C; None where none was recorded.
-        terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
-            each axis' own cube (3) or none, then what acts beside, by rows (9) or none (k, p).
-        covariance: of `terms`, raveled (k·p, k·p).
-        noise: standard deviation of an output as it was calibrated, of the best reading, `unit`.
-        notes: what to know, each a sentence.
+        low, high: calibrated temperature range, °C; None if not recorded.
+        terms: (k, p), a row per power of T − T0: offset (3), matrix by rows (9); if any, second order by rows (18),
+            cubes of each axis (3), secondary input by rows (9).
+        covariance: of the flattened `terms` (k·p, k·p).
+        noise: standard deviation of an output in the calibration's best reading, `unit`.
+        notes: notes on use, one sentence each.
         source: identity of the calibration.
-        beside: columns of what acts beside; empty for none.
-        instrument: its name.
-        reach: largest magnitude of what acted in the calibration, `unit`.
-        against: why the result is not to be used, which is among the notes too; empty where it may be.
+        beside: columns of the secondary input; empty if there is none.
+        instrument: name of the instrument.
+        reach: largest magnitude of the input in the calibration, `unit`.
+        against: why the result must not be used, also among the notes; empty if it may.
     """
 
     outputs: tuple[str, ...]
@@ -122,7 +122,7 @@ class VectorCorrection(ws.CorrectionInUse):
     @property
     def order(self) -> int:
         """Return the order of the equation in the input, 1, 2 or 3."""
-        return 1 + SIZES.index(self.terms.shape[1] - 9 * bool(self.beside))
+        return 1 + TERM_COUNTS.index(self.terms.shape[1] - 9 * bool(self.beside))
 
     def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
         """Return the powers of T − T0 for temperatures in °C."""
@@ -140,14 +140,14 @@ class VectorCorrection(ws.CorrectionInUse):
 
     @property
     def range(self) -> tuple[float, float]:
-        """Return the calibrated temperatures, lowest and highest, °C; infinite where none was recorded."""
+        """Return the lowest and highest calibrated temperature, °C; infinite if not recorded."""
         if self.low is None or self.high is None:
             return -np.inf, np.inf
         return self.low, self.high
 
     @property
     def calibrated_at(self) -> str:
-        """State the temperatures of the calibration in words."""
+        """Describe the calibrated temperature range in words."""
         if self.low is None:
             return "temperature not recorded"
         ends = dict.fromkeys(f"{end:.4g}" for end in self.range)
@@ -155,7 +155,7 @@ class VectorCorrection(ws.CorrectionInUse):
 
     @property
     def assumed(self) -> float:
-        """Return the temperature where none is given, °C: T0 clamped to the calibrated range."""
+        """Return the default temperature, °C: T0 clamped to the calibrated range."""
         return float(np.clip(self.reference, *self.range))
 
     @cached_property
@@ -170,7 +170,7 @@ class VectorCorrection(ws.CorrectionInUse):
 
     @property
     def uncertainty(self) -> np.ndarray:
-        """Return the standard uncertainty of each term, as `terms` (k, p)."""
+        """Return the standard uncertainties of `terms` (k, p)."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.terms.shape)
 
     @property
@@ -198,13 +198,13 @@ class VectorCorrection(ws.CorrectionInUse):
 
         Args:
             outputs: readings of the instrument, or (n, 3) in `unit`.
-            temperature: °C, one each or one for all; T0 if not given.
-            noise: standard deviation of each output, `unit`; that of the calibration's poses if not given, 0 for the
+            temperature: °C, one per reading or one for all; default T0.
+            noise: standard deviation of each output, `unit`; default that of the calibration's poses; 0 for the
                 uncertainty of the calibration alone.
-            beside: what acts beside, (n, 3) or (3,), in the unit of its columns, where the model has it.
+            beside: secondary input, (n, 3) or (3,), in the unit of its columns, if the model has one.
 
         Raises:
-            InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
+            InputError: not three outputs, or a temperature or secondary input that the model needs is missing.
         """
         force, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
         powers, blocks = self.powers(temperatures), self.covariance.reshape(2 * self.terms.shape)
@@ -215,33 +215,33 @@ class VectorCorrection(ws.CorrectionInUse):
         outside = (temperatures < low) | (temperatures > high)
         return CorrectedVector(force, covariance, self.unit, outside)
 
-    def in_poses(
+    def correct_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n q"], Float[np.ndarray, "3n 3n"]]:
         """Correct the mean outputs of several poses, which share the calibration's errors.
 
         Args:
-            run: of a log of the three outputs.
+            run: run of a log of the three outputs.
             windows: begin and end of each pose, s.
 
         Returns:
-            f̂; its negative derivatives by the terms, so that slopes·covariance·slopesᵀ is the covariance that poses
-            share; and the covariance of independent errors.
+            f̂; its negative partial derivatives G with respect to the terms, so that G·covariance·Gᵀ is the covariance
+            that the poses share; and the covariance of independent errors.
 
         Raises:
             InputError: no temperature was logged, and the correction depends on it.
         """
         temperatures = None
         if run.temperature is not None:
-            temperatures = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
-        force, inverse, slope, temperatures = self._invert(run.means(windows), temperatures, None)
-        shared = np.einsum("nk,nip->nikp", self.powers(temperatures), slope)
-        # What poses of the calibration scatter by beyond their means' noise (creep, hysteresis, a model not exact) each
-        # pose of a log has too.
-        noise = run.at_rest.of_second**2 / (windows[:, 1] - windows[:, 0])
-        noise = noise + max(0.0, self.noise**2 - float(np.min(noise)))
-        pose_covs = noise[:, None, None] * inverse @ inverse.mT
-        return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*pose_covs))
+            temperatures = [np.mean(run.temperature[run.rows_between(*w)]) for w in windows]
+        outputs = run.mean_outputs(windows)
+        force, inverse, slope, temperatures = self._invert(outputs, temperatures, None)
+        slopes = np.einsum("nk,nip->nikp", self.powers(temperatures), slope)
+        # Scatter of the calibration's poses in excess of their means' noise (creep, hysteresis, model error) is added.
+        variance = run.at_rest.one_second_sd**2 / (windows[:, 1] - windows[:, 0])
+        variance = variance + max(0.0, self.noise**2 - float(np.min(variance)))
+        pose_covs = variance[:, None, None] * inverse @ inverse.mT
+        return force, slopes.reshape(3 * len(force), -1), np.asarray(block_diag(*pose_covs))
 
     def _invert(
         self,
@@ -249,7 +249,7 @@ class VectorCorrection(ws.CorrectionInUse):
         temperature: ArrayLike | None,
         secondary: ArrayLike | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
+        """Return f̂ (n, 3), H⁻¹ (n, 3, 3), −∂f̂/∂terms at the reading's temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, bc.Measurements):
             readings = outputs
             if self.beside and secondary is None and readings.has(self.beside[0]):
@@ -260,35 +260,33 @@ class VectorCorrection(ws.CorrectionInUse):
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
             raise bc.InputError(
-                f"three outputs a reading are needed, (n, 3); these have the shape {y.shape}"
+                f"expected three outputs per reading, (n, 3), not of shape {y.shape}"
             )
         if temperature is None and len(self.terms) > 1:
-            raise bc.InputError(
-                "the correction depends on the temperature: give temperature=… in °C"
-            )
-        degrees = self.assumed if temperature is None else np.asarray(temperature, float)
-        warm = np.broadcast_to(degrees, len(y))
+            raise bc.InputError("the correction depends on temperature: give temperature=… in °C")
+        temperature = self.assumed if temperature is None else np.asarray(temperature, float)
+        temperatures = np.broadcast_to(temperature, len(y))
         if self.beside and secondary is None:
             raise bc.InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
         acts = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
-        terms = self.powers(warm) @ self.terms
+        terms = self.powers(temperatures) @ self.terms
 
         def equation(force: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
             predicted = slopes_by_terms(force, self.order, acts) @ terms[..., None]
             slopes = _slopes_by_force(terms, force, self.order)
-            return predicted[..., 0], lambda miss: np.linalg.solve(slopes, miss[..., None])[..., 0]
+            return predicted[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
 
         force = ws.stepped(equation, y, y, NEWTON_STEPS)
         inverse = np.linalg.inv(_slopes_by_force(terms, force, self.order))
-        return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), warm
+        return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), temperatures
 
 
 class TermRow(NamedTuple):
-    """A term of a correction."""
+    """One term of a correction, for tables."""
 
-    name: str  # with the power of T − T0 that it multiplies
+    name: str  # of the term, with its power of T − T0
     value: float
     uncertainty: float
     unit: str
@@ -306,8 +304,8 @@ def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     return ws.ResultTable(columns, rows)
 
 
-# Of T − T0, in the name and in the unit of a term.
-POWERS = {
+# Power of T − T0, in the name of a term → in its unit.
+POWER_UNITS = {
     "": "",
     " by T − T0": "/degC",
     " by (T − T0)²": "/degC^2",
@@ -329,11 +327,11 @@ def term_rows(
     if size > 30:
         names += [(f"cube {a}", f"1/{per}^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
-    rows = zip(POWERS.items(), terms, np.asarray(uncertainty, float), strict=False)
+    rows = zip(POWER_UNITS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
-        TermRow(name + power, float(value), float(sd), its + per_power)
+        TermRow(name + power, float(value), float(sd), term_unit + per_power)
         for (power, per_power), values, sds in rows
-        for (name, its), value, sd in zip(names, values, sds, strict=True)
+        for (name, term_unit), value, sd in zip(names, values, sds, strict=True)
         if value or sd
     ]
 
@@ -341,10 +339,10 @@ def term_rows(
 def slopes_by_terms(
     force: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
-    """Return the slopes of the three outputs with respect to the terms of a correction up to an order in the input."""
+    """Return the Jacobian of the three outputs with respect to a correction's terms up to an order in the input."""
 
     def by_rows(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
-        """Return the slopes with respect to a matrix's entries, row by row, that multiply these values."""
+        """Return the Jacobian of matrix · values with respect to the matrix's entries, row by row."""
         return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
 
     blocks = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), by_rows(force)]
@@ -357,7 +355,7 @@ def slopes_by_terms(
 def _slopes_by_force(
     terms: Float[np.ndarray, "n p"], force: Float[np.ndarray, "n 3"], order: int
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Return H, the slopes of the three outputs with respect to the input vector."""
+    """Return H, the Jacobian of the three outputs with respect to the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
         second = terms[:, 12:30].reshape(-1, 3, 6)

@@ -1,16 +1,16 @@
-"""A correction of three axes as the calibration parameters of autopilots: offset and scale, and the error of that.
+"""Offset and scale parameters of autopilots from a three-axis correction, and the size of the omitted terms.
 
 * PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
   OFF of a gyroscope, in rad/s.
 * ArduPilot (AP_InertialSensor_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS in rad/s.
 
-With ⟨·⟩ the mean over the calibrated temperatures, and over all directions of what acts, as large as it was at most in
-the calibration (r), least squares of h on an offset and a scale factor of each axis gives
+With ⟨·⟩ the mean over the calibrated temperatures and over all directions of an input of magnitude r, the largest in
+the calibration, least squares of the correction's equation on an offset and a scale factor per axis gives
 
     offset_i = ⟨offset_i⟩ + r²/3·Σ_a ⟨second_i,aa⟩,     scale_i = ⟨matrix_ii⟩ + 3/5·r²·⟨cube_i⟩,
 
-as ⟨x²⟩ = r²/3 and ⟨x⁴⟩ = r⁴/5 on a sphere. Of gyroscopes the offset is that at rest, where it is used: no square adds
-to it, and the scale factor is one.
+as ⟨x²⟩ = r²/3 and ⟨x⁴⟩ = r⁴/5 for a component x on a sphere. Gyroscopes have the offset at rest, without second-order
+terms, and a scale factor of one.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ DIRECTIONS = CORNERS / np.linalg.norm(CORNERS, axis=1)[:, None]
 DIAGONAL = [3, 7, 11]  # terms of the matrix on its diagonal
 
 
-def offset_and_scale(
+def fit_offset_and_scale(
     correction: VectorCorrection, has_scale: bool
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], str]:
-    """Project a correction on an offset and a scale factor of each axis, by least squares.
+    """Approximate a correction by an offset and a scale factor per axis, by least squares.
 
     Args:
-        correction: to project.
-        has_scale: whether the form has a scale factor; else it is one, and the offset that at rest.
+        correction: correction to approximate.
+        has_scale: whether there is a scale factor; otherwise it is one, and the offset is that at rest.
 
     Returns:
-        Offsets, in the unit of the outputs; scale factors; what is left out and how large it is, in a sentence.
+        Offsets (unit of the outputs), scale factors, and a sentence on the omitted terms and their sizes.
     """
     (k, p), radius, order = correction.terms.shape, correction.reach, correction.order
-    warm, shares = np.array([correction.assumed]), np.ones(1)
+    temperatures, weights = np.array([correction.assumed]), np.ones(1)
     if correction.low is not None and correction.high is not None:
-        half = 0.5 * (correction.high - correction.low)
-        warm, shares = correction.low + half * (1 + RANGE_NODES), RANGE_WEIGHTS
-    powers = correction.powers(warm)  # of T − T0
-    first = [0, 1, 2, *DIAGONAL]
-    mean_terms = np.eye(p)[first]  # offset and scale by the terms, at one temperature
+        half_range = 0.5 * (correction.high - correction.low)
+        temperatures, weights = correction.low + half_range * (1 + RANGE_NODES), RANGE_WEIGHTS
+    powers = correction.powers(temperatures)  # of T − T0
+    columns = [0, 1, 2, *DIAGONAL]
+    mean_terms = np.eye(p)[columns]  # ∂(offset, scale)/∂term at one temperature
     for i in range(3):
         if order > 1 and has_scale:
             mean_terms[i, [12 + 6 * i + PAIRS.index((a, a)) for a in range(3)]] = radius**2 / 3
@@ -67,38 +67,38 @@ def offset_and_scale(
             mean_terms[3 + i, 30 + i] = 0.6 * radius**2
     if not has_scale:
         mean_terms[3:] = 0.0
-    to_form = np.kron(shares @ powers, mean_terms)
-    acts = DIRECTIONS if correction.beside else None
-    slopes = slopes_by_terms(radius * DIRECTIONS, order, acts)
-    # Of outputs by the terms at each temperature and direction, less what the form has of them.
+    projection = np.kron(weights @ powers, mean_terms)
+    secondary = DIRECTIONS if correction.beside else None
+    slopes = slopes_by_terms(radius * DIRECTIONS, order, secondary)
+    # ∂output/∂term at each temperature and direction, less that of the approximation.
     residual_slopes = np.einsum("tk,dip->tdikp", powers, slopes)
-    residual_slopes -= (slopes[..., first] @ to_form).reshape(len(DIRECTIONS), 3, k, p)
+    residual_slopes -= (slopes[..., columns] @ projection).reshape(len(DIRECTIONS), 3, k, p)
     causes = np.full((k, p), "dependence on temperature", dtype=object)
-    of_matrix = "misalignments" if has_scale else "scale factors and misalignments"
-    causes[0], causes[:, 12:30], causes[:, 30:33] = of_matrix, "second order", "third order"
+    matrix_cause = "misalignments" if has_scale else "scale factors and misalignments"
+    causes[0], causes[:, 12:30], causes[:, 30:33] = matrix_cause, "second order", "third order"
     if correction.beside:
-        causes[:, -9:] = "what acts beside (of size 1)"
+        causes[:, -9:] = "secondary input (of size 1)"
     label, omissions = ws.unit_label(correction.unit), list[str]()
     for cause in dict.fromkeys(causes.ravel()):
-        slope = residual_slopes * (causes == cause)
-        mean = np.einsum("tdikp,kp->tdi", slope, correction.terms)
-        if cause == of_matrix and not has_scale:
+        cause_slopes = residual_slopes * (causes == cause)
+        mean = np.einsum("tdikp,kp->tdi", cause_slopes, correction.terms)
+        if cause == matrix_cause and not has_scale:
             mean = mean - radius * DIRECTIONS
-        slope = slope.reshape(*mean.shape, -1)
-        square = mean**2 + np.sum((slope @ correction.covariance) * slope, axis=-1)
-        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", shares, DIRECTION_WEIGHTS, square)))
+        cause_slopes = cause_slopes.reshape(*mean.shape, -1)
+        square = mean**2 + np.sum((cause_slopes @ correction.covariance) * cause_slopes, axis=-1)
+        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", weights, DIRECTION_WEIGHTS, square)))
         if rms > ROUNDING * radius:
-            # Over the posterior too: the uncertainty of a poorly known term counts.
+            # Posterior mean square: the uncertainty of a term counts as well.
             sizes = (ws.number(float(size), 2) for size in (rms, np.sqrt(np.max(square))))
             omissions.append(f"{cause}, {f' {label} rms and up to '.join(sizes)} {label}")
     over = f"over all directions of {ws.number(radius)} {label}, {correction.calibrated_at}"
-    omitted = f"Left out, for want of a place: {'; '.join(omissions)} ({over})." * bool(omissions)
-    offset, scale = (to_form @ correction.terms.ravel()).reshape(2, 3)
+    omitted = f"Omitted for lack of parameters: {'; '.join(omissions)} ({over})." * bool(omissions)
+    offset, scale = (projection @ correction.terms.ravel()).reshape(2, 3)
     return offset, scale if has_scale else np.ones(3), omitted
 
 
-KINDS = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
-# Of the first sensor of a kind: offset and scale, each for an axis.
+SENSOR_BY_UNIT = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
+# Names for the first sensor of a kind: offset and scale, with {} for the axis.
 PARAMETERS = {
     "px4-params": {
         "accelerometer": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
@@ -114,15 +114,15 @@ PARAMETERS = {
 def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Return parameters of an autopilot's first sensor by name, and a sentence on what they leave out."""
-    factor, unit = si_of(correction.unit)
-    if unit not in KINDS:
+    """Return the parameters of an autopilot's first sensor by name, and a sentence on the omitted terms."""
+    factor, unit = find_si_unit(correction.unit)
+    if unit not in SENSOR_BY_UNIT:
         raise bc.InputError(
-            f"{autopilot}: there are parameters for accelerometers and gyroscopes, and these outputs are in "
+            f"{autopilot} has parameters for accelerometers and gyroscopes only, but these outputs are in "
             f"[{correction.unit}]"
         )
-    names = PARAMETERS[autopilot][KINDS[unit]]
-    offset, scale, omitted = offset_and_scale(correction, has_scale=len(names) > 1)
+    names = PARAMETERS[autopilot][SENSOR_BY_UNIT[unit]]
+    offset, scale, omitted = fit_offset_and_scale(correction, has_scale=len(names) > 1)
     return {
         name.format(axis): float(value)
         for name, by_axis in zip(names, (offset * factor, 1 / scale), strict=False)
@@ -130,8 +130,8 @@ def autopilot_parameters(
     }, omitted
 
 
-def left_out(correction: VectorCorrection, format: str) -> str:
-    """State what a format cannot hold and how large it is, in a sentence; empty where it holds the whole correction."""
+def describe_omissions(correction: VectorCorrection, format: str) -> str:
+    """Describe in a sentence the terms that a format omits and their sizes; empty if it omits none."""
     return autopilot_parameters(correction, format)[1] if format in AUTOPILOTS else ""
 
 
@@ -139,12 +139,12 @@ def parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     """Format the parameter file of an autopilot."""
     values, omitted = autopilot_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
-    comments = map(ws.c_comment, (*head, omitted or "Nothing is left out."))
+    comments = map(ws.c_comment, (*head, omitted or "No term is omitted."))
     return AUTOPILOTS[autopilot].text(comments, dict(values))
 
 
-def si_of(unit: str) -> tuple[float, str]:
-    """Return the factor from a unit to m/s² or rad/s, and that unit; 1 and the unit itself where it is of neither."""
+def find_si_unit(unit: str) -> tuple[float, str]:
+    """Return the factor from a unit to m/s² or rad/s, and that SI unit; 1 and the unit for other dimensions."""
     for target in ("m/s^2", "rad/s"):
         if ws.same_dimension(unit, target) or (target == "m/s^2" and ws.same_dimension(unit, "g")):
             return float(np.asarray(ws.convert(np.ones(1), unit, target))[0]), target

@@ -30,7 +30,7 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.metrology.decide import Decisions, statement_lines
 
-# Section → key → what a person reads.
+# Section → key → label for readers.
 SECTIONS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("sections.toml").read_text("utf-8")
 )
@@ -42,21 +42,21 @@ _KEYS = {
     s: TypedDict(s, {k: date if k in DATES else _TEXT for k in keys}, total=False)
     for s, keys in SECTIONS.items()
 }
-Stated = TypedDict(
-    "Stated",
+CertificateStatement = TypedDict(
+    "CertificateStatement",
     {s: list[keys] if s in LISTS else keys for s, keys in _KEYS.items()}
     | {"conditions": dict[str, _TEXT]},
     total=False,
 )
-CURE = "It has sections such as [device], and [[standards]], once for each; texts in quotes, and dates as 2026-11-22"
+REMEDY = "Write sections such as [device], and [[standards]] for each standard, texts in quotes, dates as 2026-11-22"
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Data that a certificate states."""
+    """Data for a calibration certificate, as stated by the laboratory."""
 
     stated: dict[str, Any]  # section → key → value; `standards`: a list; `conditions`: by name
-    file: str = "the certificate"  # where it was read, for messages
+    file: str = "the certificate"  # name of its file, for messages
 
     def get(self, section: str, key: str) -> str:
         """Return a stated value as text; "" if there is none."""
@@ -68,7 +68,7 @@ class Certificate:
         return {name: str(value) for name, value in self.stated.get("conditions", {}).items()}
 
     def require(self, *needed: str) -> None:
-        """Require keys such as "device.serial"; raise InputError that names all that are missing."""
+        """Require keys such as "device.serial"; raise InputError with all missing keys."""
         missing = [n for n in needed if not self.get(*n.split("."))]
         if missing:
             raise bc.InputError(
@@ -77,16 +77,16 @@ class Certificate:
             )
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
-        """Return the certificate data as the foreword of a report."""
+        """Build a report's foreword with the certificate data."""
         return ws.Foreword(
             "certificate",
             "Certificate data",
-            "Stated by the laboratory; nothing of this section was measured or checked by bayescal.",
+            "Stated by the laboratory; bayescal has neither measured nor checked the data of this section.",
             lists=tuple(self.rows()),
         )
 
     def rows(self) -> list[tuple[str, list[tuple[str, str]]]]:
-        """Return section → (label, text) of the stated data, for people."""
+        """Return (section, [(label, text), …]) of the stated data, with labels for readers."""
         rows = []
         for section, keys in SECTIONS.items():
             fields = self.stated.get(section, {})
@@ -103,43 +103,43 @@ def read_certificate(path: str | Path) -> Certificate:
     """Read certificate data from a TOML file.
 
     Raises:
-        InputError: there is no such file, it is not TOML, it states nothing, or something in it is not known, no
-            text, or no date; names section and key, what came and what was expected.
+        InputError: the file does not exist, is not TOML or is empty, or a key is unknown or its value is not the
+            expected text or date; the message names section and key.
     """
     path = Path(path)
-    stated = ws.read_toml(path, Stated, f"{str(path)!r}", CURE)
+    stated = ws.read_toml(path, CertificateStatement, f"{str(path)!r}", REMEDY)
     if not stated:
-        raise bc.InputError(f"{str(path)!r} states nothing: write [device], name = and serial =")
+        raise bc.InputError(f"{str(path)!r} is empty: write [device], name = and serial =")
     begin, end = (stated.get("calibration", {}).get(k) for k in ("begin", "end"))
     if begin and end and end < begin:
-        why = f"{str(path)!r}, [calibration]: it ends ({end}) before it begins ({begin})"
-        raise bc.InputError(why)
+        raise bc.InputError(f"{str(path)!r}, [calibration]: end ({end}) is before begin ({begin})")
     return Certificate(stated, path.name)
 
 
-SCHEMA = "3.2.1"
-NEEDED = (
+SCHEMA_VERSION = "3.2.1"
+REQUIRED_KEYS = (
     *("certificate.number", "device.name", "device.serial", "calibration.begin", "calibration.end"),
     *("laboratory.name", "laboratory.country", "laboratory.responsible"),
     *("customer.name", "customer.country"),
 )
-K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCGM 100, table G.1)
+Ends = tuple[float, float] | None  # of a 95 % interval
+COVERAGE_FACTOR, COVERAGE = 2.0, 0.9545  # for a normal distribution (JCGM 100, table G.1)
 
 
-class Real(NamedTuple):
-    """A number in D-SI: value, unit, and the elements of its uncertainty in the form `form`."""
+class DsiReal(NamedTuple):
+    """A number in D-SI with its uncertainty."""
 
     value: str
     unit: str
-    form: str
-    spread: dict[str, str]
+    form: str  # of the uncertainty: "expandedUnc", "coverageInterval", or empty for none
+    elements: dict[str, str]  # of the uncertainty: element → text
 
 
 _NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # XML 1.0, 2.2
 
 
 def _xml_text(value: Any) -> str:
-    """Return text with characters that XML forbids, even escaped, replaced by <U+0000>."""
+    """Convert to text, with characters that XML forbids, even escaped, replaced by <U+0000>."""
     return re.sub(_NOT_XML, lambda match: f"<U+{ord(match[0]):04X}>", str(value))
 
 
@@ -149,22 +149,21 @@ def dcc_text(
     local_gravity: float = ws.STANDARD_GRAVITY,
     decisions: Decisions | None = None,
 ) -> str:
-    """Generate the certificate as XML: of a reliable fit, what is stated beside it, and decisions on conformity.
+    """Generate the digital calibration certificate (DCC) of a reliable fit as XML, with decisions on conformity.
 
     Raises:
-        InputError: the result is not reliable, or the certificate does not state what the schema needs.
+        InputError: the result is not reliable, or the certificate data lack keys that the schema requires.
     """
     stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
-    stated.require(*NEEDED)
+    stated.require(*REQUIRED_KEYS)
     for section in ("laboratory", "customer"):
         country = stated.get(section, "country")
         if not re.fullmatch("[A-Z]{2}", country):
             raise bc.InputError(
-                f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
-                "such as DE"
+                f"{stated.file}, [{section}] country = {country!r}: expected two letters of ISO 3166-1, such as DE"
             )
     if reason := ws.why_not(calibration):
-        raise bc.InputError(f"no certificate is written of a result that is not reliable: {reason}")
+        raise bc.InputError(f"no certificate can be written for an unreliable result: {reason}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
     layout = ws.template(
         "bayescal._annexes.metrology",
@@ -173,10 +172,10 @@ def dcc_text(
         autoescape=True,
         finalize=lambda value: value if isinstance(value, Markup) else _xml_text(value),
     )
-    read = ws.sources_of(calibration.readings)
-    files = (("other", f"SHA-256 of {s.file}", s.sha256) for s in read)
-    written = layout.render(
-        schema=SCHEMA,
+    sources = ws.sources_of(calibration.readings)
+    hashes = (("other", f"SHA-256 of {s.file}", s.sha256) for s in sources)
+    xml = layout.render(
+        schema=SCHEMA_VERSION,
         version=bc.__version__,
         stated=stated,
         standards=[
@@ -184,73 +183,73 @@ def dcc_text(
             for entry in stated.stated.get("standards", [])
             if "name" in entry
         ],
-        conditions={name: reason for name, reason in conditions.items() if reason},
-        hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *files],
+        conditions={name: value for name, value in conditions.items() if value},
+        hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *hashes],
         model=calibration.model,
         description="Coefficients of the measurement equation, with U = k*u, k = "
-        f"{K:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "
+        f"{COVERAGE_FACTOR:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "
         + "; ".join(f"{e.name} in {e.slot}: {e.equation}" for e in calibration.model.effects)
-        + ". Coefficients are correlated; their covariance is in the calibration that the SHA-256 names. All holds "
-        "within the influence conditions as covered.",
+        + ". Coefficients are correlated; their covariance is in the calibration with this SHA-256. All is valid "
+        "in the influence conditions covered.",
         method=f"{calibration.method}, seed {calibration.seed}",
-        covered=list(_covered(calibration, local_gravity)),
+        covered=list(_column_ranges(calibration, local_gravity)),
         quantities=list(_quantities(calibration, local_gravity)),
         decisions=decisions,
     )
     for prefix, space in (("dcc", "https://ptb.de/dcc"), ("si", "https://ptb.de/si")):
         ET.register_namespace(prefix, space)
-    root = ET.fromstring(written)
+    root = ET.fromstring(xml)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _covered(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real, Real]]:
+def _column_ranges(fit: bc.Calibration, gravity: float) -> Iterator[tuple[str, DsiReal, DsiReal]]:
     """Yield the range of each column of the readings: name, lowest and highest value."""
-    readings = calibration.readings
+    readings = fit.readings
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is not None and not name.startswith("output"):
             low, high = float(readings[name].min()), float(readings[name].max())
-            yield name, real(low, unit, local_gravity), real(high, unit, local_gravity)
+            yield name, dsi_real(low, unit, gravity), dsi_real(high, unit, gravity)
 
 
-def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
+def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, DsiReal]]:
     for name, (value, unit) in calibration.reference_constants.items():
-        yield f"{name}, at which constants hold", real(value, unit, local_gravity)
+        yield f"{name}, to which coefficients refer", dsi_real(value, unit, local_gravity)
     coefficients, hyperparameters = ws.summary(calibration)
-    untold = ws.find_coefficients_not_measured(calibration)
+    not_measured = ws.find_coefficients_not_measured(calibration)
     for row in coefficients:
-        name = row["name"] + ", by its prior more than by the readings" * (row["name"] in untold)
-        yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])
-    for row in hyperparameters:  # positive and skewed: no multiple of u covers
-        ends = row["interval95"]
-        yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"], ends)
+        name = row["name"] + ", determined by its prior" * (row["name"] in not_measured)
+        yield name, dsi_real(row["mean"], row["unit"], local_gravity, row["sd"])
+    for row in hyperparameters:  # positive and skewed: an interval instead of a multiple of u
+        interval = row["interval95"]
+        yield row["name"], dsi_real(row["mean"], row["unit"], local_gravity, row["sd"], interval)
 
 
-Ends = tuple[float, float] | None  # of a 95 % interval
-
-
-def real(value: float, unit: str | None, gravity: float, sd: float = 0, ends: Ends = None) -> Real:
-    """Return a number with its unit, and its expanded uncertainty or the ends of its 95 % interval, if it has one.
+def dsi_real(
+    value: float, unit: str | None, gravity: float, sd: float = 0, ends: Ends = None
+) -> DsiReal:
+    """Format a number in D-SI with its expanded uncertainty, or with the `ends` of its 95 % interval if given.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
     """
     factor, text = d_si(unit, gravity)
     value, sd = float(value) * factor, float(sd) * factor
-    number = Real(_round(value, K * sd), text, "", {})
+    k = COVERAGE_FACTOR
+    number = DsiReal(_round(value, k * sd), text, "", {})
     if not sd > 0:
         return number
     if ends is not None:
         low, high = (_round(end * factor, sd) for end in ends)
         interval = {"standardUnc": _round(sd, sd), "intervalMin": low, "intervalMax": high}
         interval["coverageProbability"] = "0.95"
-        return number._replace(form="coverageInterval", spread=interval)
-    expanded = {"uncertainty": _round(K * sd, K * sd), "coverageFactor": f"{K:g}"}
-    expanded |= {"coverageProbability": f"{PROBABILITY:g}", "distribution": "normal"}
-    return number._replace(form="expandedUnc", spread=expanded)
+        return number._replace(form="coverageInterval", elements=interval)
+    expanded = {"uncertainty": _round(k * sd, k * sd), "coverageFactor": f"{k:g}"}
+    expanded |= {"coverageProbability": f"{COVERAGE:g}", "distribution": "normal"}
+    return number._replace(form="expandedUnc", elements=expanded)
 
 
-D_SI = {
+D_SI = {  # unit → unit in D-SI
     **{"s": "second", "K": "kelvin", "rad": "radian", "V": "volt", "Hz": "hertz", "m": "metre"},
     **{"A": "ampere", "Pa": "pascal", "uT": "tesla", "count": "one", "kg": "kilogram"},
     **{"N": "newton", "ohm": "ohm", "W": "watt", "mol": "mole"},
@@ -258,7 +257,7 @@ D_SI = {
 
 
 def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
-    """Return a unit's factor and D-SI text, such as \\radian\\second\\tothe{-1}; raise InputError if it is none."""
+    """Return a unit's factor to D-SI and its text, such as \\radian\\second\\tothe{-1}; raise InputError if invalid."""
     if unit in (None, "", "1"):
         return 1.0, "\\one"
     if unit == "degC":
@@ -281,7 +280,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
 
 
 def _round(value: float, uncertainty: float) -> str:
-    """Round a number to the second significant digit of its uncertainty; not at all where that is zero."""
+    """Round a number to the second significant digit of its uncertainty; exactly if that is zero."""
     if not uncertainty > 0:
         return repr(value)
     place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)

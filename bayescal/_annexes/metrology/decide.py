@@ -1,16 +1,16 @@
 """Decisions on conformity to limits, with the rule, guard band and risks of each; recalibration intervals.
 
-Two rules, one of which the laboratory and its customer agree on beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
+There are two decision rules; laboratory and customer agree on one beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
 
-- *simple*: accept where the estimate is inside the limits, whatever its uncertainty, the risk being shared (JCGM
-  106:2012, 8.2);
-- *guarded*: accept where the probability of a false acceptance is at most the stated one, that is, where the estimate
-  is inside the limits by the guard bands; reject where the probability of a false rejection is; between them,
-  undecided (8.3; ILAC-G8:09/2019 calls it a non-binary statement with guard bands).
+- *simple*: accept if the estimate is inside the limits, whatever its uncertainty; the risk is shared (JCGM 106:2012,
+  8.2);
+- *guarded*: accept if the probability of false acceptance is at most the stated one, that is, if the estimate is inside
+  the limits by the guard bands; reject if the probability of false rejection is at most that; otherwise undecided (8.3;
+  in ILAC-G8:09/2019 a non-binary statement with guard bands).
 
-To calibrate again is due where the probability of conformity falls below a stated one, by what changes in the model
-with the time of the record: a drift. A deviation of runs lowers the probability everywhere, and sets no date. Where
-nothing changes with time, the reason is said (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
+Recalibration is due when drift, the part of the model that changes with the time of the record, lowers the probability
+of conformity below a stated one. Deviations of runs lower it at all times, and set no date. If nothing in the model
+changes with time, the reason is reported (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ import numpy as np
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.metrology.conformity import (
+    DevicePopulation,
     DrawnQuantity,
     GlobalRisks,
     LimitedQuantity,
     Limits,
-    SpreadOfDevices,
     acceptance,
-    edge,
+    bisect,
+    convert_population,
+    find_quantity,
     global_risks,
-    limited_quantity,
-    spread_of_devices,
-    stated_limit,
-    with_population,
+    parse_limit,
+    parse_population,
 )
 
 DAY = 86400.0  # s
 YEAR = 365.25 * DAY
-HORIZON = 10 * YEAR  # end of the search; beyond it only "not within 10 years" is said
-FIRST_SECONDS = 60.0  # s, the first time looked at, shorter than any interval between calibrations
-TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
+HORIZON = 10 * YEAR  # latest time searched, s
+FIRST_TIME = 60.0  # s, earliest time searched, shorter than any calibration interval
+N_TIMES = 160  # searched, on a logarithmic grid of ratio 1.13
 TIME_RTOL = 1e-6  # of the time found
-FAR_SPANS = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
+MAX_EXTRAPOLATION = 3.0  # of a drift, in spans of the record; beyond it a note is added
 
-CANNOT = "cannot be said from these readings"
+CANNOT = "cannot be determined from these readings"
 ADVICE = (
     "For a recalibration interval, calibrate in runs weeks apart, record their dates, and include a drift term such as "
     "bias.drift."
@@ -57,13 +57,13 @@ ADVICE = (
 
 @dataclass(frozen=True)
 class Recalibration:
-    """When the probability of conformity falls below a stated one."""
+    """Time at which the probability of conformity falls below a stated one."""
 
-    stated: float  # the probability
-    after: float | None  # s after the last reading; None beyond the horizon, or not known
-    date: str | None = None  # of that time, ISO 8601, where the readings have dates
-    why_not: str = ""  # why there is no time; empty where there is one
-    notes: tuple[str, ...] = ()  # what to know, each a sentence
+    stated: float  # stated probability of conformity
+    after: float | None  # time, s after the last reading; None beyond the horizon, or if not known
+    date: str | None = None  # date of that time, ISO 8601, if the readings have dates
+    why_not: str = ""  # why there is no time; empty if there is one
+    notes: tuple[str, ...] = ()  # one sentence each
 
     def __str__(self) -> str:
         if self.after is None:
@@ -77,35 +77,35 @@ class Recalibration:
 def recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
-    """Compute when the probability of conformity falls below a stated one, by the drift in the model."""
+    """Compute the time at which drift lowers the probability of conformity below a stated one."""
     if reason := _no_answer(quantity, calibration, stated):
         return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
 
     def probability(later: float) -> float:
-        return quantity.drawn(later).probability(limits)
+        return quantity.draw(later).probability(limits)
 
-    after = first_below(probability, stated)
-    changed = quantity.drawn(HORIZON if after is None else after).values - quantity.drawn().values
-    # What is less probable than a failure at the stated probability cannot decide about the date.
-    if untold := ws.find_not_measured(calibration, changed, rare=1 - stated):
+    after = find_first_below(probability, stated)
+    change = quantity.draw(HORIZON if after is None else after).values - quantity.draw().values
+    # Draws less probable than a failure at the stated probability cannot determine the date.
+    if unmeasured := ws.find_not_measured(calibration, change, rare=1 - stated):
 
-        def alone(later: float) -> float:
-            drawn = quantity.drawn(later)  # by the likelihood alone
-            values = untold.by_readings_alone(calibration, drawn.values)
-            return replace(drawn, values=values).probability(limits)
+        def likelihood_probability(later: float) -> float:
+            draws = quantity.draw(later)
+            values = unmeasured.by_readings_alone(calibration, draws.values)
+            return replace(draws, values=values).probability(limits)
 
-        if after is not None or first_below(alone, stated) is not None:
-            why = f"{CANNOT}: {untold}. {untold.cure}"
+        if after is not None or find_first_below(likelihood_probability, stated) is not None:
+            why = f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
             return Recalibration(stated, None, why_not=why, notes=(ADVICE,))
     if after is None:
-        why = f"not within {HORIZON / YEAR:g} years by the drift that the model holds"
+        why = f"not within {HORIZON / YEAR:g} years, with the drift of the model"
         return Recalibration(stated, None, why_not=why)
     time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))
-    if after > FAR_SPANS * span:
+    if after > MAX_EXTRAPOLATION * span:
         notes.append(
-            f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, as if it "
-            "went on as it was: calibrate again sooner to see whether it does."
+            f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, at a constant "
+            "drift rate: shorten the calibration interval to verify it."
         )
     since, date = calibration.readings.since, None
     if since is not None:
@@ -114,31 +114,31 @@ def recalibration(
     return Recalibration(stated, after, date, notes=tuple(notes))
 
 
-def first_below(probability: Callable[[float], float], stated: float) -> float | None:
-    """Return the first time, s, at which a probability is below a stated one; None up to the horizon.
+def find_first_below(probability: Callable[[float], float], stated: float) -> float | None:
+    """Find the first time, s, at which a probability is below a stated one; None if there is none up to the horizon.
 
-    A fall and rise between two times of the grid, of ratio 1.13, is not detected.
+    A decrease and increase between two times of the grid, of ratio 1.13, is not detected.
     """
     before = 0.0
-    for time in (0.0, *np.geomspace(FIRST_SECONDS, HORIZON, TIMES).tolist()):
+    for time in (0.0, *np.geomspace(FIRST_TIME, HORIZON, N_TIMES).tolist()):
         if probability(time) < stated:
-            return time and edge(lambda t: probability(t) >= stated, before, time, TIME_RTOL)
+            return time and bisect(lambda t: probability(t) >= stated, before, time, TIME_RTOL)
         before = time
     return None
 
 
 def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
-    """State why the model does not predict the future; empty where it does."""
+    """Return the reason why the model cannot predict the quantity's change in time; empty if it can."""
     name = quantity.limit.quantity
     if not quantity.place:
-        return f"{name} is one number of the model, which holds no change of it in time"
+        return f"{name} is a constant of the model, which does not change in time"
     if not quantity.follows_time:
         return f"no interval can be derived: no term of the model lets {name} change with time"
-    # A form in time that the readings drew, which ends with them.
-    shares = calibration.inclusion
+    # A placeholder curve in time is defined within the record only.
+    probabilities = calibration.inclusion
     for effect in calibration.model.effects:
-        drawn = effect.covariate == "time" and effect.is_placeholder
-        if drawn and shares[effect.name] > 1 - stated:
+        is_curve = effect.covariate == "time" and effect.is_placeholder
+        if is_curve and probabilities[effect.name] > 1 - stated:
             return f"no interval can be derived, since {effect.name} describes the record alone, not the time after it"
     return ""
 
@@ -159,26 +159,26 @@ NOT_RELIABLE = "the calibration is not reliable: {}"
 class Decision:
     """The decision on one limit."""
 
-    limit: str  # as it was written
-    quantity: str  # what is limited
-    unit: str  # of all its numbers
-    tolerance: Limits  # infinite where there is none
+    limit: str  # text of the limit
+    quantity: str  # name of the limited quantity
+    unit: str  # of all numbers
+    tolerance: Limits  # tolerance interval; infinite on a side without limit
     estimate: tuple[float, float]  # posterior mean, lowest and highest over the range of the limit
-    uncertainty: float  # standard, of the estimate; over a range, the largest of its two ends
+    uncertainty: float  # standard uncertainty of the estimate; over a range, the larger of its ends
     scatter: float  # standard deviation of single readings, the largest; zero without scatter
     probability: float  # of conformity
     probability_error: float  # its Monte-Carlo standard error
-    guard_bands: tuple[float, float] | None  # below, above; None where no estimate is accepted
-    accepted: Limits | None  # estimates that are accepted, by the rule
+    guard_bands: tuple[float, float] | None  # lower, upper; None if no estimate is accepted
+    accepted: Limits | None  # acceptance interval of the rule
     decision: str  # "accept", "reject" or "undecided"
-    why: str  # in words
-    risk: float | None  # the specific risk: that the decision is wrong; None where none was made
+    why: str  # reason for the decision
+    risk: float | None  # specific risk, that the decision is wrong; None if undecided
     at: dict[str, tuple[float, float, str]]  # operating point: name → lowest, highest value, unit
-    worst_at: dict[str, tuple[float, float, str]]  # where a k = 2 interval ends nearest a limit
+    worst_at: dict[str, tuple[float, float, str]]  # least favourable point, by k = 2 intervals
     population: tuple[float, float] | None  # mean, sd of the devices; None if not given or a range
-    global_risks: GlobalRisks | None  # over the devices of a population; None where none is given
+    global_risks: GlobalRisks | None  # over the population; None if not given
     recalibration: Recalibration
-    notes: tuple[str, ...]  # what to know, each a sentence
+    notes: tuple[str, ...]  # one sentence each
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,17 +186,17 @@ class Decisions(ws.Printed):
     """Decisions about the limits of one device."""
 
     rule: str  # "simple" or "guarded"
-    rule_in_words: str  # as a certificate states it
-    false_accept: float  # the probability of a false acceptance that is allowed
-    decisions: tuple[Decision, ...]  # one of each limit, in their order
+    rule_in_words: str  # description of the rule, for a certificate
+    false_accept: float  # maximum probability of false acceptance
+    decisions: tuple[Decision, ...]  # one per limit, in input order
     calibration: str  # identity of the calibration
-    notes: tuple[str, ...] = ()  # what to know of all of them, each a sentence
+    notes: tuple[str, ...] = ()  # on all decisions, one sentence each
 
     def withheld(self, why: str) -> Decisions:
-        """Return these with all decisions undecided, with the reason why the calibration is not reliable."""
+        """Return a copy with all decisions undecided, because the calibration is unreliable for the reason `why`."""
         reason = NOT_RELIABLE.format(why.rstrip("."))
-        open_ = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
-        return replace(self, decisions=tuple(open_))
+        undecided = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
+        return replace(self, decisions=tuple(undecided))
 
     @property
     def conforms(self) -> bool:
@@ -205,12 +205,12 @@ class Decisions(ws.Printed):
 
     @property
     def doubt(self) -> str:
-        """List the limits that are not met, or undecided; empty if none is."""
-        open_ = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
-        return f"not shown to conform: {', '.join(open_)}" * bool(open_)
+        """Return a message with the limits that are not met or undecided; empty if all are met."""
+        failed = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
+        return f"not shown to conform: {', '.join(failed)}" * bool(failed)
 
     def foreword(self, chapters: Sequence[ws.Chapter]) -> ws.Foreword:
-        """Return the decisions as the foreword of a report; withheld where a chapter's verdict is negative."""
+        """Build a report's foreword with the decisions; they are withheld if a chapter's verdict is negative."""
         for chapter in chapters:
             if not chapter.data["verdict"]["ok"] and self.calibration == ws.identity(chapter.used):
                 return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
@@ -266,7 +266,7 @@ class Decisions(ws.Printed):
 
 
 def worst(d: Decision) -> float:
-    """Return the end of the estimate that is nearer to its limit."""
+    """Return the end of the estimate's range that is nearer to its limit."""
     low, high = d.estimate
     return high if d.tolerance.high - high <= low - d.tolerance.low else low
 
@@ -286,26 +286,26 @@ def _accepted(d: Decision) -> str:
 
 
 def statement_lines(d: Decision) -> list[str]:
-    """Return lines: the decision and its risk, the operating point, the population's risks, the next calibration."""
+    """Format a decision as lines: decision and risk, operating point, global risks, next calibration."""
     lines = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
-        worst_at = _places({n: place for n, place in d.worst_at.items() if place != d.at[n]})
-        worst_at = f", the least favourable at {worst_at}" * bool(worst_at)
+        worst_at = _format_point({n: p for n, p in d.worst_at.items() if p != d.at[n]})
+        worst_at = f", least favourable at {worst_at}" * bool(worst_at)
         scatter = f"{ws.number(d.scatter)} {ws.unit_label(d.unit)}"
         of_one = f"; single readings scatter by {scatter}: u and p are of one reading"
-        lines.append(f"  at {_places(d.at)}{of_one * (d.scatter > 0)}{worst_at}")
+        lines.append(f"  at {_format_point(d.at)}{of_one * (d.scatter > 0)}{worst_at}")
     if (g := d.global_risks) is not None:
-        which = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
+        moments = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(
-            f"  of devices {which}: {percent(g.conforming)} conform, "
+            f"  of devices {moments}: {percent(g.conforming)} conform, "
             f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
             f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
         )
     return [*lines, f"  next calibration: {d.recalibration}"]
 
 
-def _places(at: Mapping[str, tuple[float, float, str]]) -> str:
-    """Format values or ranges by name, angles in degrees."""
+def _format_point(at: Mapping[str, tuple[float, float, str]]) -> str:
+    """Format an operating point: values or ranges by name, angles in degrees."""
     texts = dict[str, str]()
     for name, (*ends, unit) in at.items():
         ends, unit = ([*map(math.degrees, ends)], "deg") if unit == "rad" else (ends, unit)
@@ -315,7 +315,7 @@ def _places(at: Mapping[str, tuple[float, float, str]]) -> str:
 
 
 def percent(p: float, error: float = 0.0) -> str:
-    """Format a probability in per cent, no finer than its Monte-Carlo error, nor than a hundredth of a per cent."""
+    """Format a probability in per cent, with a resolution of its Monte-Carlo error and of 0.01 %."""
     least = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
     if p < least:
         return f"< {100 * least:.2g} %"
@@ -325,15 +325,15 @@ def percent(p: float, error: float = 0.0) -> str:
 
 
 Rule = Literal["simple", "guarded"]
-# As a certificate states them.
+# Decision rules, as worded in a certificate; {} is the probability in %.
 RULES = {
     "guarded": "guarded acceptance, probability of false acceptance at most {:g} %, undecided where neither acceptance "
     "nor rejection has so low a risk (JCGM 106:2012, 8.3; ILAC-G8:09/2019)",
     "simple": "simple acceptance, the estimate inside the limits, without guard bands (JCGM 106:2012, 8.2)",
 }
-# What a guard band of one expanded uncertainty, k = 2, comes to about (JCGM 106, 8.3.2; ILAC-G8 gives < 2.5 %).
+# Risk of a guard band of one expanded uncertainty, k = 2, approximately (JCGM 106, 8.3.2; ILAC-G8 gives < 2.5 %).
 FALSE_ACCEPT = 0.025
-CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual coverage of a statement
+CONFORMITY = 0.95  # probability of conformity for a recalibration interval: the usual coverage
 
 
 def decide(
@@ -351,21 +351,21 @@ def decide(
 
     Args:
         calibration: a fit, or an average over structures.
-        limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `stated_limit`).
+        limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `parse_limit`).
         rule: "guarded" or "simple".
-        false_accept: probability of a false acceptance (and, of a false rejection) that "guarded" allows.
-        population: devices of this kind, for global risks of the limits in its unit: "sd 0.2 °/s", "mean 0.1 sd 0.2
-            °/s".
-        conformity: probability of which the recalibration interval is stated.
-        members: which member of a group is used, such as {"device": "A17"}; every other counts as new.
+        false_accept: maximum probability of false acceptance, and of false rejection, for "guarded".
+        population: population of devices of this kind, for global risks of limits in its unit: "sd 0.2 °/s", "mean 0.1
+            sd 0.2 °/s".
+        conformity: probability of conformity below which recalibration is due.
+        members: the member of a group in use, such as {"device": "A17"}; members of other groups are new.
         local_gravity: m/s², for limits in m/s² on accelerations in g.
 
     Raises:
-        InputError: a limit, population, rule or probability that is none; says which and what to write.
-        ModelError: the instrument does not say what it measures, and a limit is on something in use.
+        InputError: an invalid limit, population, rule or probability; the message states what to write.
+        ModelError: a limit is on a slot or corrected reading, but the instrument has no stimulus (`Instrument.use`).
     """
     if rule not in RULES:
-        raise bc.InputError(f"rule {rule!r} is none: choose {', '.join(RULES)}")
+        raise bc.InputError(f"rule {rule!r} is unknown: choose {', '.join(RULES)}")
     if not 0 < false_accept < 0.5:
         raise bc.InputError(
             f"false_accept = {false_accept:g}: expected a probability above 0 and below 0.5, such as 0.025"
@@ -376,19 +376,19 @@ def decide(
         )
     stated = [limits] if isinstance(limits, str) else list(limits)
     if not stated:
-        raise bc.InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
-    devices = None if population is None else spread_of_devices(population)
-    where: dict[str, Any] = {"members": members, "local_gravity": local_gravity}
+        raise bc.InputError('no limit is given: give one, such as "bias: ±0.5 °/s"')
+    devices = None if population is None else parse_population(population)
+    options: dict[str, Any] = {"members": members, "local_gravity": local_gravity}
     decisions = []
     for text in stated:
-        quantity = limited_quantity(calibration, stated_limit(text), **where)
+        quantity = find_quantity(calibration, parse_limit(text), **options)
         decisions.append(
             _decision_on(calibration, quantity, rule, false_accept, conformity, devices)
         )
     if devices is not None and all(d.global_risks is None for d in decisions):
         raise bc.InputError(
-            f"population {population!r} is of no limit that is given: global risks are stated for a slot or an unknown "
-            "at one point, in its unit, with a mean where there is one limit only"
+            f"population {population!r} applies to none of the limits: global risks need a slot or an unknown at one "
+            "point, in the population's unit, and for a one-sided limit the population's mean"
         )
     return Decisions(
         rule=rule,
@@ -406,43 +406,43 @@ def _decision_on(
     rule: str,
     false_accept: float,
     conformity: float,
-    devices: SpreadOfDevices | None,
+    devices: DevicePopulation | None,
 ) -> Decision:
-    drawn, limits = quantity.drawn(), quantity.limits
-    p = drawn.probability(limits)
-    guarded = acceptance(drawn, limits, false_accept)
+    draws, limits = quantity.draw(), quantity.limits
+    p = draws.probability(limits)
+    guarded = acceptance(draws, limits, false_accept)
     accepted = guarded if rule == "guarded" else limits
-    decision, why = _decide_limit(calibration, quantity, drawn, p, rule, false_accept)
-    uncertainty, notes = drawn.uncertainty, list(quantity.notes)
-    mean, u = drawn.values.mean(axis=0), np.hypot(drawn.values.std(axis=0), drawn.scatter)
+    decision, why = _decide_limit(calibration, quantity, draws, p, rule, false_accept)
+    uncertainty, notes = draws.uncertainty, list(quantity.notes)
+    mean, u = draws.values.mean(axis=0), np.hypot(draws.values.std(axis=0), draws.scatter)
     i = int(np.argmin(np.minimum(limits.high - mean, mean - limits.low) - 2 * u))
-    worst_places = {name: values[i : i + 1] for name, values in quantity.places.items()}
-    within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
-    spread = None if devices is None else with_population(quantity, devices)
-    if devices is not None and spread is None:
+    worst_points = {name: values[i : i + 1] for name, values in quantity.points.items()}
+    interval = accepted or Limits(math.inf, math.inf)  # empty if no estimate is accepted
+    moments = None if devices is None else convert_population(quantity, devices)
+    if devices is not None and moments is None:
         notes.append(
-            "No global risk is stated: the population is of another quantity, or the limit is on a correction, or over "
-            "a range, of which one standard deviation says nothing."
+            "No global risk is stated: the population is of another quantity, or the limit is on a correction or over "
+            "a range, which one standard deviation does not describe."
         )
     return Decision(
         limit=quantity.limit.text,
         quantity=quantity.limit.quantity,
         unit=quantity.unit,
         tolerance=limits,
-        estimate=drawn.estimate,
+        estimate=draws.estimate,
         uncertainty=uncertainty,
-        scatter=float(drawn.scatter.max()),
+        scatter=float(draws.scatter.max()),
         probability=p,
-        probability_error=drawn.probability_error(p),
+        probability_error=draws.probability_error(p),
         guard_bands=guarded and (guarded.low - limits.low, limits.high - guarded.high),
         accepted=accepted,
         decision=decision,
         why=why,
         risk={ACCEPT: 1 - p, REJECT: p}.get(decision),
         at=quantity.place,
-        worst_at=replace(quantity, places=worst_places).place,
-        population=spread,
-        global_risks=None if spread is None else global_risks(*spread, uncertainty, limits, within),
+        worst_at=replace(quantity, points=worst_points).place,
+        population=moments,
+        global_risks=moments and global_risks(*moments, uncertainty, limits, interval),
         recalibration=recalibration(quantity, limits, calibration, conformity),
         notes=tuple(notes),
     )
@@ -451,24 +451,24 @@ def _decision_on(
 def _decide_limit(
     calibration: bc.Calibration,
     quantity: LimitedQuantity,
-    drawn: DrawnQuantity,
+    draws: DrawnQuantity,
     p: float,
     rule: str,
     false_accept: float,
 ) -> tuple[str, str]:
-    """Return the decision on a limit, and the reason in words."""
-    limits, error = quantity.limits, drawn.probability_error(p)
+    """Return the decision on a limit, and its reason."""
+    limits, error = quantity.limits, draws.probability_error(p)
     if reason := ws.why_not(calibration):
         return UNDECIDED, NOT_RELIABLE.format(reason.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
-    options = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": false_accept}
-    if untold := ws.find_not_measured(calibration, drawn.values, **options):
-        values, risk = untold.by_readings_alone(calibration, drawn.values), false_accept
-        alone = replace(drawn, values=values).probability(limits)
-        same = (p >= 1 - risk) == (alone >= 1 - risk) and (p <= risk) == (alone <= risk)
-        if untold.hyperparameter or not (same and abs(p - alone) <= risk):
-            return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
+    options = {"of": quantity.limit.quantity, "scatter": draws.scatter, "rare": false_accept}
+    if unmeasured := ws.find_not_measured(calibration, draws.values, **options):
+        values, risk = unmeasured.by_readings_alone(calibration, draws.values), false_accept
+        p2 = replace(draws, values=values).probability(limits)  # with the likelihood alone
+        is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
+        if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
+            return UNDECIDED, f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
     conforms, fails = percent(p, error), percent(1 - p, error)
     if rule == "guarded":
         if p >= 1 - false_accept:
@@ -476,11 +476,11 @@ def _decide_limit(
         if p <= false_accept:
             return REJECT, f"specific risk of false rejection {conforms}"
         return UNDECIDED, (
-            f"it conforms with probability {conforms}: to accept or to reject it, "
-            f"{100 * (1 - false_accept):g} % are needed"
+            f"probability of conformity {conforms}: acceptance needs {100 * (1 - false_accept):g} %, rejection "
+            f"{100 * false_accept:g} %"
         )
-    if limits.hold(*drawn.estimate):
-        where, decided, risk = "inside", ACCEPT, f"acceptance {fails}"
+    if limits.contain(*draws.estimate):
+        position, decision, risk = "inside", ACCEPT, f"acceptance {fails}"
     else:
-        where, decided, risk = "outside", REJECT, f"rejection {conforms}"
-    return decided, f"the estimate is {where} the limits; specific risk of false {risk}"
+        position, decision, risk = "outside", REJECT, f"rejection {conforms}"
+    return decision, f"the estimate is {position} the limits; specific risk of false {risk}"

@@ -1,6 +1,6 @@
-"""Registration of the annex of metrology: decisions about limits, certificates, and their parts of reports.
+"""Registration of the metrology annex: decisions on conformity, certificates, and their parts of reports.
 
-Light: heavy modules load inside.
+Heavy modules are imported on use.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from bayescal import workshop as ws
 class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
     """Decide whether limits are met, with guard bands and risks.
 
-    Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
+    Exit status: 0 if every limit is met; 1 if a limit is not met or undecided.
     """
 
     example = 'bayescal decide result --limit "bias: ±0.5 °/s"'
@@ -44,21 +44,25 @@ class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
         return ws.Answer(decisions, warning=decisions.doubt)
 
 
-def certified(command: ws.ExportCommand) -> ws.Answer:
-    """Export a digital calibration certificate, with the decisions about limits, if any."""
+def export_certificate(command: ws.ExportCommand) -> ws.Answer:
+    """Export a digital calibration certificate, with decisions on conformity if limits are given."""
     from bayescal._annexes.metrology.certificate import dcc_text
 
-    command.refuse_several()
-    (path,), gravity, decided = command.calibrations, command.gravity, None
+    command.require_one()
+    (path,), gravity, decisions = command.calibrations, command.gravity, None
     if command.certificate is None:
         raise bc.InputError(
-            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
+            "a digital calibration certificate needs device, laboratory and customer: give --certificate FILE.toml"
         )
     calibration = ws.load_saved(path, command)
     if command.limit:
-        how = {"members": command.members, "local_gravity": gravity, **command.decision_options()}
-        decided = bc.decide(calibration, command.limit, **how)
-    text = dcc_text(calibration, command.certificate, gravity, decided)
+        options = {
+            "members": command.members,
+            "local_gravity": gravity,
+            **command.decision_options(),
+        }
+        decisions = bc.decide(calibration, command.limit, **options)
+    text = dcc_text(calibration, command.certificate, gravity, decisions)
     if command.out is not None:
         text = f"written: {ws.write_text(text, command.out)}"
     return ws.Answer(text.removesuffix("\n"))
@@ -66,7 +70,7 @@ def certified(command: ws.ExportCommand) -> ws.Answer:
 
 ANNEX = {
     "commands": (DecideCommand,),
-    "exports": lambda: {"dcc": certified},
+    "exports": lambda: {"dcc": export_certificate},
     "certificate": "bayescal._annexes.metrology.certificate:read_certificate",
     "decided": "bayescal:decide",
     "reference_dcc": "bayescal:read_dcc",

@@ -1,7 +1,7 @@
 """The digital calibration certificate (DCC) of a reference standard: its error, common to all readings.
 
-Elements: dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; types of reference (refType) of the PTB's good
-practice, such as basic_measurementError. A DOCTYPE is refused, so that no XML entity is ever resolved.
+Elements: dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; refType values of the PTB's good practice, such as
+basic_measurementError. A DOCTYPE declaration is rejected, so that no XML entity is ever resolved.
 """
 
 import re
@@ -21,136 +21,136 @@ ROOT = f"{DCC}digitalCalibrationCertificate"
 REFERENCE, MEASURED = "basic_referenceValue", "basic_measuredValue"
 KINDS = ERROR, REFERENCE, MEASURED
 EXPANDED, STANDARD = ("uncertainty", "valueExpandedMU"), ("standardUnc", "valueStandardMU")
-MAX_BYTES = 50_000_000  # of a certificate, with its pictures
-MAX_POINTS = 14  # as many as one formula holds
+MAX_BYTES = 50_000_000  # size of a certificate, with its pictures
+MAX_POINTS = 14  # calibration points, limited by the length of a formula
 _UNITS = {name: ours for ours, name in D_SI.items() if ours != "uT"}
 _UNITS |= {"degreecelsius": "degC", "degree": "deg", "one": "1"}
 _PREFIXES = {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "kilo": 1e3}
 _D_SI_PART = re.compile(r"\\(per\\)?(?:(milli|micro|nano|kilo)\\)?(\w+)(?:\\tothe\{([-+]?\d)\})?")
 
 
-class _NoTypes(ET.TreeBuilder):
+class _NoDoctype(ET.TreeBuilder):
     def doctype(self, name: str, *_: Any) -> NoReturn:
-        raise ET.ParseError(f"it defines a document type, {name}")
+        raise ET.ParseError(f"it has a DOCTYPE declaration, {name}")
 
 
 def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "temperature") -> bc.Effect:
-    """Read what a digital calibration certificate states of the reference behind a column, as an effect.
+    """Read the error of a column's reference standard from its digital calibration certificate, as an effect.
 
         model = instrument.baseline() + bc.read_dcc("thermometer.xml", instrument)
 
-    The effect corrects the column as stated. What stays uncertain all readings share: an offset of the largest u, and
-    a slope as of independent errors at the ends, since no certificate says how errors at its points are correlated. The
-    reference belongs to the calibration: a compensation takes true temperatures.
+    The effect corrects the column by the stated errors. Its uncertainty is common to all readings: an offset with the
+    largest stated u, and a slope as from independent errors at the ends of the range, because certificates do not state
+    correlations. The reference is used in the calibration only: a compensation takes true temperatures.
 
     Raises:
-        InputError: no certificate, or not one table of errors in the column's dimension, with uncertainty and coverage
-            factor; names the element.
+        InputError: the file is not a certificate, or has not exactly one table of errors in the column's dimension
+            with uncertainty and coverage factor; the message names the element.
     """
     unit, path = instrument.column(column).unit or "1", Path(path)
-    root, label = _root(path), ws.unit_label(unit) or "plain numbers"
-    inside = [e for result in root.iter(f"{DCC}result") for e in result.iter()]
-    read = [_errors(path, e, unit) for e in inside if _name(e) in ("list", "data")]
-    tables = [errors for errors in read if errors is not None]
+    root, label = _parse_root(path), ws.unit_label(unit) or "plain numbers"
+    elements = [e for result in root.iter(f"{DCC}result") for e in result.iter()]
+    results = [_parse_errors(path, e, unit) for e in elements if _name(e) in ("list", "data")]
+    tables = [errors for errors in results if errors is not None]
     if len(tables) != 1:
-        units = ", ".join(dict.fromkeys(e.text or "" for e in inside if _name(e) == "unit"))
-        came = f"{len(tables)} tables of errors in {label}; units are {units or 'not stated'}"
-        raise _refusal(path, "dcc:result", came, f"one, with a dcc:quantity of refType {ERROR}")
+        units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _name(e) == "unit"))
+        fault = f"{len(tables)} tables of errors in {label}; units are {units or 'not stated'}"
+        raise _error(path, "dcc:result", fault, f"one, with a dcc:quantity of refType {ERROR}")
     x, error, sd = tables[0]
     points, u, low, high = np.unique(x), float(sd.max()), x.min(), x.max()
-    added = np.array([0.0 - error[x == p].mean() for p in points])
+    corrections = np.array([0.0 - error[x == p].mean() for p in points])
     if len(points) > MAX_POINTS:
-        raise _refusal(path, ERROR, f"{len(points)} points", f"{MAX_POINTS} at most")
+        raise _error(path, ERROR, f"{len(points)} points", f"{MAX_POINTS} at most")
     offset = f"{u!r} {'delta_degC' if unit == 'degC' else unit}"
     formula, stated = "offset", {"offset": offset}
     if high > low:
         formula += f"+slope*(max(min(x,{high:.7g}),{low:.7g}){-0.5 * (low + high):+.7g})"
         stated["slope"] = f"{2**0.5 * u / float(high - low)!r}"
-    how = f"standard uncertainty {ws.number(u)} {label}, shared by all readings"
-    if added.any():
-        bends = np.diff([0.0, *(np.diff(added) / np.diff(points)), 0.0])
-        bent = (f"{b:+.5g}*max(x{-p:+.7g},0)" for b, p in zip(bends, points, strict=True))
-        formula += f"+correction*({added[0]:.7g}{''.join(bent)})"
+    description = f"standard uncertainty {ws.number(u)} {label}, shared by all readings"
+    if corrections.any():
+        kinks = np.diff([0.0, *(np.diff(corrections) / np.diff(points)), 0.0])
+        terms = (f"{k:+.5g}*max(x{-p:+.7g},0)" for k, p in zip(kinks, points, strict=True))
+        formula += f"+correction*({corrections[0]:.7g}{''.join(terms)})"
         stated["correction"] = "1 ± 0"
-        ends = f"{added.min():.4g} to {added.max():.4g} {label} at {low:.6g} to {high:.6g} {label}"
-        how = f"corrected by {ends}; {how}"
+        ends = f"{corrections.min():.4g} to {corrections.max():.4g} {label}"
+        description = f"corrected by {ends} at {low:.6g} to {high:.6g} {label}; {description}"
     number = root.findtext(f".//{DCC}uniqueIdentifier", "").strip()
-    source = f"{path.name}{f', certificate {number}' * bool(number)}: {how}"
+    source = f"{path.name}{f', certificate {number}' * bool(number)}: {description}"
     stated |= {"x": column, "source": source} if "x" in formula else {"source": source}
     effect = bc.effect(f"{column}.certificate", formula, instrument=instrument, **stated)
     equation = "true = indicated + correction + e, e shared by all readings"
     return replace(effect, equation=equation, columns=(column,))
 
 
-def _refusal(path: Path, element: str, came: str, expected: str) -> bc.InputError:
-    return bc.InputError(f"{str(path)!r}, {element}: {came}. Expected was {expected}")
+def _error(path: Path, element: str, fault: str, expected: str) -> bc.InputError:
+    return bc.InputError(f"{str(path)!r}, {element}: {fault}. Expected was {expected}")
 
 
-def _root(path: Path) -> ET.Element:
+def _parse_root(path: Path) -> ET.Element:
     try:
         content = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
-        root = ET.fromstring(content, ET.XMLParser(target=_NoTypes()))
-        if (came := root.tag) == ROOT:
+        root = ET.fromstring(content, ET.XMLParser(target=_NoDoctype()))
+        if (fault := root.tag) == ROOT:
             return root
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        came = f"not read as XML ({error})"
-    raise _refusal(path, "the root", came, f"{ROOT}, of {MAX_BYTES:,} bytes at most")
+        fault = f"not read as XML ({error})"
+    raise _error(path, "the root", fault, f"{ROOT}, of {MAX_BYTES:,} bytes at most")
 
 
 def _name(element: ET.Element) -> str:
-    """Return the name of an element, without its space and the ending of its lists."""
+    """Return an element's name, without namespace and without the ending XMLList."""
     return element.tag.rpartition("}")[2].removesuffix("XMLList")
 
 
-def _errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray, ...] | None:
-    """Return indications, errors and standard uncertainties of a table; None where it states no errors."""
+def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray, ...] | None:
+    """Return indications, errors and standard uncertainties of a table; None if it states no errors."""
     columns: dict[str, np.ndarray] = {}  # (2, n): values and standard uncertainties
     for quantity in table.findall(f"{DCC}quantity"):
         for kind in quantity.get("refType", "").split():
             name = kind.removesuffix("_error").removesuffix("_correction")
             try:
-                values = _values(quantity, unit, name == ERROR) if name in KINDS else None
+                values = _parse_values(quantity, unit, name == ERROR) if name in KINDS else None
             except (ValueError, KeyError) as error:
                 expected = "numbers, with one uncertainty or one for each"
-                raise _refusal(path, f"dcc:quantity {kind}", str(error), expected) from None
+                raise _error(path, f"dcc:quantity {kind}", str(error), expected) from None
             if values is not None:
                 values[0] *= -1.0 if kind.endswith("_correction") else 1.0
                 columns[name] = np.hstack([columns.get(name, values[:, :0]), values])
     if (error := columns.get(ERROR)) is None:
         return None
     if not np.all(error[1] > 0):
-        came = "no coverage factor" if np.isnan(error[1]).any() else "no uncertainty"
+        fault = "no coverage factor" if np.isnan(error[1]).any() else "no uncertainty"
         expected = f"si:{' or si:'.join(EXPANDED)} with si:coverageFactor, or si:{STANDARD[0]}"
-        raise _refusal(path, f"dcc:quantity {ERROR}", came, expected)
+        raise _error(path, f"dcc:quantity {ERROR}", fault, expected)
     points = columns.get(MEASURED, columns.get(REFERENCE, np.zeros((2, 1))))[0]
     if len(points) != error.shape[1]:
-        came, expected = f"{error.shape[1]} errors at {len(points)} points", "as many of each"
-        raise _refusal(path, f"dcc:quantity {MEASURED} or {REFERENCE}", came, expected)
+        fault, expected = f"{error.shape[1]} errors at {len(points)} points", "equal numbers"
+        raise _error(path, f"dcc:quantity {MEASURED} or {REFERENCE}", fault, expected)
     return points + (error[0] if MEASURED not in columns and REFERENCE in columns else 0.0), *error
 
 
-def _values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
-    """Return values and standard uncertainties (2, n), NaN without coverage factor; None in other dimensions."""
+def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
+    """Return values and standard uncertainties (2, n) in `unit`, NaN without coverage factor; None if inconvertible."""
     children = (list(e) if _name(e) in ("hybrid", "list") else [e] for e in quantity)
     for real in (e for group in children for e in group if _name(e) in ("real", "realList")):
         texts = {_name(e): (e.text or "").split() for e in real.iter()}
-        factor, ours = _unit(*dict.fromkeys(texts.get("unit", [""])))
-        if not (ours and ws.same_dimension(ours, unit)):
+        factor, source_unit = _parse_unit(*dict.fromkeys(texts.get("unit", [""])))
+        if not (source_unit and ws.same_dimension(source_unit, unit)):
             continue
         names = ("value", *EXPANDED, *STANDARD, "coverageFactor")
         numbers = {n: np.array(texts[n], float) for n in names if n in texts}
         if not all(np.all(np.isfinite(v)) for v in numbers.values()):
             raise ValueError("a number that is not finite")
-        spread = next((n for n in names[1:5] if n in numbers), "")
-        k = numbers.get("coverageFactor", np.nan) if spread in EXPANDED else 1.0
-        sd = np.broadcast_to(numbers.get(spread, 0.0) / k, numbers["value"].shape)
-        both = (numbers["value"], difference), (sd, True)
-        return np.array([ws.convert(v * factor, ours, unit, difference=d) for v, d in both])
+        element = next((n for n in names[1:5] if n in numbers), "")
+        k = numbers.get("coverageFactor", np.nan) if element in EXPANDED else 1.0
+        sd = np.broadcast_to(numbers.get(element, 0.0) / k, numbers["value"].shape)
+        pairs = (numbers["value"], difference), (sd, True)
+        return np.array([ws.convert(v * factor, source_unit, unit, difference=d) for v, d in pairs])
     return None
 
 
-def _unit(text: str, *others: str) -> tuple[float, str]:
-    """Return a D-SI unit as a factor and a unit of ours; "" where it is none known here, or one of several."""
+def _parse_unit(text: str, *others: str) -> tuple[float, str]:
+    """Convert a D-SI unit to a factor and a unit of bayescal; "" if it is unknown, or there are several."""
     factor, names = 1.0, ["1"]
     if others or _D_SI_PART.sub("", text):
         return 0.0, ""
