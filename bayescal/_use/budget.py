@@ -45,7 +45,7 @@ FORM = "form of the model: effects outside the candidates"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
-CERTIFICATE_PART = re.compile(r"(?<=\.certificate)\[.*")  # index of a reference's error
+CERTIFICATE_INDEX = re.compile(r"(?<=\.certificate)\[.*")  # of a reference error's coefficient
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,8 @@ def budget(
         k: coverage factor of the expanded uncertainty.
 
     Raises:
-        InputError: an unknown name, k is not positive, or zero slope of the output by the stimulus at the point.
-        ModelError: the instrument does not say what it measures.
+        InputError: an unknown name, k is not positive, or the output does not depend on the stimulus at the point.
+        ModelError: the instrument has no stimulus (`Instrument.use`).
     """
     used = compensator(calibration) if isinstance(calibration, Calibration) else calibration
     if not (np.isfinite(k) and k > 0):
@@ -263,7 +263,7 @@ def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float
     names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
-            message = f"{name!r} plays no part in this compensation; what does: {', '.join(names)}"
+            message = f"{name!r} is not an input of this compensation; choose {', '.join(names)}"
             raise InputError(message)
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
@@ -271,13 +271,13 @@ def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float
 
 
 def _linearise(used: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
-    """Return expected output, its derivative by the stimulus, and ∂value/∂θ at a point; missing inputs are zero."""
+    """Return expected output, ∂output/∂stimulus, and ∂(compensated value)/∂θ at a point; missing inputs are zero."""
     values = {name: np.full(1, value) for name, value in point.items()}
     arguments = used._moments.mean, values[used.stimulus], values
-    expected, slope, gradient = used.equation.linearised(*arguments)
+    expected, slope, gradient = used.equation.linearise(*arguments)
     if slope[0] == 0:
         point_text = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-        why = f"at {point_text} the output does not follow {used.stimulus}: choose another point"
+        why = f"at {point_text} the output does not depend on {used.stimulus}: choose another point"
         raise InputError(why)
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
@@ -308,7 +308,7 @@ def _split_by_source(
         for name, value in priors.items():
             fitted = f" of the fitted {groups.get(name)}s".replace("axiss", "axes")
             of = fitted if groups.get(name) else ""
-            row = f"prior of {CERTIFICATE_PART.sub('', name)}{of}", "B"
+            row = f"prior of {CERTIFICATE_INDEX.sub('', name)}{of}", "B"
             parts[row] = parts.get(row, 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
@@ -316,7 +316,7 @@ def _split_by_source(
         for derivative, u in zip(gradient, unknowns, strict=True):
             if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
                 shift += float(derivative) * part[index.index[u.name] - index.by_key[u.key].start]
-        parts[f"{confounder.label}, not told from the model's own", "B"] = shift**2
+        parts[f"{confounder.label}, collinear with the model's", "B"] = shift**2
     not_found = list[float]()
     for name, (i, root) in used.equation.unfound_spreads.items():
         not_found.append(float(gradient[i] * root) ** 2)
@@ -353,9 +353,9 @@ def _range_claims(used: Compensator, point: Mapping[str, float]) -> list[Claim]:
 def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
     """Return claims about a budget's coverage and omissions, for a correction or for one slot."""
     notes = clock_note(chosen.equation)
-    beyond = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
-    beyond += ["the form of the model"] * (chosen.calibration.form_factor > 1)
-    notes += [Claim("budget.beyond_fit", *beyond)] * bool(beyond)
+    sources = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
+    sources += ["the form of the model"] * (chosen.calibration.form_factor > 1)
+    notes += [Claim("budget.beyond_fit", *sources)] * bool(sources)
     estimated = _estimated_group_sds(chosen.equation)
     for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in estimated):
         count = len(chosen.calibration.levels.get(per, ()))

@@ -40,7 +40,7 @@ class CompensationSummary:
     """Summary of a file's compensation."""
 
     file: Path  # the written file
-    columns: tuple[str, str]  # names of the two columns added
+    columns: tuple[str, str]  # names of the two added columns
     rows: int  # of the file
     outside: dict[str, int]  # name → readings outside its calibrated range
     unsolved: int  # readings for which the equation has no solution; their value is NaN
@@ -97,8 +97,8 @@ def compensate_file(
     check_files([path], 1 << 62)
     if suffix not in (readable := (*NATIVE_SUFFIXES, *CSV_SUFFIXES)):
         raise InputError(
-            f"{path.name!r} cannot be compensated as a file: choose one of {', '.join(readable)}. Of others "
-            "read the columns, and compensate these: bc.compensator(…)(bc.read(…))"
+            f"{path.name!r} cannot be compensated as a file: use one of {', '.join(readable)}. For other formats, "
+            "read the columns and compensate them: bc.compensator(…)(bc.read(…))"
         )
     output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
     if out.suffix.lower() != output_suffix and not {suffix, out.suffix.lower()} <= {*TEXT_SUFFIXES}:
@@ -156,10 +156,10 @@ def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin:
     first, last = float(readings["time"].min()), float(readings["time"].max())
     if first <= clock.high and last >= clock.low:
         raise InputError(
-            f"{readings.file}: its times, {first:.6g} to {last:.6g} s, are among those of the calibration, "
-            f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
-            f"the date changes {compensator.dated}. Say when its first reading was taken on the clock of the "
-            "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
+            f"{readings.file}: its times, {first:.6g} to {last:.6g} s, overlap those of the calibration, "
+            f"{clock.low:.6g} to {clock.high:.6g} s, of which it is no part, so its clock has another origin, and "
+            f"{compensator.dated} depends on the date. Give the time of its first reading on the calibration's clock: "
+            "--begin '9 days'; or --begin '0 s' if time counts from the start of each run"
         )
 
 
@@ -179,7 +179,7 @@ def _column_names(
     for name in names:
         if any(h.name == name for h in table.headers):
             raise InputError(
-                f"{table.file!r} has a column {name!r} already: take it out, or compensate the original"
+                f"{table.file!r} already has a column {name!r}: remove it, or compensate the original file"
             )
     return header.raw, names
 

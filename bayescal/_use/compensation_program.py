@@ -2,10 +2,10 @@
 
 The graph of the equation in use (`expression_graph.py`) and its derivatives are evaluated at the posterior mean of θ:
 
-    expected(s), slope = d expected/ds, gradient = d expected/dθ,   at θ = the posterior mean.
+    expected(s), slope = ∂expected/∂s, gradient = ∂expected/∂θ,   at θ = the posterior mean.
 
-The stimulus solves expected(s) = reading: one Newton step from 0 where the equation is a straight line in s, up to
-`STEPS` otherwise. Its standard uncertainty is √(gᵀCg), g = −gradient/slope, C = LLᵀ the posterior covariance of θ;
+The stimulus s solves expected(s) = reading, by one Newton step from 0 if the equation is affine in s, otherwise by up
+to `MAX_NEWTON_STEPS`. Its standard uncertainty is √(gᵀCg), g = −gradient/slope, C = LLᵀ the posterior covariance of θ;
 √(gᵀCg + noise/slope²) with the noise of one reading, a variance by the noise law at s and the inputs (JCGM 100, 5.2.2).
 """
 
@@ -44,15 +44,15 @@ from bayescal._use.operating_equation import (
 
 
 class CorrectionInUse(ABC):
-    """A correction of readings to the stimulus, with its uncertainty, exported as a file (`correction_files.py`)."""
+    """Base class of corrections from readings to the stimulus, exported as files (`correction_files.py`)."""
 
     @abstractmethod
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
-        """Return the instrument's name, the notes, and why the correction must not be used (empty if it may)."""
+        """Return the instrument's name, the notes, and the reason not to use the correction (empty for none)."""
 
     @abstractmethod
     def data(self) -> dict[str, Any]:
-        """Return the content of its JSON file."""
+        """Return the content of the correction's JSON file."""
 
     @property
     def why_not(self) -> str:
@@ -62,9 +62,9 @@ class CorrectionInUse(ABC):
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
 PAST = ("rate", "lag", "lag slope")  # kinds of input computed from a temperature's history
-# Change of a settled value over its standard uncertainty, at most: adds 0.5 % in the root sum of squares.
-SETTLED = 0.1
-MARGIN_SHARE = 0.01  # of the stimulus range, tolerated beyond its ends for the noise of readings
+# Largest change of a settled value over its standard uncertainty: it adds 0.5 % in the root sum of squares.
+MAX_SETTLED_CHANGE = 0.1
+RANGE_MARGIN = 0.01  # fraction of the stimulus range, tolerated beyond its ends for noise
 
 
 class OutsideCalibration(UserWarning):
@@ -73,21 +73,21 @@ class OutsideCalibration(UserWarning):
 
 @dataclass(frozen=True)
 class Input:
-    """A covariate that compensation needs."""
+    """A covariate that a compensation needs."""
 
     name: str  # name, unit, meaning: as printed and in firmware
     unit: str
     meaning: str
-    # "column"; or computed of a record: "rate", "lag", "lag slope" (derivative by its τ, 0 omits it), "elapsed"
+    # "column"; or computed from a record: "rate", "lag", "lag slope" (∂lag/∂τ; 0 omits it), "elapsed"
     kind: str
-    column: str  # its column, or the one that it is computed from
+    column: str  # column with its values, or from which they are computed
     low: float  # low, high: range in the calibration, in `unit`
     high: float
-    tau: float | None = None  # time constant of a lag, s; of a rate, its window
-    # of a lag, the longest gap over which the column is interpolated, s; None: always
+    tau: float | None = None  # time constant of a lag, s; window of a rate, s
+    # for a lag, the longest gap over which the column is interpolated, s; None: any gap
     silence: float | None = None
-    settled: bool = False  # of an elapsed time: at `high` its effects have decayed
-    held: bool = False  # of a lag, whether the column is constant between readings
+    settled: bool = False  # for an elapsed time, whether its effects have decayed at `high`
+    held: bool = False  # for a lag, whether the column is constant between readings
 
     @property
     def end(self) -> float:
@@ -114,7 +114,7 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
 
     meanings = {c.name: c.meaning for c in calibration.model.instrument.columns}
     for name in (n for n in equation.columns if n != "elapsed"):
-        meaning = clock_words(calibration) if name == "time" else meanings.get(name, "")
+        meaning = time_origin(calibration) if name == "time" else meanings.get(name, "")
         add(name, calibration.readings.unit(name) or "1", meaning, "column", name)
     add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
     for name, column in equation.rates:
@@ -130,8 +130,8 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
         meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
         add(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
         meaning = (
-            f"change of {lag.name} by its time constant, which carries the uncertainty of that; 0 at the start, 0 "
-            "throughout leaves it out"
+            f"derivative of {lag.name} with respect to its time constant, to propagate that uncertainty; 0 at the "
+            "start, 0 throughout omits it"
         )
         add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **history)
     return sorted(inputs, key=lambda i: i.name)
@@ -145,7 +145,7 @@ def gather_inputs(
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
     """Return output, inputs and known uncertainties, (n,) each; and the frame, if an input depends on history.
 
-    Readings are on the calibration's clock; dates among the columns count from the epoch, seconds since 1970.
+    Readings are on the calibration's clock; dates in `columns` become seconds since `epoch` (s since 1970).
 
     Raises:
         InputError: a needed column is missing, or there are dates without an epoch.
@@ -153,7 +153,7 @@ def gather_inputs(
     arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
     for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
         if epoch is None:
-            raise InputError("dates are given, and the calibration's times have none: give seconds")
+            raise InputError("times are dates, but the calibration's times have none: give seconds")
         seconds = arrays[name].astype("datetime64[us]").astype(np.int64) * 1e-6
         arrays[name] = seconds - epoch
     if readings is not None:
@@ -178,9 +178,9 @@ def gather_inputs(
                 values[i.name] = lag_values[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in values:
-            past = f", which follows from {i.column!r} and 'time'" * (i.kind != "column")
+            origin = f" (or {i.column!r} and 'time')" * (i.kind != "column")
             raise InputError(
-                f"the column {i.name!r} [{i.unit}]{past} is missing, which this calibration needs (there are: "
+                f"the column {i.name!r} [{i.unit}]{origin}, which this calibration needs, is missing (given: "
                 f"{', '.join(sorted(arrays))}). Record it, or fit a model without the effects that need it"
             )
     return values, record
@@ -198,18 +198,18 @@ def _build_record(
 
 
 def limits(span: tuple[float, float]) -> tuple[float, float]:
-    """Widen the stimulus range by a margin to the limits beyond which a compensated value is flagged."""
+    """Return the limits beyond which a compensated value is flagged: the stimulus range with a margin."""
     low, high = span
-    return low - MARGIN_SHARE * (high - low), high + MARGIN_SHARE * (high - low)
+    return low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
 
 
 @dataclass(frozen=True)
 class Provenance:
     """Provenance of an export, and notes on its use."""
 
-    instrument: str  # its name; title: one line
+    instrument: str  # name of the instrument; title: one line
     title: str
-    stimulus: str  # stimulus, unit: what is compensated for; output_unit: of the reading
+    stimulus: str  # stimulus, unit: of compensated values; output_unit: unit of readings
     unit: str
     output_unit: str
     effects: tuple[tuple[str, str], ...]  # (name, equation) of each
@@ -218,7 +218,7 @@ class Provenance:
     raw: tuple[str, float, float] | None  # unit, gain, offset of raw output; None: the reading
     notes: tuple[str, ...]  # warnings, one sentence each
     made_by: str  # program and version
-    calibration: str = ""  # its identity; empty before the export
+    calibration: str = ""  # identity of the calibration; empty before the export
     why_not: str = ""  # why the result must not be used, also among the notes; empty if it may
     epoch: float | None = None  # seconds since 1970 at time zero; None for times without dates
 
@@ -247,29 +247,29 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
     )
 
 
-def clock_words(calibration: Calibration) -> str:
-    """Describe the origin of the calibration's time."""
+def time_origin(calibration: Calibration) -> str:
+    """Describe the origin of the calibration's time in words."""
     if (since := calibration.readings.since) is None:
         return "from the zero of the calibration's column 'time', which has no date"
     return f"from {format_date(since)} UTC (dates without a time zone are read as UTC)"
 
 
 def clock_note(equation: OperatingEquation) -> list[Claim]:
-    """Return a claim of effects that depend on the date, and of time's origin; empty if time is no input."""
+    """Return a claim with the effects that depend on the date and the origin of time; empty if time is no input."""
     if "time" not in equation.inputs:
         return []
     calibration = equation.calibration
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else format_date(since + last)
     changing = calibration.dated_effects or ("the noise",)
-    return [Claim("use.dated", *changing, clock=clock_words(calibration), end=end)]
+    return [Claim("use.dated", *changing, clock=time_origin(calibration), end=end)]
 
 
 def averaged_over(calibration: Calibration) -> list[Claim]:
-    """Return a claim that values average over structures, with inclusion probabilities; empty otherwise."""
-    shares = {name: share for name, share in calibration.inclusion.items() if share < 1}
-    named = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in shares.items())
-    return [Claim("use.averaged", *shares, named=tuple(named))] if shares else []
+    """Return a claim that values are averages over structures, with inclusion probabilities; empty otherwise."""
+    uncertain = {name: p for name, p in calibration.inclusion.items() if p < 1}
+    texts = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in uncertain.items())
+    return [Claim("use.averaged", *uncertain, named=tuple(texts))] if uncertain else []
 
 
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
@@ -295,8 +295,8 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
     return tuple(notes)
 
 
-SCHEMA, VERSION = "bayescal.compensator", 3
-KINDS = ("column", "elapsed", *PAST)
+SCHEMA, SCHEMA_VERSION = "bayescal.compensator", 3
+INPUT_KINDS = ("column", "elapsed", *PAST)
 
 
 @dataclass(frozen=True)
@@ -306,12 +306,12 @@ class ProgramUnknown:
     name: str
     unit: str
     mean: float
-    given: tuple[float, float] | None = None  # of a shape: u given its effect; its probability
+    given: tuple[float, float] | None = None  # of a shape: u given its effect; P(effect)
 
 
 @dataclass(frozen=True)
 class TracedEquation:
-    """The equation as a list of operations, and the node indices of its results; as in JSON."""
+    """The operating equation as a list of operations, and the node indices of its results; as in JSON."""
 
     operations: list[Node]
     expected: int  # node of the expected output
@@ -344,8 +344,8 @@ class CompensationProgram(CorrectionInUse):
         return Graph(self.equation.operations)
 
     @cached_property
-    def factor(self) -> np.ndarray:
-        """Return L of C = LLᵀ, lower triangular; by QR of a symmetric root, so that C may be singular."""
+    def cholesky_factor(self) -> np.ndarray:
+        """Return the lower triangular L of C = LLᵀ, by QR of a symmetric root, so that C may be singular."""
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
         sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)
@@ -371,7 +371,7 @@ class CompensationProgram(CorrectionInUse):
         outputs = self.equation.expected, self.equation.slope, *self.equation.gradient
         nodes = self.graph.evaluate(outputs, values)
         expected, slope, *gradient = (np.broadcast_to(v, values[STIMULUS].shape) for v in nodes)
-        contributions = self.factor.T @ np.reshape(gradient, (-1, expected.size))
+        contributions = self.cholesky_factor.T @ np.reshape(gradient, (-1, expected.size))
         return expected, slope, np.sqrt(np.sum(contributions**2, axis=0))
 
     def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
@@ -386,17 +386,18 @@ class CompensationProgram(CorrectionInUse):
         """
         times = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         low, high = self.stimulus_range or (0.0, 0.0)
-        for share in (0.0, 0.5, 1.0):
-            values = {i.name: i.low + share * (i.high - i.low) + 0.0 * times for i in self.inputs}
-            values |= {time.name: times, STIMULUS: low + share * (high - low) + 0.0 * times}
+        for ratio in (0.0, 0.5, 1.0):
+            values = {i.name: i.low + ratio * (i.high - i.low) + 0.0 * times for i in self.inputs}
+            values |= {time.name: times, STIMULUS: low + ratio * (high - low) + 0.0 * times}
             expected, _, uncertainty = self._expand_at(values)
             changes = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
             scatter = np.sqrt(self.noise_variance(values[STIMULUS], values))
-            if np.any(changes > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
+            u, sd = MAX_SETTLED_CHANGE * uncertainty[0], MAX_SETTLED_CHANGE * scatter[0]
+            if np.any(changes > u) or np.ptp(scatter) > sd:
                 return False
         return True
 
-    def exportable(self) -> CompensationProgram:
+    def require_exportable(self) -> CompensationProgram:
         """Return this program; raise ModelError if an effect or the noise model has an operation without export."""
         for op, *args in self.equation.operations:
             if op == "call":
@@ -409,7 +410,7 @@ class CompensationProgram(CorrectionInUse):
 
     def data(self) -> dict[str, Any]:
         """Return the program as JSON data, with schema and version."""
-        content = {"schema": SCHEMA, "version": VERSION, **as_json(self)}
+        content = {"schema": SCHEMA, "version": SCHEMA_VERSION, **as_json(self)}
         content["equation"]["operations"] = self.graph.data()
         return content
 

@@ -128,8 +128,8 @@ class Compensator:
             rows = ((n, mask.sum(), limits.get(n, "")) for n, mask in outside.items())
             messages = (f"{n} in {count} of {len(value)} readings{text}" for n, count, text in rows)
             warnings.warn(
-                f"outside the calibrated range: {'; '.join(messages)}. There the result is an extrapolation, and its "
-                "uncertainty does not say by how much the equation itself may fail",
+                f"outside the calibrated range: {'; '.join(messages)}. The result there is an extrapolation, whose "
+                "uncertainty does not include the error of the equation outside that range",
                 OutsideCalibration,
                 stacklevel=2,
             )
@@ -150,21 +150,21 @@ class Compensator:
         reason = self.why_not
         notes = (*self.notes, *[f"{NOT_RELIABLE}{reason}"] * bool(reason))
         changes = {"calibration": identity(self.calibration), "why_not": reason, "notes": notes}
-        return replace(self.in_use, about=replace(self.about, **changes)).exportable()
+        return replace(self.in_use, about=replace(self.about, **changes)).require_exportable()
 
     @property
     def about(self) -> Provenance:
-        """Return the provenance; for a fit without notes and failed checks."""
+        """Return the provenance of the compensator, without notes and failed checks."""
         return self.in_use.about
 
     @property
     def stimulus(self) -> str:
-        """Return the stimulus's name."""
+        """Return the name of the stimulus."""
         return self.about.stimulus
 
     @property
     def unit(self) -> str:
-        """Return the stimulus's fixed unit."""
+        """Return the fixed unit of the stimulus."""
         return self.about.unit
 
     @property
@@ -185,22 +185,22 @@ class Compensator:
 
     @property
     def dated(self) -> str:
-        """Return names of the effects that depend on the date, for messages; empty if none do."""
+        """Return the names of effects that depend on the date, for messages; empty if there are none."""
         if all(i.name != "time" for i in self.inputs):
             return ""
         return ", ".join(self.calibration.dated_effects) or "it"
 
-    def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
+    def noise_variance(self, points: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the noise variance of one reading, output unit squared, (n,).
 
         Args:
-            places: the stimulus and the inputs by name, fixed units, (n,) each.
+            points: the stimulus and the inputs by name, fixed units, (n,) each.
         """
-        return self.in_use.noise_variance(places[self.stimulus], places)
+        return self.in_use.noise_variance(points[self.stimulus], points)
 
     @property
     def calibrated(self) -> dict[str, tuple[float, float, str]]:
-        """Return the range and unit of each input, and of the stimulus where it was varied."""
+        """Return the calibrated range and unit of each input, and of the stimulus if it was varied."""
         ranges = {i.name: (i.low, i.high, i.unit) for i in self.inputs}
         if (span := self.in_use.stimulus_range) is not None:
             ranges[self.stimulus] = (*span, self.unit)
@@ -262,7 +262,7 @@ class Compensator:
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the limits beyond which a reading is flagged, by input, and by stimulus where it was varied."""
+        """Return the limits beyond which a reading is flagged, by input, and by stimulus if it was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
         # Columns without influence on the output have calibrated ranges too.
         for name in self.equation.columns:
@@ -287,8 +287,8 @@ def compensator(
             a deviation drawn from the between-member standard deviation.
 
     Raises:
-        ModelError: the instrument does not say what it measures (`Instrument.use`).
-        InputError: a member that the calibration did not see, or fewer than two draws.
+        ModelError: the instrument has no stimulus (`Instrument.use`).
+        InputError: a group member that is not in the calibration, or fewer than two draws.
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")

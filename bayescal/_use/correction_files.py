@@ -22,28 +22,28 @@ from bayescal._core.quoting import identifier, number_text, python_string
 from bayescal._core.templates import template
 from bayescal._data.records import MAX_GAP_WINDOWS, RATE_WINDOW_S
 from bayescal._use.compensation_program import (
-    KINDS,
+    INPUT_KINDS,
     PAST,
     CompensationProgram,
     CorrectionInUse,
     Input,
 )
-from bayescal._use.expression_graph import LANGUAGES, Language, statements
+from bayescal._use.expression_graph import LANGUAGES, Language, generate_statements
 from bayescal._use.operating_equation import STIMULUS
 
 Writer = Callable[[Mapping[str, Any], bool], str]
-"""A writer of corrections, by the names of their sensors, with or without uncertainty."""
+"""Renders corrections, by sensor name, with or without uncertainty."""
 
 
 class CorrectionKind(NamedTuple):
     """A kind of corrections: its class, formats and writers."""
 
-    of: type[CorrectionInUse]  # their class
+    of: type[CorrectionInUse]  # class of the corrections
     axes: str  # number of axes, in words, such as "three axes"
-    writers: Mapping[str, Writer]  # by format
-    suffixes: Mapping[str, str]  # formats by the suffix of a file
-    together: tuple[str, ...] = ()  # formats that hold several
-    # a sentence about what a format omits; empty for nothing
+    writers: Mapping[str, Writer]  # format → writer
+    suffixes: Mapping[str, str]  # suffix of a file → format
+    together: tuple[str, ...] = ()  # formats whose files may contain several corrections
+    # returns a sentence on the terms that a format omits; empty if none
     describe_omissions: Callable[[Any, str], str] = lambda correction, format: ""
 
 
@@ -67,11 +67,11 @@ def program_text(
         field = identifier(i.name, _OWN_WORDS | set(fields.values()))
         fields[i.name] = f"{field}_" if re.fullmatch(r"t\d+", field) else field
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
-    cholesky = program.factor
+    cholesky = program.cholesky_factor
     factor = [number_text(cholesky[i, j]) for i in range(len(cholesky)) for j in range(i + 1)]
-    expected, gradient = (statements(program.graph, nodes, names, language) for nodes in outputs)
+    expected, gradient = (generate_statements(program.graph, o, names, language) for o in outputs)
     inputs_used = [program.graph.inputs(nodes) for nodes in outputs]
-    filters = {"comment": language.words, "quoted": python_string}
+    filters = {"comment": language.escape_comment, "quoted": python_string}
     return template("bayescal._use", language.template, filters).render(
         p=program,
         about=program.about,
@@ -91,7 +91,7 @@ def program_text(
 
 def _record_fields(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
     """Return the template's variables for a record: its columns, and the inputs computed from their history."""
-    by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in KINDS}
+    by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in INPUT_KINDS}
     current = by_kind["column"]
     columns = {i.column: (fields[i.name], i.unit) for i in current}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
@@ -134,13 +134,13 @@ def include_guard(name: str, *computed: Any) -> str:
 
 
 def as_data(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
-    """Write a correction as JSON."""
+    """Render a correction as JSON."""
     (correction,) = sensors.values()
     return json_text(correction.data(), indent=1)
 
 
 def in_form(write: Callable[..., str], *arguments: Any) -> Writer:
-    """Wrap a writer of a format without names and without an option to omit the uncertainty."""
+    """Wrap the writer of a format that has no sensor names and no option to omit the uncertainty."""
     return lambda sensors, uncertainty: write(*sensors.values(), *arguments)
 
 
@@ -178,8 +178,8 @@ def sensor_name(name: str | None, instrument: str) -> str:
         return identifier(instrument)
     if identifier(name.lower()) != name.lower():
         raise InputError(
-            f"{name!r} is no identifier in C and Python: use letters, digits and _, a letter first, and no reserved "
-            "word (example: gyro_x)"
+            f"{name!r} is not an identifier in C and Python: use letters, digits and _, a letter first, and no reserved"
+            " word (example: gyro_x)"
         )
     return name
 
@@ -197,8 +197,8 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
     names = [sensor_name(None, f"{prefix}{instrument}") for instrument in instruments]
     if double := [n for n in names if names.count(n) > 1]:
         raise InputError(
-            f"two of these are of {instruments[names.index(double[0])]}: a unit has one of each; write the other to a "
-            "file of its own, with a name"
+            f"two corrections are of {instruments[names.index(double[0])]}, but a unit has one sensor of each kind: "
+            "export the second to a separate file, with a name"
         )
     return names
 
@@ -247,10 +247,9 @@ def as_text(
     sensors = dict(zip(names_in_unit(name, unit), unit, strict=True))
     if others and format not in kind.together:
         raise InputError(
-            f"{format} holds one triad: several go into one file as {', '.join(kind.together)}; write the others to "
-            "files of their own"
+            f"a file in {format} contains one triad: export several to one file as {', '.join(kind.together)}, or each "
+            "to a separate file"
         )
     if not uncertainty and format not in LANGUAGES:
-        why = f"{format} holds its uncertainty: only C and Python are written without uncertainty"
-        raise InputError(why)
+        raise InputError(f"{format} includes the uncertainty: only C and Python can omit it")
     return kind.writers[format](sensors, uncertainty)

@@ -1,4 +1,4 @@
-"""Expression graphs of scalar operations: traced, simplified, differentiated, evaluated, written as code.
+"""Expression graphs of scalar operations: tracing, simplification, differentiation, evaluation, code generation.
 
 One table defines each operation's NumPy function, its text in C and Python, and its vector-Jacobian products
 ("pullbacks"), so that the evaluated and the exported program are the same. Equal nodes are stored once.
@@ -36,22 +36,22 @@ class Operation:
     boolean: bool = False
 
 
-def _infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
+def _build_infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
     text = f"{{0}} {sign} {{1}}"
     return Operation(compute, text, text, boolean)
 
 
-def _function(compute: np.ufunc, name: str) -> Operation:
+def _build_function(compute: np.ufunc, name: str) -> Operation:
     """Build an operation that has the same function name in C and Python."""
     return Operation(compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
 _COMMON_NAMES = "exp log expm1 log1p sqrt sin cos tan sinh cosh tanh floor ceil"
 OPERATIONS: dict[str, Operation] = {
-    "add": _infix(np.add, "+"),
-    "sub": _infix(np.subtract, "-"),
-    "mul": _infix(np.multiply, "*"),
-    "div": _infix(np.divide, "/"),
+    "add": _build_infix(np.add, "+"),
+    "sub": _build_infix(np.subtract, "-"),
+    "mul": _build_infix(np.multiply, "*"),
+    "div": _build_infix(np.divide, "/"),
     "neg": Operation(np.negative, "-{0}", "-{0}"),
     "abs": Operation(np.abs, "BAYESCAL_CALL(fabs, {0})", "abs({0})"),
     "sign": Operation(
@@ -62,14 +62,14 @@ OPERATIONS: dict[str, Operation] = {
     "pow": Operation(np.power, "BAYESCAL_CALL2(pow, {0}, {1})", "{0} ** {1}"),
     "atan2": Operation(np.arctan2, "BAYESCAL_CALL2(atan2, {0}, {1})", "math.atan2({0}, {1})"),
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
-    **{name: _function(getattr(np, name), name) for name in _COMMON_NAMES.split()},
-    **{f"a{n}": _function(getattr(np, f"arc{n}"), f"a{n}") for n in ("sin", "cos", "tan")},
-    "gt": _infix(np.greater, ">", True),
-    "ge": _infix(np.greater_equal, ">=", True),
-    "lt": _infix(np.less, "<", True),
-    "le": _infix(np.less_equal, "<=", True),
-    "eq": _infix(np.equal, "==", True),
-    "ne": _infix(np.not_equal, "!=", True),
+    **{name: _build_function(getattr(np, name), name) for name in _COMMON_NAMES.split()},
+    **{f"a{n}": _build_function(getattr(np, f"arc{n}"), f"a{n}") for n in ("sin", "cos", "tan")},
+    "gt": _build_infix(np.greater, ">", True),
+    "ge": _build_infix(np.greater_equal, ">=", True),
+    "lt": _build_infix(np.less, "<", True),
+    "le": _build_infix(np.less_equal, "<=", True),
+    "eq": _build_infix(np.equal, "==", True),
+    "ne": _build_infix(np.not_equal, "!=", True),
     "and": Operation(np.logical_and, "{0} && {1}", "{0} and {1}", True),
     "or": Operation(np.logical_or, "{0} || {1}", "{0} or {1}", True),
     "not": Operation(np.logical_not, "!{0}", "not {0}", True),
@@ -303,14 +303,14 @@ class Symbol:
         self.node = node
 
     def __bool__(self) -> bool:
-        raise NotExportable("export of a branch on a covariate is impossible: use jnp.where")
+        raise NotExportable("a branch on a covariate cannot be exported: use jnp.where")
 
     def __eq__(self, other: object) -> bool:
         return bool(self)
 
 
 class Symbols(np.ndarray):
-    """An array of symbols and numbers: NumPy's functions of it add nodes to its graph, or move elements."""
+    """An array of symbols and numbers; NumPy functions of it add nodes to its graph, or move elements."""
 
     graph: Graph
 
@@ -318,8 +318,8 @@ class Symbols(np.ndarray):
         if isinstance(other, Symbols):
             self.graph = other.graph
 
-    def __getitem__(self, place: Any) -> Any:
-        return self.graph.symbols(super().__getitem__(place))
+    def __getitem__(self, index: Any) -> Any:
+        return self.graph.symbols(super().__getitem__(index))
 
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self)))
@@ -335,7 +335,7 @@ class Symbols(np.ndarray):
         if method == "__call__" and name in COMPOSED:
             return COMPOSED[name](*map(graph.symbols, inputs))
         if name not in UFUNC_NAMES or method not in ("__call__", "reduce"):
-            raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
+            raise NotExportable(f"the operation {name!r} cannot be exported to C or Python")
         if method == "__call__":
             return graph.elementwise(UFUNC_NAMES[name], *inputs)
         elements, axes = np.asarray(inputs[0]), options.get("axis", 0)
@@ -366,7 +366,7 @@ UFUNC_NAMES = {o.compute.__name__: n for n, o in OPERATIONS.items() if n not in 
 UFUNC_NAMES |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
-def _power(x: Symbols, y: Symbols) -> Symbols:
+def _raise_to_power(x: Symbols, y: Symbols) -> Symbols:
     """Raise to a power: by repeated multiplication for a small integer exponent, else by the operation "pow"."""
     exponent = y.item() if y.ndim == 0 else None
     if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
@@ -377,17 +377,17 @@ def _power(x: Symbols, y: Symbols) -> Symbols:
     return root * root * x if exponent % 2 else root * root
 
 
-def _product(x: Symbols, y: Symbols) -> Symbols:
+def _multiply_matrices(x: Symbols, y: Symbols) -> Symbols:
     """Multiply an array by a matrix or a vector."""
     if y.ndim > 2:
-        raise NotExportable("products with batch dimensions have no form in an export")
+        raise NotExportable("matrix products with batch dimensions cannot be exported")
     return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
 
 
 # NumPy functions composed of several operations.
 COMPOSED: dict[str, Callable[..., Symbols]] = {
-    "power": _power,
-    "matmul": _product,
+    "power": _raise_to_power,
+    "matmul": _multiply_matrices,
     "square": lambda x: x * x,
     "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
 }
@@ -401,17 +401,17 @@ class Language:
     cast: str  # prefix of a constant
     nan: str  # constant NaN
     infinity: str  # constant infinity
-    truths: tuple[str, str]  # constants false and true
+    booleans: tuple[str, str]  # constants false and true
     statement: str  # assignment of an expression to a name
     statement_boolean: str  # assignment of a boolean expression
     input: str = "{}"  # format of an input's field
     template: str = ""  # template file of the program
-    words: Callable[[Any], str] = str  # escapes text for a comment
+    escape_comment: Callable[[Any], str] = str  # escapes text for a comment
 
     def number(self, value: float | bool) -> str:
         """Return a constant's text, as an operand."""
         if isinstance(value, bool):
-            return self.truths[value]
+            return self.booleans[value]
         if math.isnan(value):
             return self.cast + self.nan
         text = repr(abs(value)) if math.isfinite(value) else self.infinity
@@ -421,22 +421,22 @@ class Language:
 PYTHON = Language(
     *("python", "", "math.nan", "math.inf", ("False", "True"), "{} = {}", "{} = {}"),
     template="compensator.py.jinja",
-    words=python_words,
+    escape_comment=python_words,
 )
 C = Language(
     *("c", "(BAYESCAL_REAL)", "NAN", "INFINITY", ("0", "1")),
     *("const BAYESCAL_REAL {} = {};", "const int {} = {};"),
     input="in->{}",
     template="compensator.h.jinja",
-    words=c_comment,
+    escape_comment=c_comment,
 )
 LANGUAGES = {"c": C, "python": PYTHON}
 
 
-def statements(
+def generate_statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
-    """Return statements, one per operation, and the expressions of the outputs."""
+    """Generate one statement per operation, and the expressions of the outputs."""
     text, lines = dict[int, str](), list[str]()
     for node in graph.dependencies(outputs):
         op, *args = graph.nodes[node]

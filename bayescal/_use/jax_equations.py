@@ -36,7 +36,7 @@ def _dot_general(p: Any, x: Any, y: Any) -> Any:
     """Multiply matrices or vectors, without batch dimensions."""
     (x_axes, y_axes), (batch, _) = p["dimension_numbers"]
     if batch:
-        raise NotExportable("products with batch dimensions have no form in an export")
+        raise NotExportable("matrix products with batch dimensions cannot be exported")
     axes = range(-len(x_axes), 0)
     a, b = np.moveaxis(x, x_axes, axes), np.moveaxis(y, y_axes, axes)
     free = a.ndim - len(x_axes)
@@ -44,7 +44,7 @@ def _dot_general(p: Any, x: Any, y: Any) -> Any:
     return np.sum(a * b, axis=tuple(axes))
 
 
-# Primitives as functions of their parameters and of arrays of symbols.
+# JAX primitive → function of its parameters and of arrays of symbols.
 RULES: dict[str, Callable[..., Any]] = {
     **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n not in ("select", "real")},
     "add_any": _elementwise(np.add),
@@ -113,7 +113,7 @@ def _trace(
             elif name in rules:
                 outputs = [rules[name](p, *arguments)]
             else:
-                raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
+                raise NotExportable(f"the operation {name!r} cannot be exported to C or Python")
         except NotExportable as error:
             outputs = _replace_by_calls(equation, arguments, str(error))
         values |= dict(zip(equation.outvars, outputs, strict=True))
@@ -131,7 +131,7 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
     """Move elements by evaluating a primitive on their indices; its index arguments are numbers."""
     moved = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
     if any(isinstance(a, Symbols) for a in arguments[len(moved) :]):
-        raise NotExportable("an element whose index depends on a covariate cannot be exported")
+        raise NotExportable("an array index that depends on a covariate cannot be exported")
     graph = next(a.graph for a in moved if isinstance(a, Symbols))
     pool, indices = list[Any](), list[Any]()
     for argument in moved:
@@ -145,7 +145,7 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
 
 
 class Call:
-    """A JAX function of `count` scalars as a graph operation; `why_not` says why it cannot be exported."""
+    """A JAX function of `count` scalars as a graph operation, which cannot be exported for the reason `why_not`."""
 
     boolean = False
 

@@ -8,8 +8,8 @@ equation is a function of numbers,
 
 with θ the coefficients and nonlinear parameters ("shapes"), and `inputs` the covariates of the reading; the history of
 a record enters as inputs too (`temperature_rate`, `temperature_lag`, `elapsed`). It is traced once to a graph of scalar
-operations, with its derivatives in stimulus and θ. NumPy evaluates the graph, draws of θ along the leading axis, and
-exports write it as code. It is solved for the stimulus of each reading, for draws of θ or to first order.
+operations, with its partial derivatives with respect to stimulus and θ. NumPy evaluates the graph, with draws of θ
+along the leading axis; exports write it as code. It is solved for the stimulus of each reading.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 from bayescal._model.terms import terms_of
 from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 
-NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
-ALL_DRAWS = 10**9  # draws: every one there is
-STIMULUS = "(stimulus)"  # its name as an input of the graph
+NON_INPUT_COLUMNS = ("output", "output_uncertainty", "temperature_point")
+ALL_DRAWS = 10**9  # maximum number of draws that no posterior reaches: uses all
+STIMULUS = "(stimulus)"  # name of the stimulus as an input of the graph
 MAX_BLOCK_SIZE = 60_000  # draws × readings evaluated together, within the processor's cache
-NOISE_READINGS, NOISE_DRAWS = 200, 2000  # averaged over for the mean noise variance
-HELD_DRAWS = 200  # draws and readings, for the rms error of held inputs
+MAX_NOISE_READINGS, MAX_NOISE_DRAWS = 200, 2000  # averaged over for the mean noise variance
+MAX_HELD_DRAWS = 200  # draws, and readings, for the rms error of held inputs
 IMAGINARY_STEP = 1e-30j  # relative complex step of a derivative
 MAX_LAG_BLOCK_SIZE = 4_000_000  # draws × readings whose lags are computed together
 Values = Mapping[str, Any]
@@ -62,7 +62,7 @@ class Lag(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OneReading(Frame):
-    """Readings without history; lags are inputs, by column and time constant."""
+    """Frame of readings without history, whose lags are inputs, by column and time constant."""
 
     lagged: Callable[[str, Any], Any] | None = None
 
@@ -80,16 +80,16 @@ class UnknownInUse(NamedTuple):
     key: str  # in the equation
     unit: str  # in which it is reported
     kind: str  # "coefficient", "shape", or "new" for a new member's deviation
-    effect: str  # its name
+    effect: str  # name of the effect
 
 
 def input_name(unknown: str) -> str:
-    """Return the graph input's name of an unknown or a noise parameter."""
+    """Return the name of an unknown or a noise parameter as an input of the graph."""
     return f"({unknown})"
 
 
 class TermsInUse(TracedColumns):
-    """The effects and the instrument in use, evaluated on symbols of a graph."""
+    """The effects and the instrument's response in use, evaluated on symbols of a graph."""
 
     xp = np
 
@@ -139,7 +139,7 @@ class OperatingEquation:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Return the numeric columns of the fit's readings."""
-        not_inputs = (*NOT_INPUTS, self.use.stimulus)
+        not_inputs = (*NON_INPUT_COLUMNS, self.use.stimulus)
         return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
 
     @cached_property
@@ -250,7 +250,7 @@ class OperatingEquation:
 
         return self.graph.node_of(self._terms.trace(output, *self._composition))
 
-    def slot_place(self, slot: str) -> int:
+    def slot_node(self, slot: str) -> int:
         """Return the node of a slot's value, in its unit."""
         return self.graph.node_of(self._composition[1][slot])
 
@@ -289,12 +289,12 @@ class OperatingEquation:
 
     @cached_property
     def affine(self) -> bool:
-        """Return whether the output is affine in the stimulus."""
+        """Return whether the expected output is affine in the stimulus."""
         return STIMULUS not in self.graph.inputs([self.gradient[STIMULUS]])
 
     @property
     def slope_calibrated(self) -> bool:
-        """Return whether the output's slope with respect to the stimulus depends on an unknown."""
+        """Return whether the derivative of the output with respect to the stimulus depends on an unknown."""
         unknowns = {input_name(u.key) for u in self.unknowns}
         return not unknowns.isdisjoint(self.graph.inputs([self.gradient[STIMULUS]]))
 
@@ -307,25 +307,25 @@ class OperatingEquation:
             values[input_name(u.key)] = theta[..., i : i + 1]
         return self.graph.evaluate(outputs, {**values, STIMULUS: stimulus})
 
-    def points(
+    def evaluate_draws(
         self, theta: np.ndarray, stimulus: Any, inputs: Values, slot: str | None = None
     ) -> Float[np.ndarray, "d n"]:
-        """Return the expected output, output unit, or a slot's value, at draws (d, p); as in `evaluate`."""
-        node = self.expected if slot is None else self.slot_place(slot)
+        """Evaluate the expected output (output unit), or a slot, for draws of θ (d, p); other arguments (n,)."""
+        node = self.expected if slot is None else self.slot_node(slot)
         (values,) = self.evaluate([node], theta, stimulus, inputs)
         return np.broadcast_to(values, (len(theta), len(stimulus)))
 
-    def linearised(
+    def linearise(
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
-        """Return the expected output at each place, its slope in the stimulus, and its gradient in the unknowns."""
+        """Return the expected output at n points, and its derivatives with respect to stimulus and unknowns."""
         nodes = [self.expected, *self.gradient.values()]
         values = self.evaluate(nodes, theta, stimulus, inputs)
         expected, slope, *gradient = (np.broadcast_to(value, len(stimulus)) for value in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
-        """Return the stimulus of an output, and the output's slope there; NaN where there is no solution."""
+        """Solve for the stimulus of an output; return it and the output's derivative there, NaN without solution."""
         nodes = self.expected, self.gradient[STIMULUS]
         return solve_newton(lambda s: self.evaluate(nodes, theta, s, inputs), output, self.affine)
 
@@ -365,10 +365,10 @@ class OperatingEquation:
         return readings[name] if readings.has(name) else np.zeros(len(readings))
 
     def moments(self, draws: int) -> PosteriorMoments:
-        """Return draws of θ, evenly thinned to `draws`; mean and covariance from all draws.
+        """Return at most `draws` evenly thinned draws of θ, with mean and covariance of all draws.
 
-        Measured unknowns include the uncertainty of the model's form; deviations that are new in use are independent of
-        them, in the draws too, so that results from draws and from moments agree.
+        Measured unknowns include the uncertainty of the model's form; new deviations in use are uncorrelated with them,
+        in the draws as well, so that results from draws and from moments agree.
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem
@@ -378,7 +378,7 @@ class OperatingEquation:
         new_members = [i for i, u in enumerate(unknowns) if u.kind == "new"]
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
-            if u.kind == "shape":  # absent, it has no value: its mean is neutral
+            if u.kind == "shape":  # where its effect is absent, it is replaced by its mean
                 values[~calibration.inclusion_masks[u.effect], i] = self.shapes[u.key][0]
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
@@ -394,7 +394,7 @@ class OperatingEquation:
         for i, size in self.unfound_spreads.values():
             covariance[i, i] += size**2
             thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
-        # A rescaled shape might leave its range.
+        # Shapes are not rescaled: they might leave their range.
         linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
         if step > 1 or calibration.form_factor != 1.0:
             target = mean[linear], covariance[np.ix_(linear, linear)]
@@ -403,7 +403,7 @@ class OperatingEquation:
 
     @property
     def unfound_spreads(self) -> dict[str, tuple[int, float]]:
-        """Return deviations of a new run that no draw has, by effect: index in θ and standard deviation."""
+        """Return deviations of a new run that the search did not find: effect → index in θ, standard deviation."""
         instrument, members = self.calibration.model.instrument, dict(self.members)
         indices, sds = {u.key: i for i, u in enumerate(self.unknowns)}, {}
         for name, size in self.calibration.unfound_spreads.items():
@@ -418,19 +418,19 @@ class OperatingEquation:
 
     def compute_held_rms(self) -> float:
         """Return the output's rms error from holding inputs, over draws and readings of the fit."""
-        rows = slice(None, None, -(-len(self.calibration.readings) // HELD_DRAWS))
-        inputs, theta = {n: v[rows] for n, v in self.at_fit.items()}, self.moments(HELD_DRAWS).draws
-        arguments = theta, self.stimulus_at_fit[rows], inputs
-        difference = replace(self, held_inputs=()).points(*arguments) - self.points(*arguments)
-        return float(np.sqrt(np.mean(difference**2)))
+        rows = slice(None, None, -(-len(self.calibration.readings) // MAX_HELD_DRAWS))
+        inputs = {n: v[rows] for n, v in self.at_fit.items()}
+        arguments = self.moments(MAX_HELD_DRAWS).draws, self.stimulus_at_fit[rows], inputs
+        exact, held = (e.evaluate_draws(*arguments) for e in (replace(self, held_inputs=()), self))
+        return float(np.sqrt(np.mean((exact - held) ** 2)))
 
     def noise_in_use(self) -> tuple[dict[str, float], float]:
         """Return the noise parameters at the mean of their coordinates, and a variance factor.
 
-        The factor is the posterior mean variance over the fit's readings over the variance at these parameters.
+        The factor is the ratio of the posterior mean variance to that at these parameters, over the fit's readings.
         """
-        problem, (_, v) = self.calibration.problem, self.calibration.draws(NOISE_DRAWS)
-        rows = slice(None, None, -(-len(self.calibration.readings) // NOISE_READINGS))
+        problem, (_, v) = self.calibration.problem, self.calibration.draws(MAX_NOISE_DRAWS)
+        rows = slice(None, None, -(-len(self.calibration.readings) // MAX_NOISE_READINGS))
         inputs = {n: x[rows] for n, x in self.at_fit.items() if n in self.inputs}
         inputs[STIMULUS] = self.stimulus_at_fit[rows]
 
@@ -442,7 +442,7 @@ class OperatingEquation:
         means = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
         at_means = mean_variance(means)
         draws = {n: np.reshape(x, (-1, 1)) for n, x in problem.hyper(v.T).items()}
-        # Zero variance: noise as stated.
+        # Zero variance: the readings have stated uncertainties only.
         return means, mean_variance(draws) / at_means if at_means > 0 else 1.0
 
 
@@ -452,14 +452,14 @@ def equation_in_use(
     """Build the operating equation of a calibrated model.
 
     Raises:
-        ModelError: the instrument does not say what it measures.
-        InputError: a member that is not in the fit.
+        ModelError: the instrument has no stimulus (`Instrument.use`).
+        InputError: a group member that is not in the fit.
     """
     instrument, members = calibration.model.instrument, dict(members or {})
     if instrument.use is None:
         raise ModelError(
-            f"instrument {instrument.name!r} does not say which quantity it measures in use, so that no "
-            "reading can be compensated: give it use=bayescal.Use(stimulus, unit)"
+            f"instrument {instrument.name!r} does not declare its stimulus, so its readings cannot be compensated: "
+            "give it use=bayescal.Use(stimulus, unit)"
         )
     for group, member in members.items():
         levels = calibration.levels.get(group) or (
@@ -473,7 +473,7 @@ def equation_in_use(
 
 
 def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return T̃ − T of a record, °C, and its derivative with respect to the time constant, °C/s, (n,) each."""
+    """Return the lag T̃ − T of a record, °C, and its derivative with respect to the time constant, °C/s, (n,) each."""
     lag = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
     return lag.real, lag.imag / (tau * IMAGINARY_STEP.imag)
 
@@ -484,7 +484,7 @@ def _draw_uncorrelated(
     variance: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
-    """Draw zero-mean values with given sd (d,) and total variance, uncorrelated with `regressor_draws`."""
+    """Draw d zero-mean values of standard deviations `sd` and sample variance `variance`, uncorrelated with others."""
     regressor_sd = regressor_draws.std(axis=0)
     regressor_draws = regressor_draws[:, regressor_sd > 0] / regressor_sd[regressor_sd > 0]
     regressor_draws = regressor_draws[:, : len(sd) // 2]  # fewer for few draws
@@ -527,7 +527,7 @@ def solve_over_draws(
     inputs: Values,
     record: Frame | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean and variance of the stimulus over draws, and its mean square slope by the output, (n,) each.
+    """Return mean and variance of the stimulus over draws, and the mean of (∂stimulus/∂output)², (n,) each.
 
     Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """

@@ -17,7 +17,7 @@ from tests.support.made_up import bent_sensor
 from tests.support.made_up.level import level
 
 DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
-CANNOT = "cannot be said from these readings"
+CANNOT = "cannot be determined from these readings"
 
 
 def levelled(instrument: bc.Instrument, seed: int = 1) -> bc.Measurements:

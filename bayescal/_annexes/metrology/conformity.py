@@ -351,7 +351,7 @@ class LimitedQuantity:
         equation = compensator.equation
         if self.is_error:
             return set(equation.inputs)
-        inputs = equation.graph.inputs([equation.slot_place(self.limit.quantity)])
+        inputs = equation.graph.inputs([equation.slot_node(self.limit.quantity)])
         return {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
 
     @property
@@ -373,13 +373,13 @@ class LimitedQuantity:
         if "time" in points:
             points["time"] = points["time"] + later
         stimulus = points[compensator.stimulus]
-        values = equation.points(moments.draws, stimulus, points, slot)
+        values = equation.evaluate_draws(moments.draws, stimulus, points, slot)
         if self.is_error:  # outputs at the draw's θ, corrected with the mean θ
             values = equation.solve(moments.mean, values, points)[0] - stimulus
         if self.limit.quantity != READING:
             return DrawnQuantity(values, np.zeros(len(stimulus)))
         noise = np.sqrt(compensator.noise_variance(points))
-        _, slope, _ = equation.linearised(moments.mean, stimulus, points)
+        _, slope, _ = equation.linearise(moments.mean, stimulus, points)
         scores = _noise_scores(compensator, points, np.outer(noise, DEVIATIONS))
         return DrawnQuantity(values, noise / np.abs(slope), scores)
 

@@ -1,4 +1,4 @@
-"""The page of the workbench: layout of its panes, and the actions of its buttons."""
+"""Page of the workbench: layout of its panes, and actions of its buttons."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Browser(JSComponent):
     """State shared with the browser: what is stale, and the message for a lost server.
 
     Attributes:
-        stale: whether the page shows a model that is being replaced; it is dimmed meanwhile.
-        folder: of the session, for the message when the server is lost.
+        stale: whether the page is dimmed because its model is being replaced.
+        folder: folder of the session, for the message of a lost server.
     """
 
     stale = param.Boolean(default=False)
@@ -35,21 +35,21 @@ class Browser(JSComponent):
 
 
 class Workbench:
-    """One person's page over one session; its panes act through it.
+    """One user's page for a session; its panes act through it.
 
     Attributes:
-        session: what it shows and acts on.
-        view: what Panel serves, or shows in a notebook.
+        session: session that the page shows and changes.
+        view: Panel view of the page, for a server or a notebook.
     """
 
     def __init__(self, session: Any, *, framed: bool = False) -> None:
         """Args:
-        session: to show.
-        framed: part of another page, such as a notebook; else it takes the whole screen.
+        session: session to show.
+        framed: whether the page is part of another one, such as a notebook; otherwise it fills the window.
         """
         self.session = session
         self.work = PageWorker(self._report, self._set_busy)
-        self.other: int | None = None  # the step that is compared with; None: the one before
+        self.other: int | None = None  # number of the step to compare with; None: the parent
         self._progress, self._stopping = "", False  # of the last search
         self.model, self.residuals = ModelPane(self), ResidualPane(self)
         self.missing, self.error = CandidatesPane(self), ErrorPane(self)
@@ -81,7 +81,7 @@ class Workbench:
         self.work.close()
 
     def _changed(self) -> None:
-        """Refresh after a change of state by another page; an action of this page refreshes when it ends."""
+        """Refresh after another page changed the state; actions of this page refresh when they end."""
 
         def show() -> None:
             state = self.session.current.number, len(self.session.states)
@@ -112,7 +112,7 @@ class Workbench:
     def act(self, name: str, *arguments: Any) -> None:
         """Run an action of the session in a worker thread, then show the resulting state."""
         self.work.forget_preview()
-        self.error.searching(False)  # what the last search found is of another path
+        self.error.searching(False)  # clears the last search's progress
         status = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
@@ -122,7 +122,7 @@ class Workbench:
         self.browser.stale = False
 
     def run(self, job: Callable[[], Any], then: Callable[[Any], None], status: str = "") -> None:
-        """Run a job in a worker thread; `then(result)` on the page if its state is still the current one."""
+        """Run a job in a worker thread, then call `then(result)` on the page if the current state is unchanged."""
         number = self.session.current.number
 
         def show(result: Any) -> None:
@@ -136,7 +136,7 @@ class Workbench:
         self.work.preview(lambda: self.session.preview(*action), done)
 
     def _opened(self) -> None:
-        """Start after the browser has connected: earlier updates may be lost, and another page may have searched."""
+        """Show or start the search when the browser has connected, since earlier updates may be lost."""
         if self.session.current.discovery is not None:
             self._show_missing()
         self.look()
@@ -147,12 +147,12 @@ class Workbench:
             pane.show(self.session.current)
 
     def look(self) -> None:
-        """Search for effects missing from the current state, unless that was done."""
+        """Search for effects missing from the current state, unless it has a discovery."""
         state = self.session.current
         if state.discovery is not None:
             return
         if not state.calibration.verdict.ok:
-            reason = "Result not reliable: nothing is looked for until the fit has converged."
+            reason = "Result not reliable: there is no search before the fit has converged."
             self.missing.show(state, reason)
             return
         self.run(self.session.look, self._show_missing)
@@ -164,7 +164,7 @@ class Workbench:
         self.look()
 
     def point(self, effect: str) -> None:
-        """Draw a candidate's curve over the residuals; none if it is no candidate of the state that is shown."""
+        """Draw a candidate's curve over the residuals; remove it if the effect is not a candidate of this state."""
         if effect not in {row["id"] for row in self.missing.rows.rows}:
             self.work.forget_preview()
             self.residuals.preview(None)

@@ -1,9 +1,8 @@
-"""The workbench in a browser: on the loopback interface, under an address that holds a secret.
+"""Server of the workbench for a browser, on the loopback interface, under a secret path.
 
-Every path that is served, and the websocket, stands under that secret (`prefix` of Bokeh's server), so that neither
-another user of this computer nor a page from elsewhere can reach it; a websocket is taken from this address alone, and
-a request only under its name, so that no other name that is made to lead here (DNS rebinding) is answered.
-Nothing is fetched from anywhere else: Panel serves its own scripts.
+Every path, and the websocket, is below the secret (`prefix` of Bokeh's server), so that neither other users of this
+computer nor pages of other sites can reach it. Websockets are accepted from this origin only, and requests with this
+Host header only, which prevents DNS rebinding. Nothing is loaded from other sites: Panel serves its own scripts.
 """
 
 from __future__ import annotations
@@ -21,12 +20,11 @@ from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import LOOPBACK, Address, opened_in_browser
 
-# Bytes of one message of a browser's; a selection of all drawn readings is far smaller.
-LARGEST_MESSAGE = 64 * 2**20
-MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
+MAX_MESSAGE_BYTES = 64 * 2**20  # of a websocket message; a selection of all points is far smaller
+MAX_REQUEST_BYTES = 2**16  # of a request's headers and body: requests of the page have no body
 
 FOLDER = Path(__file__).parent
-# Scripts come last: what stands before them is seen while they load.
+# Scripts come last, so that the page above them is visible while they load.
 PAGE = Template(
     "{% from macros import embed %}"
     + (FOLDER / "parts" / "skeleton.html").read_text("utf-8")
@@ -36,22 +34,22 @@ PAGE = Template(
 
 
 def page(session: Session) -> pn.viewable.Viewable:
-    """Return the content of a browser's tab over a session."""
+    """Build the page of a browser tab for a session."""
     document = pn.state.curdoc
     assert document is not None
     document.title, document.template = "bayescal workbench", PAGE
     return Workbench(session).view
 
 
-UNUSED = "/autoload.js"  # of Bokeh, by which pages from elsewhere would show the workbench: it answers any of them
+EMBEDDING_PATH = "/autoload.js"  # of Bokeh, with which any other site could embed the workbench
 
 
 def answer_only(application: Any, names: Collection[str]) -> None:
-    """Have an application of Tornado answer requests whose Host is one of these, and refuse others (403)."""
+    """Restrict a Tornado application to requests whose Host header is among `names`; others get status 403."""
     find_handler = application.find_handler
 
     def find(request: Any, **keywords: Any) -> Any:
-        status = 404 if request.path.endswith(UNUSED) else 403
+        status = 404 if request.path.endswith(EMBEDDING_PATH) else 403
         if request.host.lower() in names and status != 404:
             return find_handler(request, **keywords)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
@@ -63,10 +61,10 @@ def serve(session: Session, address: Address, text: str, folder: Path | None) ->
     """Serve the workbench until Ctrl-C.
 
     Args:
-        session: that its pages show.
-        address: where.
-        text: printed once it can be reached.
-        folder: of the file that opens it in a browser; None opens none.
+        session: session to show.
+        address: address of the server.
+        text: text to print when the server is ready.
+        folder: folder for the file that opens a browser; None to open none.
     """
     server = pn.io.server.get_server(
         {"/": lambda: page(session)},
@@ -75,8 +73,8 @@ def serve(session: Session, address: Address, text: str, folder: Path | None) ->
         websocket_origin=address.hosts,
         prefix=address.path,
         ico_path="none",
-        websocket_max_message_size=LARGEST_MESSAGE,
-        http_server_kwargs={"max_body_size": MOST_ASKED, "max_header_size": MOST_ASKED},
+        websocket_max_message_size=MAX_MESSAGE_BYTES,
+        http_server_kwargs=dict.fromkeys(("max_body_size", "max_header_size"), MAX_REQUEST_BYTES),
         keep_alive_milliseconds=10_000,
         title="bayescal workbench",
     )

@@ -1,6 +1,6 @@
-"""The session: one person's work on one set of readings, independent of the browser.
+"""Workbench session: one user's work on one set of readings, independent of the browser.
 
-Changes of a model by name; and the outputs of a session, report and exports, as the command line makes them.
+Actions change the model by name; reports and exports are those of the command line.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from bayescal._annexes.workbench.session_store import Origin, SearchOptions, Sta
 
 
 class Preview:
-    """The result of a model, compared with an existing step.
+    """Preview of a changed model: its result compared with an existing step.
 
     Attributes:
-        curve: change of the expected output of each reading, all coefficients estimated again, output unit, (n,).
+        curve: change of the expected output of each reading, all coefficients re-estimated, output unit, (n,).
             Residuals less this curve are the residuals of the new model.
-        rms: of these, output unit.
-        in_words: summary, with the size of the effect that is added.
+        rms: rms residual of the new model, output unit.
+        in_words: summary, with the size of an added effect.
     """
 
     def __init__(self, before: ws.Step, after: bc.Calibration, added: str | None) -> None:
@@ -44,8 +44,8 @@ class Preview:
             text += f", log Bayes factor {evidence[0] - evidence_before[0]:z.1f}"
         if added is not None:
             effect = after.model.effect(added)
-            grouped = effect.coefficients[0].group_sd is not None
-            name = effect.group_sd_name(0) if grouped else effect.coefficient_name(0)
+            is_grouped = effect.coefficients[0].group_sd is not None
+            name = effect.group_sd_name(0) if is_grouped else effect.coefficient_name(0)
             draws = after.samples(effect.measure_name or name)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
             size = ws.with_error(float(draws.mean()), float(draws.std()))
@@ -56,19 +56,19 @@ class Preview:
 
 @dataclass(frozen=True)
 class Change:
-    """A model, and its difference from the former one."""
+    """A change of the current model."""
 
-    model: bc.Model  # what comes of it
-    added: str | None = None  # effect that was added; None where something else was done
-    in_words: str = ""  # that, in words; empty where an effect was added
+    model: bc.Model  # the changed model
+    added: str | None = None  # name of the added effect; None for another change
+    in_words: str = ""  # description of another change; empty for an added effect
 
 
 REPORT = "report.html"
-SEARCHES = 4  # number of the latest searches in the cache
+MAX_CACHED_SEARCHES = 4  # the latest ones
 
 
 def _structure_of(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
-    """Return the structure of a search that equals a model, among the subsets of its choice; else None."""
+    """Return the structure of a search that equals a model, if it is a subset of the chosen structure; else None."""
     structures, goal = search.structures, search.chosen_structure
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
@@ -81,12 +81,12 @@ def _structure_of(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | 
     if not {*base.names} <= {*model.names} or not search.steps[0].calibration.verdict.ok:
         return None
     added = (model.effect(n) for n in names)
-    matches = all(_as_searched(e, candidates[e.name]) for e in added)
+    matches = all(_matches_candidate(e, candidates[e.name]) for e in added)
     return ws.Structure(names, law) if matches else None
 
 
-def _as_searched(effect: bc.Effect, form: bc.Effect) -> bool:
-    """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
+def _matches_candidate(effect: bc.Effect, form: bc.Effect) -> bool:
+    """Return whether an effect equals a candidate's form, up to a plausible size that the search averages over."""
     first = form.coefficients[0]
     factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
     return effect.is_placeholder or effect == form or round(factor, 9) in ws.SIZE_FACTORS
@@ -94,18 +94,18 @@ def _as_searched(effect: bc.Effect, form: bc.Effect) -> bool:
 
 @dataclass(eq=False)
 class Session:
-    """One person's work on one set of readings: a tree of states in a folder, one of which is current.
+    """One user's work on one set of readings: a tree of states in a folder, one of which is current.
 
-    Its methods may be called from any thread. Methods that make a state are serialised; previews and searches run in
-    parallel. Every state is on the disk before it is the current one.
+    Its methods may be called from any thread. Methods that create a state are serialised; previews and searches run in
+    parallel. Every state is saved to disk before it becomes the current one.
 
     Attributes:
-        readings, holdout: what is fitted, and the hold-out data; spikes set aside.
-        folder: that keeps the states.
-        settings: as of `calibrate`.
-        origin: where readings and effects come from.
-        effects: of the user's own, by name.
-        on_change: called when a state is made or gone to, by whichever page, from whatever thread.
+        readings, holdout: readings to fit, and hold-out data, without spikes.
+        folder: folder with the saved states.
+        settings: options of the search, as in `calibrate`.
+        origin: sources of readings and effects.
+        effects: user-defined effects, by name.
+        on_change: callbacks when a state is created or becomes current, called from any thread.
     """
 
     readings: bc.Measurements
@@ -116,13 +116,13 @@ class Session:
     effects: dict[str, bc.Effect]
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
-    _at: int = 0
-    _loops: list[ws.StepwiseSearch] = field(default_factory=list)  # with evaluated structures
+    _at: int = 0  # number of the current state
+    _loops: list[ws.StepwiseSearch] = field(default_factory=list)  # cached searches
     _trails: dict[int, bc.SearchPath] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
-    _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
-    _end: ws.deadline.Deadline | None = None  # of the search that is under way
+    _looking: threading.RLock = field(default_factory=threading.RLock)  # of the searches
+    _end: ws.deadline.Deadline | None = None  # deadline of the running search
 
     @classmethod
     def open(
@@ -136,20 +136,20 @@ class Session:
         origin: Origin | None = None,
         **settings: Any,
     ) -> Session:
-        """Open a session: its first state is a model fitted to readings, or it resumes that in its folder.
+        """Open a session: fit the model as its first state, or resume the session saved in `folder`.
 
-        No code in a folder is run: instruments and effects are given here.
+        No code in the folder is executed: instruments and effects are arguments.
 
         Args:
-            model, readings, holdout, effects: as of `calibrate`.
-            folder: where every state is kept; None: a temporary one.
-            origin: where all this comes from; None: readings in memory.
-            settings: of `calibrate`, see `SearchOptions`.
+            model, readings, holdout, effects: as in `calibrate`.
+            folder: folder for the states; None for a temporary one.
+            origin: sources of readings and effects; None for readings in memory.
+            settings: options of `calibrate`, see `SearchOptions`.
 
         Raises:
-            ModelError: the readings lack what the model needs.
-            InputError: the folder cannot be written to, holds a session of other readings or an effect that is not
-                given, or something in it was changed.
+            ModelError: the readings lack a column that the model needs.
+            InputError: the folder cannot be written to, has a session of other readings or an effect that is not
+                given, or a file in it was changed.
         """
         options = SearchOptions(**settings)
         spikes, held_out = options.keep_spikes, None
@@ -164,13 +164,13 @@ class Session:
             used, by_name = bc.set_aside(readings, spikes), {e.name: e for e in effects}
             session = cls(used, held_out, folder, options, origin, by_name)
             if (folder / store.SESSION).is_file():
-                session._go_on(model)
+                session._resume(model)
             else:
-                session._become(Change(model), None)
+                session._fit_change(Change(model), None)
         return session
 
-    def _go_on(self, model: bc.Model) -> None:
-        """Resume from the states in the folder, even after a crash."""
+    def _resume(self, model: bc.Model) -> None:
+        """Load the states in the folder, even after a crash."""
         saved, effects = store.load_session(self.folder), tuple(self.effects.values())
         uninstalled = () if model.instrument.name in ws.installed_names() else (model.instrument,)
         for n, entry in enumerate(saved.states):
@@ -178,16 +178,16 @@ class Session:
             calibration = bc.load(path, effects=effects, instruments=uninstalled)
             if not calibration.readings.same_as(self.readings):
                 raise bc.InputError(
-                    f"{self.folder} holds a session of other readings, {calibration.readings.file}: give another "
-                    "folder (--out), or remove it"
+                    f"{self.folder} has a session of other readings, {calibration.readings.file}: give another folder "
+                    "(--out), or remove it"
                 )
             step = ws.step_of(calibration, self.holdout, self.settings.accept_conflicts)
             step = replace(step, added=entry.added, description=entry.description)
             self._states[n] = State(n, entry.parent, step)
-            typed = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
-            self.effects |= {e.name: e for e in typed}
+            formulas = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
+            self.effects |= {e.name: e for e in formulas}
         self._at = saved.current
-        store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # a torn state
+        store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # incomplete state
 
     @property
     def states(self) -> Mapping[int, State]:
@@ -200,40 +200,39 @@ class Session:
         return self._states[self._at]
 
     def path(self, number: int | None = None) -> list[State]:
-        """Return the states from the first to one, by default the current one."""
+        """Return the states from the first one to state `number`, by default the current one."""
         return [
             self._states[n] for n in path_to(self._states, self._at if number is None else number)
         ]
 
     def go_to(self, number: int) -> State:
-        """Make another state the current one; what is done next branches off there."""
+        """Make another state the current one; further changes branch off from it."""
         with self._lock:
             return self._set_current(number)
 
     def preview(self, kind: str, *arguments: Any) -> Preview:
-        """Return a preview of `act`: the changed model is fitted, and made no state."""
-        change, loop, before = self._changed(kind, *arguments), self._loop, self.current.step
+        """Return a preview of `act`: fit the changed model without creating a state."""
+        change, loop, before = self._change(kind, *arguments), self._loop, self.current.step
         fit = before.calibration
         start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
-        how: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
+        options: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
         method = loop.step_method(change.model)
-        after = bc.fit(change.model, self.readings, method, strict=False, **how)
+        after = bc.fit(change.model, self.readings, method, strict=False, **options)
         return Preview(before, after, change.added)
 
-    def _changed(self, kind: str, *arguments: Any) -> Change:
-        """Return the current model with a change."""
+    def _change(self, kind: str, *arguments: Any) -> Change:
+        """Apply a change of a kind, such as "add", to the current model."""
         model = self.current.model
         match (kind, *arguments):
             case ("add", str(name)):
-                return self._changed(
-                    "add", self._named().get(name) or model.instrument.effect(name)
-                )
+                effect = self._effects_by_name().get(name) or model.instrument.effect(name)
+                return self._change("add", effect)
             case ("add", bc.Effect() as effect):
                 return Change(model + effect, added=effect.name)
             case ("take_out", str(name)):
                 return Change(model - name, in_words=f"− {name}")
             case ("free", str(name)):
-                return Change(model.free(name), in_words=f"{name} estimated again")
+                return Change(model.free(name), in_words=f"{name} freed")
             case ("noise", str(name)):
                 first = self.states[0].calibration
                 laws = ws.laws_over(first.model, first.frame)  # that the readings identify
@@ -246,131 +245,135 @@ class Session:
                 unit = ws.unit_label(model.effect(name).coefficients[0].unit)
                 text = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
                 return Change(model.resize(name, float(value)), in_words=text)
-        raise bc.InputError(f"{kind!r} with {len(arguments)} argument(s) is no change of a model")
+        raise bc.InputError(
+            f"{kind!r} with {len(arguments)} argument(s) is not a change of a model"
+        )
 
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it as the new current state.
 
-        An effect of a discovery is added in its likeliest form and size.
+        A candidate of the discovery is added in its most probable form and size.
 
         Raises:
-            ModelError, InputError: the model cannot be changed so.
+            ModelError, InputError: the change is not possible.
         """
-        return self._become(self._changed(kind, *arguments), self.current.number)
+        return self._fit_change(self._change(kind, *arguments), self.current.number)
 
-    def _named(self) -> dict[str, bc.Effect]:
-        """Return the effects that differ from the instrument's, by the name in requests.
+    def _effects_by_name(self) -> dict[str, bc.Effect]:
+        """Return name → effect of those that differ from the instrument's.
 
-        They are the user's own, and those of a discovery in their likeliest form and size.
+        They are user-defined effects, and candidates of the discovery in their most probable form and size.
         """
-        named = {e.name: e for e in ws.with_forms(self.effects.values())}
-        if (look := self.current.discovery) is None:
-            return named
-        library, best = self.current.model.instrument.effect, [e for e in look.best if not e.open]
-        forms = {c.effect: named.get(c.form) or library(c.form) for c in look.candidates if c.form}
-        return {**named, **forms, **{e.family_name: e for e in best}, **{e.name: e for e in best}}
+        own = {e.name: e for e in ws.with_forms(self.effects.values())}
+        if (discovery := self.current.discovery) is None:
+            return own
+        library, best = self.current.model.instrument.effect, discovery.best
+        candidates, best = discovery.candidates, [e for e in best if not e.open]
+        forms = {c.effect: own.get(c.form) or library(c.form) for c in candidates if c.form}
+        return {**own, **forms, **{e.family_name: e for e in best}, **{e.name: e for e in best}}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
     fix = partialmethod(act, "fix")  # (coefficient, value in the unit in which it is reported)
     free = partialmethod(act, "free")  # (coefficient)
     resize = partialmethod(act, "resize")  # (effect, plausible size of its first coefficient)
-    noise = partialmethod(act, "noise")  # (name of one that the readings identify)
+    noise = partialmethod(act, "noise")  # (name of a noise law that the readings identify)
 
     def look(self) -> bc.Discovery:
         """Search for effects missing from the current state; the discovery is cached in the state."""
         number = self.current.number
-        with self._in_time():  # another page may look for the same
+        with self._search_lock():  # another page may run the same search
             if (discovery := self.states[number].discovery) is None:
-                loop, at = self._weighed(self.states[number])
-                discovery = loop.find_missing(at)
-                self._keep_found(number, discovery)
+                loop, structure = self._search_at(self.states[number])
+                discovery = loop.find_missing(structure)
+                self._cache_discovery(number, discovery)
         return discovery
 
     def find_all(self, follow: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
-        """Search from the current state on, as `calibrate` does; each step becomes a state.
+        """Search from the current state as `calibrate` does; each step becomes a state.
 
-        It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as by `calibrate`.
+        It returns at the end, or soon after `stop`; `follow` is called with the search path so far, as by `calibrate`.
 
         Raises:
-            ModelError: nothing can be learnt from the current model.
+            ModelError: the fit of the current model has failed.
         """
         begin = self.current
         if begin.step.failures and not self._loop.free_contradicted(begin.step):
-            raise bc.ModelError(f"nothing is looked for: {' '.join(begin.step.failures)}")
-        with self._in_time():
-            loop, at = self._weighed(begin, follow)
+            raise bc.ModelError(f"no search is possible: {' '.join(begin.step.failures)}")
+        with self._search_lock():
+            loop, structure = self._search_at(begin, follow)
             steps, number = [begin.step], begin.number
-            for before, to, discovery in loop.iterate_path(loop.chosen_structure, at):
+            for before, to, discovery in loop.iterate_path(loop.chosen_structure, structure):
                 if before is None:
-                    self._keep_found(number, discovery)
+                    self._cache_discovery(number, discovery)
                     continue
                 steps.append(loop.fit_structure(to, before))
                 number = self._append(steps[-1], number, discovery).number
                 follow(loop.build_path(steps=steps))
 
     @contextmanager
-    def _in_time(self) -> Iterator[None]:
-        """Hold the lock of the search, within the time limit."""
+    def _search_lock(self) -> Iterator[None]:
+        """Hold the lock of searches, with the time limit as deadline."""
         with self._looking, ws.deadline.until(self.settings.time_limit) as self._end:
             yield
 
-    def _weighed(
+    def _search_at(
         self, state: State, follow: Callable[[bc.SearchPath], None] | None = None
     ) -> tuple[ws.StepwiseSearch, ws.Structure]:
         """Return the search for effects missing from a state, and the state's structure in it.
 
-        It is that of `calibrate` over the first model, so that states towards its choice share one posterior with it.
-        For a state with other effects, or other forms of them, it is a search over the state's model.
+        It is the search of `calibrate` from the first model, whose posterior is shared by all states on the way to its
+        chosen structure. For a state with other effects, or other forms of them, it starts at the state's model.
 
         Args:
-            state: which.
-            follow: told how it goes on; a search that was stopped goes on only where somebody follows.
+            state: state to search from.
+            follow: callback with the search path; a stopped search is continued only with a callback.
         """
         first, loop = self.states[0], self._loop
         effects = [e for e in first.model.effects if loop.is_reconsidered(e, first.model)]
-        search = self._searched(reduce(sub, effects, first.model), effects, follow)
-        if (at := _structure_of(state.model, search)) is None:
-            search, at = self._searched(state.model, (), follow), ws.Structure()
-        return search, at
+        search = self._search_over(reduce(sub, effects, first.model), effects, follow)
+        if (structure := _structure_of(state.model, search)) is None:
+            search, structure = self._search_over(state.model, (), follow), ws.Structure()
+        return search, structure
 
-    def _searched(
+    def _search_over(
         self,
         core: bc.Model,
         effects: Sequence[bc.Effect],
         follow: Callable[[bc.SearchPath], None] | None,
     ) -> ws.StepwiseSearch:
-        """Evaluate structures over a model, those with given effects among them; cached."""
+        """Evaluate the structures that extend the model `core`, by `effects` and by candidates; cached."""
         search = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
         if is_new := search is None:
-            same = (s.step for s in self.states.values() if s.model == core)
+            steps = (s.step for s in self.states.values() if s.model == core)
             search = replace(self._loop, reconsidered=tuple(effects), stopped="not begun")
-            first = next(same, None) or search.fit_step(core, search.step_method(core))
+            first = next(steps, None) or search.fit_step(core, search.step_method(core))
             extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
             search.list_structures(first, extra, self.settings.widen_noise)
         if search.stopped and (is_new or follow is not None):
             with ws.deadline.sooner(ws.SEARCH_TIME_SHARE):
                 search.run_search(lambda: None if follow is None else follow(search.build_path()))
-            self._loops = [*(s for s in self._loops if s is not search), search][-SEARCHES:]
+            searches = [*(s for s in self._loops if s is not search), search]
+            self._loops = searches[-MAX_CACHED_SEARCHES:]
         return search
 
     def stop(self) -> None:
-        """Stop a search with the best model so far."""
+        """Stop the running search, with the best model so far."""
         if self._end is not None:
             self._end.interrupt.requested = True
 
     def typed(self, line: str) -> bc.Effect:
-        """Return the effect of a typed formula, as `bc.effect` takes it.
+        """Build the effect of a typed formula, in the syntax of `bc.effect`.
 
         Raises:
-            InputError: it is invalid; the position is marked.
+            InputError: the formula is invalid; the message marks the position.
         """
         return bc.effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
     def add_typed(self, line: str) -> State:
         """Add the effect of a typed formula to the candidates and to the model; drop cached searches."""
         effect = self.typed(line)
-        _ = self.current.model + effect  # its slot and groups are there
+        _ = self.current.model + effect  # raises if its slot or a group does not exist
         self.effects[effect.name] = effect
         self._loops.clear()
         self._trails.clear()
@@ -380,53 +383,53 @@ class Session:
         return self.add(effect.name)
 
     def script(self) -> str:
-        """Return Python that reproduces the current state, with equal numbers."""
+        """Return a Python script that reproduces the current state, with identical numbers."""
         return self._script(self.path())
 
     def trail(self, state: State | None = None) -> bc.SearchPath:
         """Return the search path to a state (None: the current one), in the form that `calibrate` returns; cached.
 
-        Its last model is fitted by the requested method. Where the search is complete, the result in use is averaged
-        over the evaluated structures.
+        Its last model is fitted by the requested method. If the search is complete, the result in use is averaged over
+        the evaluated structures.
         """
         state = state or self.current
         with self._fitting:
             if state.number not in self._trails:
-                self._trails[state.number] = self._judged(state)
+                self._trails[state.number] = self._build_trail(state)
             return self._trails[state.number]
 
-    def _judged(self, state: State) -> bc.SearchPath:
-        loop, way = self._loop, self.path(state.number)
+    def _build_trail(self, state: State) -> bc.SearchPath:
+        loop, path = self._loop, self.path(state.number)
         step = loop.fit_step(state.model, loop.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, description=state.step.description)
-        weighed = None
+        search = structure = None
         if step.calibration.verdict.ok:
-            with suppress(ws.deadline.TimeIsUp), self._in_time():
-                weighed = self._weighed(state)
-                self._keep_found(state.number, weighed[0].find_missing(weighed[1]))
-                way = self.path(state.number)
-        steps = [*(s.step for s in way[:-1]), step]
-        steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        if weighed is None or weighed[1].effects != weighed[0].chosen_structure.effects:
+            with suppress(ws.deadline.TimeIsUp), self._search_lock():
+                search, structure = self._search_at(state)
+                self._cache_discovery(state.number, search.find_missing(structure))
+                path = self.path(state.number)
+        steps = [*(s.step for s in path[:-1]), step]
+        steps = [replace(s, discovery=p.discovery) for s, p in zip(steps, path, strict=True)]
+        if not search or not structure or structure.effects != search.chosen_structure.effects:
             return bc.SearchPath(*ws.assess_steps(steps), self.holdout)
         with self._looking:
-            return weighed[0].average_path(steps, weighed[1])
+            return search.average_path(steps, structure)
 
     def verdict(self) -> str:
-        """State whether the current model may be used, and the verdict of its fit."""
+        """Format the verdict: whether the current model may be used, and the verdict of its fit."""
         trail = self.trail()
         use = "This result may be used." if trail.ok else "Not to be used as it is."
         texts = (use, trail.gate.reason, str(trail.final.calibration.verdict))
         return "\n\n".join([*(ws.folded(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
-        """Compare the current model with another step's: `bc.compare`, then coefficients, noise and shapes ± u.
+        """Compare the current model with that of state `number`: `bc.compare`, then coefficients, noise, shapes ± u.
 
         Raises:
-            InputError: they were fitted to other readings.
+            InputError: they were fitted to different readings.
         """
-        both = self.current, self.states[number]
-        fits = {f"{s.number} {s.title}": s.calibration for s in both}
+        states = self.current, self.states[number]
+        fits = {f"{s.number} {s.title}": s.calibration for s in states}
         tables = [ws.unknown_rows(c) for c in fits.values()]
         units = {name: row[2] for table in tables for name, row in table.items()}
         rows = [
@@ -438,18 +441,18 @@ class Session:
     def write(self, file: str) -> Path:
         """Write the report or an export of the current model, as `bayescal report` and `export` do.
 
-        It stands in a folder beside the result of `bayescal calibrate --out`.
+        Its folder also gets the files of `bayescal calibrate --out`.
 
         Args:
-            file: report.html; or a name whose suffix is an export's format.
+            file: "report.html", or a file name whose suffix is that of an export's format.
 
         Raises:
-            InputError, ModelError: there is no such format, or the model cannot be exported so.
+            InputError, ModelError: an unknown format, or the model cannot be exported in it.
         """
         state = self.current
         trail, folder = self.trail(state), self.folder / f"result_{state.number:03d}"
         folder.mkdir(exist_ok=True)
-        with suppress(bc.NotDrawn):  # a report says itself what is not drawn, an export needs none
+        with suppress(bc.NotDrawn):  # a report states missing pictures, an export needs none
             ws.save_search(trail, folder)
         if file == REPORT:
             return bc.report([trail], folder / file, effects=tuple(self.effects.values()))
@@ -461,8 +464,8 @@ class Session:
         options = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
         return ws.StepwiseSearch(*options, accepted_conflicts=frozenset(s.accept_conflicts))
 
-    def _become(self, change: Change, parent: int | None) -> State:
-        """Fit a model as a child of a state, and make it the current one."""
+    def _fit_change(self, change: Change, parent: int | None) -> State:
+        """Fit the changed model as a child of state `parent`, and make it the current one."""
         loop = self._loop
         step = loop.fit_step(change.model, loop.step_method(change.model))
         return self._append(replace(step, added=change.added, description=change.in_words), parent)
@@ -470,13 +473,13 @@ class Session:
     def _append(
         self, step: ws.Step, parent: int | None, discovery: bc.Discovery | None = None
     ) -> State:
-        """Save a step as a child of a state, and make it the current one."""
+        """Save a step as a child of state `parent`, and make it the current one."""
         with self._lock:
             number = len(self._states)
             state = State(number, parent, step, discovery)
             if (file := store.fit_path(self.folder, number)).exists():
                 raise bc.InputError(
-                    f"{file} was made meanwhile: another workbench goes on here. End one"
+                    f"{file} was created meanwhile by another workbench in this folder: end one of them"
                 )
             state.calibration.save(file)
             try:
@@ -489,16 +492,16 @@ class Session:
     def _set_current(self, number: int, states: dict[int, State] | None = None) -> State:
         """Make a state the current one; replace all states by `states` if given."""
         states = self._states if states is None else states
-        way = [states[n] for n in path_to(states, number)]
-        store.save_session(self.folder, states, number, self._script(way))
+        path = [states[n] for n in path_to(states, number)]
+        store.save_session(self.folder, states, number, self._script(path))
         self._states, self._at = states, number
-        for call in tuple(self.on_change):
-            call()
+        for callback in tuple(self.on_change):
+            callback()
         return self.current
 
-    def _keep_found(self, number: int, discovery: bc.Discovery | None) -> None:
+    def _cache_discovery(self, number: int, discovery: bc.Discovery | None) -> None:
         with self._lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
-    def _script(self, way: list[State]) -> str:
-        return script(way, self.origin, self.settings, self.folder.resolve())
+    def _script(self, path: list[State]) -> str:
+        return script(path, self.origin, self.settings, self.folder.resolve())

@@ -1,9 +1,9 @@
-"""The checkpoint of a session: each state as a saved calibration, written atomically, so that a killed server resumes.
+"""Checkpoint of a session, written atomically so that it resumes after the server was killed.
 
-session.json               the tree of states, which one is current
-state_000.nc               the fit of the first state, and so on, as `bayescal calibrate` saves one
-script.py                  Python that fits the models of the states up to the current one, with the same numbers
-result_000/                reports and exports of a state, when they were asked for
+session.json               tree of states, number of the current one
+state_000.nc               fit of state 0, and so on, in the format of `bayescal calibrate`
+script.py                  Python that fits the models of the states up to the current one, with identical numbers
+result_000/                requested reports and exports of state 0, and so on
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from bayescal import workshop as ws
 class Origin:
     """Sources of a session for its script: instrument, files and options of reading."""
 
-    instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty where made in Python
-    files: tuple[str, ...] = ()  # files, holdout: of readings, in full; none of those in memory
+    instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty if made in Python
+    files: tuple[str, ...] = ()  # files, holdout: absolute paths of readings; empty if in memory
     holdout: tuple[str, ...] = ()
-    # Arguments of `bayescal.read` that are not its usual ones.
+    # Arguments of `bayescal.read` that differ from their defaults.
     read: Mapping[str, Any] = field(default_factory=dict)
-    average: str | None = None  # time over which means are taken; None for single readings
-    effect_files: tuple[str, ...] = ()  # Python files with effects of the user's own, in full
+    average: str | None = None  # averaging time; None for single readings
+    effect_files: tuple[str, ...] = ()  # absolute paths of Python files with user-defined effects
 
     @classmethod
     def of(
@@ -40,20 +40,23 @@ class Origin:
         effect_files: Sequence[Path | str] = (),
         **settings: Any,
     ) -> Origin:
-        """Build with absolute paths, without arguments that equal their defaults."""
+        """Build an origin with absolute paths, without arguments that equal their defaults."""
         if ws.is_file_reference(instrument):
             file, _, name = instrument.rpartition(":")
             instrument = f"{Path(file).resolve()}:{name}"
-        full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
-        usual = vars(ws.ReadOptions())
-        changed = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
-        effects = tuple(str(Path(p).resolve()) for p in effect_files)
-        return cls(instrument, *full, read=changed, effect_files=effects, **settings)
+
+        def resolve(paths: Sequence[Path | str] | None) -> tuple[str, ...]:
+            return tuple(str(Path(p).resolve()) for p in paths or ())
+
+        defaults = vars(ws.ReadOptions())
+        changed = {k: v for k, v in (read or {}).items() if v != defaults.get(k)}
+        settings |= {"read": changed, "effect_files": resolve(effect_files)}
+        return cls(instrument, resolve(files), resolve(holdout), **settings)
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Options of `calibrate` apart from model and readings; see there."""
+    """Options of `calibrate`, without model and readings; see its docstring."""
 
     method: bc.LeastSquares | bc.Marginal | bc.NUTS | None = None
     max_effects: int = 5
@@ -70,9 +73,9 @@ class State:
     """One model of the tree, immutable; a search returns the same state with its discovery."""
 
     number: int  # of the state, from 0
-    parent: int | None  # number of the state that it was made from; None for the first
-    step: ws.Step  # its fit by least squares, where it fails, its errors
-    discovery: bc.Discovery | None = None  # what is missing from it; None until it was looked for
+    parent: int | None  # number of the state that was changed; None for the first
+    step: ws.Step  # least-squares fit, residual check and errors
+    discovery: bc.Discovery | None = None  # missing effects; None before a search
 
     @property
     def title(self) -> str:
@@ -89,7 +92,7 @@ class State:
 
 
 def path_to(states: Mapping[int, Any], number: int) -> list[int]:
-    """Return the numbers of the states from the first to one."""
+    """Return the numbers of the states from the first one to state `number`."""
     path = [number]
     while (parent := states[path[0]].parent) is not None:
         path.insert(0, parent)
@@ -98,12 +101,12 @@ def path_to(states: Mapping[int, Any], number: int) -> list[int]:
 
 SESSION, SCRIPT = "session.json", "script.py"
 SCHEMA = "bayescal.workbench/3"
-FIRST = "session_1"  # the folder of a session, in that of --out
+FIRST_FOLDER = "session_1"  # folder of a session, in that of --out
 
 
 @dataclass(frozen=True)
 class SavedState:
-    """One state in session.json, whose index is its number; its calibration is a file of its own."""
+    """One state in session.json, numbered by its index; its calibration is a separate file."""
 
     parent: int | None
     added: str | None
@@ -112,7 +115,7 @@ class SavedState:
 
 @dataclass(frozen=True)
 class SavedSession:
-    """Content of session.json; raises ValueError where it is invalid."""
+    """Content of session.json; raises ValueError if it is invalid."""
 
     schema: str
     states: list[SavedState]
@@ -123,7 +126,7 @@ class SavedSession:
             raise ValueError(f"its schema is {self.schema!r}, expected {SCHEMA!r}")
         for number, state in enumerate(self.states):
             if state.parent not in (range(number) if number else (None,)):
-                raise ValueError(f"the parent of step {number} is none before it")
+                raise ValueError(f"the parent of step {number} is not an earlier step")
         if self.current not in range(len(self.states)):
             raise ValueError(f"there is no step {self.current}")
 
@@ -134,10 +137,10 @@ def fit_path(folder: Path, number: int) -> Path:
 
 
 def save_session(folder: Path, states: Mapping[int, State], current: int, script: str) -> None:
-    """Write session.json and the script to disk; calibrations are saved apart.
+    """Write session.json and the script; calibrations are saved separately.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: a file cannot be written.
     """
     ordered = (state for _, state in sorted(states.items()))
     saved = [SavedState(s.parent, s.step.added, s.step.description) for s in ordered]
@@ -149,13 +152,13 @@ def load_session(folder: Path) -> SavedSession:
     """Load session.json.
 
     Raises:
-        InputError: there is none, or it cannot be read.
+        InputError: the file does not exist, or cannot be read.
     """
     try:
         return ws.read_json(folder / SESSION, SavedSession)
     except (OSError, ValueError) as error:
         raise bc.InputError(
-            f"{folder} holds no session that can be gone on with ({error}): begin one in another folder"
+            f"{folder} has no session that can be resumed ({error}): begin one in another folder"
         ) from None
 
 
@@ -164,17 +167,17 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
 
     Args:
         path: states, each the parent of the next.
-        origin: of readings and effects.
-        settings: of the fits.
-        folder: that keeps the states' calibrations, whose models are loaded.
+        origin: sources of readings and effects.
+        settings: options of the fits.
+        folder: folder with the states' calibrations, from which the script loads the models.
     """
     steps = []
     for state in path:
-        c, quick = state.calibration, state.model.noise.gaussian
+        c, is_gaussian = state.calibration, state.model.noise.gaussian
         step = {
             "title": ws.one_line(f"{state.number} {state.title}"),
             "file": str(fit_path(folder, state.number)),
-            "method": method_code(ws.QUICK if quick else settings.method),
+            "method": method_code(ws.QUICK if is_gaussian else settings.method),
             "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
         }
         steps.append(step)

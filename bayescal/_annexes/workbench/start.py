@@ -1,4 +1,4 @@
-"""The start of a server, before anything heavy is loaded: its address; and the workbench in a notebook."""
+"""Start of the workbench without heavy imports: address of its server, and the workbench in a notebook."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Address:
     """Address of the workbench on the loopback interface, under a secret path.
 
     Attributes:
-        port: that nothing used when it was chosen.
-        path: the secret, as "/…".
+        port: port that was free when it was chosen.
+        path: secret path, beginning with "/".
     """
 
     port: int
@@ -40,7 +40,7 @@ class Address:
 
     @property
     def hosts(self) -> list[str]:
-        """Return the Host headers that are answered."""
+        """Return the accepted Host headers."""
         return [f"{name}:{self.port}" for name in (LOOPBACK, "localhost")]
 
     @property
@@ -54,10 +54,10 @@ FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a hre
 
 @contextmanager
 def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
-    """Open an address in the browser by a file that forwards to it, which only this user can read.
+    """Open an address in the browser through a forwarding file that only this user can read.
 
-    A browser takes what it opens as an argument, and every user can list the arguments of all processes. The file is in
-    the folder, since a confined browser reads no temporary files, and is removed at the end.
+    An address among the browser's arguments would be visible to all users of the computer. The file is in `folder`,
+    since a sandboxed browser cannot read temporary files, and is removed on exit.
     """
     with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
         page = Path(private) / "workbench.html"
@@ -68,11 +68,7 @@ def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
 
 
 def refuse_without_panel() -> None:
-    """Require Panel.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """Raise InputError if Panel is not installed."""
     if importlib.util.find_spec("panel") is None:
         raise bc.InputError(
             "the workbench needs Panel, which is not installed: pip install 'bayescal[workbench]'"
@@ -88,25 +84,25 @@ def workbench(
     folder: str | Path | None = None,
     **settings: Any,
 ) -> Any:
-    """Open the workbench in a notebook; in a browser it is the command `bayescal workbench`.
+    """Open the workbench in a notebook; for a browser, use the command `bayescal workbench`.
 
     Args:
-        readings: to calibrate with.
-        instrument: whose baseline is the first model; or the first model itself.
-        holdout, effects: as of `calibrate`.
-        folder: where every state is kept; a temporary one if not given. One that holds a session is gone on with.
-        settings: of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
+        readings: readings to calibrate with.
+        instrument: instrument whose baseline is the first model, or the first model.
+        holdout, effects: as in `calibrate`.
+        folder: folder for the states; default a temporary one. A session in the folder is resumed.
+        settings: options of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
             accept_conflicts.
 
     Returns:
-        What Panel shows, where it is the last value of a cell.
+        A Panel view, shown if it is the last value of a cell.
 
     Raises:
         InputError: the folder cannot be written to, or Panel is not installed.
-        ModelError: the readings lack what the model needs.
+        ModelError: the readings lack a column that the model needs.
     """
     refuse_without_panel()
-    import panel  # here and below, because all this is heavy
+    import panel  # heavy, as are the imports below
 
     from bayescal._annexes.workbench.app import Workbench
     from bayescal._annexes.workbench.session import Session

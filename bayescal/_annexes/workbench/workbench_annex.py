@@ -1,4 +1,4 @@
-"""Registration of the workbench's command; heavy modules load inside it."""
+"""Registration of the workbench annex: the command `workbench`. Heavy modules are imported on use."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
     no_open: bool = ws.opt("Print the address, and open no browser.", False)
 
     def run(self) -> int:
-        """Serve until it is ended: the time limit is of each search."""
+        """Serve the workbench until Ctrl-C; the time limit applies to each search."""
         from bayescal._annexes.workbench import start
 
         start.refuse_without_panel()
-        # A file that cannot be used is refused before a browser opens.
+        # Unusable files raise an error before a browser opens.
         models, readings, holdout = ws.searched([], self)
         with ws.result_folder(self.out) as folder:
             assert folder is not None
@@ -53,14 +53,14 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
     ) -> Session:
         """Open the session that the options ask for."""
         from bayescal._annexes.workbench.session import Session
-        from bayescal._annexes.workbench.session_store import FIRST, Origin
+        from bayescal._annexes.workbench.session_store import FIRST_FOLDER, Origin
 
         return Session.open(
             model,
             readings,
             holdout=holdout,
             effects=ws.load_effects(self, model.instrument, readings),
-            folder=folder / FIRST,
+            folder=folder / FIRST_FOLDER,
             origin=Origin.of(
                 self.instrument,
                 self.files,

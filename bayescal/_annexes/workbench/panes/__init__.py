@@ -1,1 +1,1 @@
-"""Panes of the page: the model, its residuals, candidate effects, and below them the error and the tabs."""
+"""Panes of the page: model, residuals, candidate effects, and tabs with the errors of all steps."""

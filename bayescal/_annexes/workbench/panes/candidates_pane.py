@@ -70,7 +70,7 @@ class CandidatesPane(Pane):
         self.formula.value = ""
 
     def preview(self, text: str) -> None:
-        """Show the preview of the candidate that is pointed at."""
+        """Show the preview of the candidate under the pointer."""
         self.hint.object = text or HINT
 
     def busy(self, busy: bool) -> None:
@@ -79,7 +79,7 @@ class CandidatesPane(Pane):
 
 
 def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
-    """Return rows: findings, substitutes as "one of these", then the others; undetectable and untestable in grey."""
+    """Return rows: findings (alternatives as "one of these"), leads, others; undetectable and untestable in grey."""
     by_name = {c.effect: c for c in discovery.candidates}
     rows, placed = [], set()
     for i, alternatives in enumerate(discovery.findings):

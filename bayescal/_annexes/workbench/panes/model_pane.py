@@ -13,7 +13,7 @@ NUMBER = {"kind": "value number"}
 
 
 class ModelPane(Pane):
-    """The left of the page: the model and the actions that change it."""
+    """Pane of the model and the actions that change it, on the left of the page."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -76,11 +76,11 @@ class ModelPane(Pane):
         self._open_buttons()
 
     def _open_buttons(self) -> None:
-        """Enable the buttons; *Free* only where the chosen unknown is fixed."""
+        """Enable the buttons; *Free* only if the selected unknown is fixed."""
         model = self._calibration and self._calibration.model
         is_fixed = model is not None and self.coefficient.value in dict(model.fixed)
-        for press in self.buttons:
-            press.disabled = self._shut or (press.label == "Free" and not is_fixed)
+        for widget in self.buttons:
+            widget.disabled = self._shut or (widget.label == "Free" and not is_fixed)
 
     def _open(self, effect: str) -> None:
         self._chosen, self.form.visible = effect, bool(effect)
@@ -88,7 +88,7 @@ class ModelPane(Pane):
             return
         chosen = self._calibration.model.effect(effect)
         self.title.object = effect
-        self.consequences.object = "What taking it out would do is being computed …"
+        self.consequences.object = "Computing the model without this effect …"
         names = [chosen.coefficient_name(i) for i in range(len(chosen.coefficients))]
         names += [chosen.shape_name(s) for s in chosen.shapes]
         self.coefficient.options, self.coefficient.value = names, names[0]
@@ -132,7 +132,7 @@ def equation_in_words(model: Any) -> str:
 
 
 def effect_rows(calibration: Any) -> list[dict[str, Any]]:
-    """Return a row for each effect: coefficients ± standard uncertainty, contraction as a bar; a curve by its size."""
+    """Return a row per effect: coefficients ± standard uncertainty, contraction as a bar; or the size of a curve."""
     model, rows = calibration.model, []
     unknowns, curves = [t for r in ws.summary(calibration) for t in r], ws.unknown_rows(calibration)
     for effect in model.effects:
@@ -145,8 +145,8 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
             terms = []
             cells.append({"text": f"{value} [{unit}]", **NUMBER})
         for t in terms:
-            short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
-            value = f"{short if len(terms) > 1 else ''} {_value(t)}".strip()
+            suffix = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
+            value = f"{suffix if len(terms) > 1 else ''} {_value(t)}".strip()
             cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
         fixed = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
         cells += [{"text": f"held: {', '.join(fixed)}", **NUMBER}] if fixed else []
@@ -159,12 +159,12 @@ def _value(row: dict[str, Any]) -> str:
     return f"{ws.with_error(row['mean'], row['sd'])} {ws.unit_label(row['unit'])}".rstrip()
 
 
-def _contraction(share: float | None) -> dict[str, Any]:
-    """Return the bar for the contraction from prior to posterior."""
-    if share is None:
+def _contraction(contraction: float | None) -> dict[str, Any]:
+    """Return the bar of a posterior contraction."""
+    if contraction is None:
         return {"bar": None, "title": "no contraction: flat or learned prior"}
-    title = f"contraction {share:.3f}: 1 − posterior variance / prior variance"
-    return {"bar": max(0.0, share), "title": title}
+    title = f"contraction {contraction:.3f}: 1 − posterior variance / prior variance"
+    return {"bar": max(0.0, contraction), "title": title}
 
 
 def noise_rows(state: Any) -> list[dict[str, Any]]:

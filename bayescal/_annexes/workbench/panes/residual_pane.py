@@ -1,7 +1,7 @@
-"""The residual pane ("Where it fails"): output with the fit, and residuals, over columns side by side, linked brushing.
+"""The residual pane ("Where it fails"): output with fit, and residuals, against several columns, with linked brushing.
 
-All panels draw one source of rows, by WebGL where the browser has it; very many readings are decimated. A panel has,
-over one column, the output with the fit, and residuals with the noise, the worst region, the curve of a preview.
+All panels share one data source, drawn by WebGL if the browser has it; large data sets are decimated. A panel shows,
+against one column, the output with the fit, and residuals with the noise, the worst region and a preview's curve.
 """
 
 from __future__ import annotations
@@ -36,29 +36,27 @@ from bayescal._annexes.workbench.parts.widgets import (
     words,
 )
 
-DRAWN_READINGS = 50_000  # that a browser moves without a lag
+MAX_DRAWN_READINGS = 50_000  # that a browser draws without delay
 
 
-def drawn_rows(*drawn: np.ndarray) -> np.ndarray:
-    """Return the rows to draw, rising: all; or, of many, the lowest and highest of each of equal stretches.
-
-    The same rows are drawn in every panel, so that what is brushed in one lights up in the others.
+def decimate(*quantities: np.ndarray) -> np.ndarray:
+    """Return the rows to draw in all panels: all rows, or the minima and maxima of equal segments of many rows.
 
     Args:
-        drawn: residuals, output, (n,) each: no extreme of one is lost.
+        quantities: residuals, output, (n,) each, whose extremes are drawn.
     """
-    size = drawn[0].size
-    if size <= DRAWN_READINGS:
+    size = quantities[0].size
+    if size <= MAX_DRAWN_READINGS:
         return np.arange(size)
-    ends = np.linspace(0, size, DRAWN_READINGS // (2 * len(drawn)) + 1).astype(int)
-    stretch, chosen = np.repeat(np.arange(ends.size - 1), np.diff(ends)), np.zeros(size, bool)
-    for values in drawn:
-        order = np.lexsort((values, stretch))  # by stretch, and there by value
-        chosen[order[ends[:-1]]] = chosen[order[ends[1:] - 1]] = True
-    return np.flatnonzero(chosen)
+    ends = np.linspace(0, size, MAX_DRAWN_READINGS // (2 * len(quantities)) + 1).astype(int)
+    segment, is_drawn = np.repeat(np.arange(ends.size - 1), np.diff(ends)), np.zeros(size, bool)
+    for values in quantities:
+        order = np.lexsort((values, segment))  # by segment, then by value
+        is_drawn[order[ends[:-1]]] = is_drawn[order[ends[1:] - 1]] = True
+    return np.flatnonzero(is_drawn)
 
 
-AGAINST = "predicted output"  # over which the output is measured against predicted
+PREDICTED = "predicted output"  # covariate: the output is then drawn against its prediction
 
 
 class ResidualsOfState:
@@ -67,18 +65,18 @@ class ResidualsOfState:
     def __init__(self, step: Any, before: np.ndarray | None) -> None:
         """Args:
         step: the state's fit with its check.
-        before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
+        before: residuals of the step to compare with, output unit, (n,); None if there is none.
         """
         readings, columns = step.calibration.readings, ws.covariates_of(step.calibration)
         self.check: bc.Check = step.check
         self.before, self.runs = before, readings.groups("run")
         self.residual = np.asarray(self.check.residuals, float)
         self.measured = np.asarray(readings[readings.output], float)
-        # (n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts.
+        # (n,) each, by name; group members as numbers 0, 1, …; the last is the predicted output.
         self.covariates = {c.name: np.asarray(c.values, float) for c in columns}
-        self.covariates[AGAINST] = self.measured - self.residual
+        self.covariates[PREDICTED] = self.measured - self.residual
         self.unit = ws.unit_label(self.check.unit)
-        self.units = {c.name: ws.unit_label(c.unit or "") for c in columns} | {AGAINST: self.unit}
+        self.units = {c.name: ws.unit_label(c.unit or "") for c in columns} | {PREDICTED: self.unit}
         self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
 
     def worst(self, name: str) -> tuple[float, float] | None:
@@ -95,17 +93,17 @@ class ResidualsOfState:
     def start(self) -> list[str]:
         """Return the initial columns: the two continuous covariates with the strongest evidence, in order."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
-        chosen = ranked[:2] or [n for n in self.covariates if n != AGAINST][:2]
-        return [n for n in self.covariates if n in chosen] or [AGAINST]
+        chosen = ranked[:2] or [n for n in self.covariates if n != PREDICTED][:2]
+        return [n for n in self.covariates if n in chosen] or [PREDICTED]
 
     def sentence(self) -> str:
         """Describe the worst region of the strongest covariate in a sentence."""
         worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
         if worst is None:
-            return "No column varies: there is nothing to lay the residuals against."
+            return "No column varies: there is no covariate to plot the residuals against."
         rms = f"Residuals {self.check.rms:.3g} {self.unit} rms, noise {self.check.noise:.3g} {self.unit}. "
         if worst.log_bayes_factor < 0:
-            return rms + "No column says anything of them: no log Bayes factor is above zero."
+            return rms + "They depend on no column: no log Bayes factor is above zero."
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
@@ -115,19 +113,19 @@ class ResidualsOfState:
 
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
-LABEL_LETTERS = 48  # letters of a label
-LARGE_POINT_READINGS = 600  # readings up to which points are large
+MAX_LABEL_LETTERS = 48  # of an axis label
+MAX_LARGE_POINTS = 600  # number of readings up to which points are large
 NOISE, CURVE, FITTED, AT = "#8a939b", "curve", "fit", "at "
 
 
 class ColumnPanel:
-    """One column's output and residuals, one above the other, zoomed together.
+    """Output and residuals against one column, one above the other, with a common zoom.
 
-    It is made once for the readings; another state only replaces its data, since a new figure would cost the browser a
-    new layout of the whole page.
+    A panel is created once for the readings; another state only replaces its data, since a new figure would make the
+    browser lay out the whole page again.
 
     Attributes:
-        room: its container on the page.
+        room: container of the panel on the page.
     """
 
     def __init__(
@@ -139,11 +137,11 @@ class ColumnPanel:
         y_range: Range1d,
     ) -> None:
         """Args:
-        state: whose residuals are drawn.
-        name: of the column.
-        source: of all panels, whose readings are so brushed together; the column stands in it as `AT` and its name.
-        curves: the same of a preview's curve.
-        y_range: of the residuals, the same in all panels.
+        state: residuals to draw.
+        name: name of the column.
+        source: data source of all panels, for linked brushing; it has the column as `AT` + name.
+        curves: data source of a preview's curve.
+        y_range: range of the residuals, common to all panels.
         """
         self._name, x = name, AT + name
         self._x_range = range_over(state.covariates[name])
@@ -160,8 +158,8 @@ class ColumnPanel:
             fill_color=ws.plot_colours.RED, line_color=ws.plot_colours.RED, line_alpha=0.5, **plain
         )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
-        for ground in (self._noise, zero, self._worst):
-            figure.add_layout(ground)
+        for annotation in (self._noise, zero, self._worst):
+            figure.add_layout(annotation)
         _draw_compared(figure, x, "before", source)
         _draw_points(figure, x, "residual", source)
         _draw_curve(figure, x, CURVE, curves)
@@ -183,7 +181,9 @@ def _figure(
 ) -> Any:
     unit = state.units[name]
     figure = new_figure(
-        name[:LABEL_LETTERS] if name in state.levels else f"{name[:LABEL_LETTERS]} [{unit or '1'}]",
+        name[:MAX_LABEL_LETTERS]
+        if name in state.levels
+        else f"{name[:MAX_LABEL_LETTERS]} [{unit or '1'}]",
         label,
         tools=TOOLS,
         active_drag="box_select",
@@ -191,7 +191,7 @@ def _figure(
         x_range=x_range,
         y_range=y_range,
         output_backend="webgl",
-        # Their sum would be a property of the room of all, and a change of it one layout of the page more.
+        # Otherwise the container's minimum would be their sum, and its change another layout of the page.
         min_width=0,
         min_height=0,
     )
@@ -204,19 +204,19 @@ def _figure(
 
 
 def _draw_compared(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    """Draw the points of the step that this one is compared with."""
+    """Draw the points of the step to compare with, hollow."""
     hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
     _add_glyphs(figure, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
 
 
 def _draw_curve(figure: Any, x: str, name: str, source: ColumnDataSource) -> None:
-    """Draw a curve, a dot a reading."""
+    """Draw a curve as one dot per reading."""
     dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None, "fill_color": FIT}
     _add_glyphs(figure, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9})
 
 
 def _draw_points(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    size = 5 if len(source.data["row"]) <= LARGE_POINT_READINGS else 3.5
+    size = 5 if len(source.data["row"]) <= MAX_LARGE_POINTS else 3.5
     plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
     drawn = {"x": x, "y": y, "size": size, **plain}
     points = _add_glyphs(figure, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
@@ -336,7 +336,7 @@ class ResidualPane(Pane):
         """Fill the source with the drawn readings, for present panels and those to come."""
         assert self._state is not None
         now, before = self._state, self._state.before if self.beside.value else None
-        rows = drawn_rows(now.residual, now.measured)
+        rows = decimate(now.residual, now.measured)
         at: dict[str, Any] = {AT + n: now.covariates[n][rows] for n in {*coming, *self._made}}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
         levels, runs = now.runs[0], now.runs[1][rows]

@@ -1,7 +1,7 @@
-"""The lower part of the page: the error, and behind it what is needed less often; one at a time.
+"""Lower part of the page: tabs with the errors of all steps, comparison, verdict, files and Python script.
 
-The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
-Behind it are the comparison of two steps, the verdict, files as the command line writes them, and the steps in Python.
+The error tab has the tree of steps, with the path to the current one and buttons to go back, and the progress of the
+whole search. The other tabs compare two steps, show the verdict, write files, and show the steps in Python.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from bayescal._annexes.workbench.parts.widgets import (
 from bayescal._annexes.workbench.session_store import path_to
 
 WHOLE = (
-    # A picture in its room and its colours, with no ground of its own.
+    # The picture fills its container, in the page's colours and without a background.
     "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"
     ' [style="fill: #ffffff"] { fill-opacity: 0; }'
 )
 
 
 class ErrorPane(Pane):
-    """The bottom of the page: the report's picture of the way to the current step, and the tree of steps."""
+    """Pane of the errors: the report's picture of the path to the current step, and the tree of steps."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -53,7 +53,7 @@ class ErrorPane(Pane):
         self.view = column(buttons, halves(self.picture, self.rows), kinds=("bare", "error"))
 
     def show(self, state: Any) -> None:
-        """Show the tree of states; the picture has the path to the current one."""
+        """Show the tree of states, and the picture of the path to the current one."""
         states, current = self.session.states, state.number
         steps = [states[n].step.errors() for n in path_to(states, current)]
         self.picture.object = str(ws.Pictures().error(steps).body)
@@ -63,21 +63,21 @@ class ErrorPane(Pane):
         self.rows.busy = self.find.disabled = busy
 
     def searching(self, on: bool, text: str = "") -> None:
-        """Show whether the whole search is running, and its progress."""
+        """Show the progress of the whole search, and whether it is running."""
         self.halt.disabled = not on
         self.progress.object = text
 
 
 COLUMNS = ("step", "as fitted", "new run", "held-out", "noise floor", "P(complete)")
 STEP_ACTIONS = [
-    {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
-    {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
+    {"id": "compare", "label": "Compare", "title": "with the current step"},
+    {"id": "go", "label": "Go back", "title": "further changes branch off here"},
 ]
 TITLES = {"P(complete)": "probability that the model is complete"}
 
 
 def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the head, and a row for each state: its errors as `SearchPath` prints them, and its actions."""
+    """Return the table head, and a row per state: its errors as in a printed `SearchPath`, and its actions."""
     steps = []
     for n, state in sorted(states.items()):
         before, branch = states.get(state.parent), state.parent not in (None, n - 1)
@@ -102,12 +102,12 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
 
 
 def answer_text() -> Any:
-    """Make a room for a printed table, which scrolls."""
+    """Make a scrollable text pane for a printed table."""
     return words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
 
 
 class VerdictPane(Pane):
-    """The verdict: whether the result may be used, and why not."""
+    """Pane of the verdict: whether the result may be used, with reasons."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -122,7 +122,7 @@ class VerdictPane(Pane):
 
 
 class ComparePane(Pane):
-    """Two steps side by side."""
+    """Pane that compares the current step with another one."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -130,7 +130,7 @@ class ComparePane(Pane):
         self.which = field(pn.widgets.Select, "with step", options={}, width=200)
         self.which.param.watch(lambda _: self._chosen(), "value")
         about = (
-            "The step that is shown beside another one; its residuals stand in the panels, hollow."
+            "The current step compared with another one, whose residuals are hollow in the panels."
         )
         self.answer = answer_text()
         self.view = halves(column(words(about, "small"), row(self.which)), self.answer)
@@ -156,7 +156,7 @@ class ComparePane(Pane):
             self.bench.compare(self.which.value)
 
 
-# Label of the button → file, what it is.
+# Label of the button → file, description.
 FILES = {
     "Report": ("report.html", "For sign-off: a one-page summary, with appendices, in one file."),
     "C header": ("compensation.h", "Compensation as a C99 header."),
@@ -166,7 +166,7 @@ FILES = {
 
 
 class FilesPane(Pane):
-    """The report, and the compensation for firmware and programs: a button writes a file, then a link downloads it."""
+    """Pane of files, report and compensations: a button writes a file, then a link downloads it."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -189,13 +189,13 @@ class FilesPane(Pane):
 
 
 class PythonPane(Pane):
-    """The script that reproduces the steps up to this one."""
+    """Pane of the script that reproduces the steps up to the current one."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
         self.code = field(
             pn.widgets.TextAreaInput,
-            "The steps in Python: the same numbers",
+            "The steps in Python, with identical numbers",
             sizing_mode="stretch_both",
             css_classes=["code"],
             disabled=True,
@@ -213,7 +213,7 @@ ERROR = "The error"
 
 
 class Tabs(Pane):
-    """Tabs that select the lower pane; a pane is updated when it is opened, not before."""
+    """Tabs that select the lower pane; a pane is updated when its tab is opened."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -237,7 +237,7 @@ class Tabs(Pane):
         self._freshen()
 
     def open(self, name: str) -> None:
-        """Bring one to the front."""
+        """Select the tab `name`."""
         self.which.value = name
 
     def _freshen(self) -> None:

@@ -1,4 +1,4 @@
-"""Worker threads of the page: long jobs run in a thread while the page stays responsive."""
+"""Worker threads of the page, which run long jobs while the page stays responsive."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import panel as pn
 
 import bayescal as bc
 
-THREADS = 4  # a job, a search beside it, and previews
+N_THREADS = 4  # for a job, a search, and previews
 
 
 def do_nothing() -> None:
     """Do nothing."""
 
 
-def in_words(error: Exception) -> str:
-    """Return a thread's error in words for the page; log it if it is not a BayescalError."""
+def format_error(error: Exception) -> str:
+    """Format a thread's error for the page; log it if it is not a BayescalError."""
     if isinstance(error, bc.BayescalError):
         return str(error)
     logging.getLogger("bayescal").error("in the workbench", exc_info=error)
@@ -29,18 +29,18 @@ def in_words(error: Exception) -> str:
 
 
 class PageWorker:
-    """Worker pool of one page; results, and errors in words, are delivered in the page's own thread."""
+    """Worker pool of one page; results and error messages are delivered in the page's own thread."""
 
     def __init__(self, tell: Callable[[str, bool], None], busy: Callable[[bool], None]) -> None:
         """Args:
-        tell: `tell(words, refused)` says what is being done, "" when it is done, or why it could not be.
-        busy: told when the first job begins and the last ends.
+        tell: `tell(text, is_error)` shows the running jobs ("" for none), or an error message.
+        busy: `busy(is_busy)` is called when the first job begins and the last ends.
         """
         self._tell, self._busy = tell, busy
         self._document: Any = pn.state.curdoc
-        # Settings in force where the page was made hold for its work.
+        # Jobs use the settings that were in force when the page was created.
         self._context = copy_context()
-        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="workbench")
+        self._pool = ThreadPoolExecutor(N_THREADS, thread_name_prefix="workbench")
         self._latest_preview = object()
         self._under_way: list[tuple[str, bool]] = []  # jobs: status, changes
 
@@ -66,13 +66,13 @@ class PageWorker:
         failed: Callable[[], None] = do_nothing,
         is_current: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Run a job in a thread; `then(result)`, or `failed()`, follows on the page.
+        """Run a job in a thread, then call `then(result)`, or `failed()` after an error, on the page.
 
         Args:
             job, then, failed: see above.
-            status: what is said of it; empty where nothing is.
-            changes: whether it may change the session; the page is busy meanwhile.
-            is_current: whether the result is still wanted.
+            status: description of the job on the page; empty for none.
+            changes: whether the job may change the session; the page is busy meanwhile.
+            is_current: returns whether the result is still needed.
         """
 
         def work() -> None:
@@ -80,7 +80,7 @@ class PageWorker:
             try:
                 follow = partial(then, job()) if is_current() else do_nothing
             except Exception as error:
-                follow = partial(self._refuse, in_words(error), failed)
+                follow = partial(self._refuse, format_error(error), failed)
             self.on_page(partial(self._finish, entry, follow if is_current() else do_nothing))
 
         entry = status, changes
@@ -90,7 +90,7 @@ class PageWorker:
         self._pool.submit(self._context.copy().run, work)
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
-        """Compute a preview, which a later one replaces."""
+        """Compute a preview; a later one replaces it."""
         token = self._latest_preview = object()
         self.run(job, then, is_current=lambda: token is self._latest_preview)
 
@@ -99,7 +99,7 @@ class PageWorker:
         self._latest_preview = object()
 
     def close(self) -> None:
-        """Shut the pool down; jobs that have not begun are dropped."""
+        """Shut down the pool; jobs that have not begun are cancelled."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _finish(self, entry: tuple[str, bool], follow: Callable[[], None]) -> None:
@@ -113,6 +113,6 @@ class PageWorker:
         failed()
 
     def _follow(self) -> None:
-        """Disable or enable changes of the model, and say what is under way."""
+        """Disable or enable changes of the model, and show the running jobs."""
         self._busy(self.busy)
         self._tell("; ".join(status for status, _ in self._under_way), False)

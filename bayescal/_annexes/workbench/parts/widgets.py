@@ -1,7 +1,7 @@
-"""Widgets of the page: its style, text, buttons, choices, rows and columns, figures, panes.
+"""Widgets of the page: style, text, buttons, choices, rows and columns, figures, panes.
 
-Text is always text, never HTML, whatever a file or an effect is called. Colours that carry a meaning: Okabe and Ito,
-"Color universal design" (2008).
+Text is never interpreted as HTML, including names of files and effects. Colours with a meaning are those of Okabe and
+Ito, "Color universal design" (2008).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ PLAIN = (FOLDER / "plain.css").read_text("utf-8")  # text
 RADIO = (FOLDER / "radio.css").read_text("utf-8")  # choices
 
 
-# Of figures, whose ground is the page's, light or dark: each is legible on both.
+# Colours of figures, legible on a light and on a dark page.
 INK, FIT, LINE = "#7a838b", "#d1007a", "#8a939b55"
 RUNS = ws.plot_colours.CYCLE
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 
 
 def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
-    """Make an empty Bokeh figure that fills its container; `$$` in a label begins no formula."""
+    """Make an empty Bokeh figure that fills its container; `$$` in a label is not read as a formula."""
     fig: Any = figure(
         **{
             "sizing_mode": "stretch_both",
@@ -65,10 +65,10 @@ def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
 
 
 def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
-    """Make a range with a margin at either end, to which a reset returns; with unchanged ends the view stays."""
+    """Make an axis range over values with a margin, to which a reset returns; keep a zoomed view if it is unchanged."""
     low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
-    room = 0.06 * (high - low) or abs(high) or 1.0
-    start, end = low - room, high + room
+    margin = 0.06 * (high - low) or abs(high) or 1.0
+    start, end = low - margin, high + margin
     axis = Range1d() if view is None else view
     if (axis.reset_start, axis.reset_end) != (start, end):
         axis.update(start=start, end=end, reset_start=start, reset_end=end)
@@ -76,7 +76,7 @@ def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
 
 
 class Text(pn.pane.Str):
-    """Panel's pane of text, which shows `<b>` in bold: here it stays text; a table, which may scroll, takes focus."""
+    """Text pane without HTML (Panel's would show `<b>` in bold); a table, which may scroll, accepts focus."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
         model = super()._transform_object(ws.html_text(obj) if obj else "")
@@ -87,20 +87,20 @@ class Text(pn.pane.Str):
 
 
 def words(text: str = "", *kinds: str, **settings: Any) -> Text:
-    """Make a text; `kinds`: "title", "small" (quiet), "table" (a printed one), "refused"."""
+    """Make a text of style classes `kinds`: "title", "small", "table" (a printed table), "refused" (an error)."""
     settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
     return Text(text, **settings)
 
 
-def button(label: str, press: Any, **settings: Any) -> pn.widgets.Button:
-    """Make a button in the page's style; `press` is called with the event."""
+def button(label: str, on_click: Any, **settings: Any) -> pn.widgets.Button:
+    """Make a button in the page's style; `on_click` is called with the event."""
     widget = field(pn.widgets.Button, label, **{"align": "center", **settings})
-    widget.on_click(press)
+    widget.on_click(on_click)
     return widget
 
 
 def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.Row:
-    """Lay children out in a row, wrapped where there is no room."""
+    """Lay children out in a row, wrapped if the page is too narrow."""
     kinds = ("line", *kinds)
     return pn.Row(*children, css_classes=list(kinds), stylesheets=[INSIDE], margin=0, **settings)
 
@@ -112,7 +112,7 @@ def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) 
 
 
 def halves(first: Any, second: Any) -> pn.Column:
-    """Lay two parts out side by side, the first narrower; stacked where there is no room."""
+    """Lay two parts out side by side, the first narrower; stacked if the page is too narrow."""
     return column(first, second, kinds=("halves",))
 
 
@@ -134,7 +134,7 @@ def download(label: str, **settings: Any) -> pn.widgets.FileDownload:
 
 
 def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
-    """Make radio buttons, which the keyboard reaches, unlike Bokeh's tabs and button groups."""
+    """Make radio buttons, which are accessible by keyboard, unlike Bokeh's tabs and button groups."""
     how: dict[str, Any] = {"options": options, "value": value, "inline": True}
     return field(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, RADIO], **how)
 
@@ -152,12 +152,12 @@ class Rows(JSComponent):
         rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title"}], "group",
             "kind", "current", "note"}; `bar` from 0 to 1.
         head: titles of a table's columns.
-        table: whether it is one.
-        pointing: whether pointing at a row, with the pointer or the keyboard, counts.
-        pointed: the row pointed at last; empty for none.
-        busy: whether its buttons are disabled for now.
-        label: its name for those who hear the page.
-        kind: class of its style.
+        table: whether it is a table.
+        pointing: whether hovering over or focusing on a row sets `pointed`.
+        pointed: id of the row last pointed at; empty for none.
+        busy: whether the buttons are disabled.
+        label: label for screen readers.
+        kind: style class.
     """
 
     rows = param.List(default=[], item_type=dict)
@@ -179,7 +179,7 @@ class Rows(JSComponent):
         self._on_press = on_press
 
     def _handle_msg(self, data: Any) -> None:
-        """Handle a press in the browser, if the row and its action exist and are enabled."""
+        """Handle a click in the browser, if the row and its action exist and are enabled."""
         if self._on_press is None or self.busy or not isinstance(data, dict):
             return
         pressed = data.get("row"), data.get("action")
@@ -188,11 +188,11 @@ class Rows(JSComponent):
 
 
 class Pane:
-    """A part of the page.
+    """Base class of the panes of the page.
 
     Attributes:
-        bench, session: the whole page (`app.Workbench`), through which a pane acts, and what it is over.
-        view: what Panel shows.
+        bench, session: the page (`app.Workbench`), through which a pane acts, and its session.
+        view: Panel view of the pane.
     """
 
     view: Any
