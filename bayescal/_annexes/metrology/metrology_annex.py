@@ -56,12 +56,8 @@ def export_certificate(command: ws.ExportCommand) -> ws.Answer:
         )
     calibration = ws.load_saved(path, command)
     if command.limit:
-        options = {
-            "members": command.members,
-            "local_gravity": gravity,
-            **command.decision_options(),
-        }
-        decisions = bc.decide(calibration, command.limit, **options)
+        kwargs = command.decision_options() | {"members": command.members, "local_gravity": gravity}
+        decisions = bc.decide(calibration, command.limit, **kwargs)
     text = dcc_text(calibration, command.certificate, gravity, decisions)
     if command.out is not None:
         text = f"written: {ws.write_text(text, command.out)}"
