@@ -66,7 +66,7 @@ def test_the_certificate_of_a_table_is_that_of_its_rate(readings, tmp_path) -> N
 
 REFUSED = {
     "not a certificate": ("dcc:digitalCalibrationCertificate", "dcc:other"),
-    "a document type": ("<dcc:digitalCalibrationCertificate", "<!DOCTYPE a []>\n<dcc:digital"),
+    "DOCTYPE": ("<dcc:digitalCalibrationCertificate", "<!DOCTYPE a []>\n<dcc:digital"),
     "no uncertainty": ("uncertaintyXMLList", "other"),
     "no table": ("basic_measurementError", "error"),
     "another dimension": (r"\kelvin", r"\volt"),

@@ -182,7 +182,7 @@ def change(session: Session, **told: object) -> None:
 @pytest.mark.parametrize("told", [{"current": "one"}, {"current": 7}, {"schema": ""}])
 def test_a_session_that_was_changed_is_refused(session: Session, told: dict) -> None:
     change(session, **told)
-    with pytest.raises(bc.InputError, match="no session that can be gone on with"):
+    with pytest.raises(bc.InputError, match="no session that can be resumed"):
         again(session)
 
 
