@@ -8,7 +8,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from datetime import date
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 # Two test processes on two cores: threads of a linear-algebra library would be in each other's way.
@@ -44,7 +43,6 @@ FIRST = "PYTEST_XDIST_WORKER" not in os.environ
 if FIRST:
     os.environ[references.FOLDER] = tempfile.mkdtemp(prefix="bayescal-tests-")
 
-CERTIFIED_DATA = Path(__file__).with_name("data")
 BEGAN = time.monotonic()
 
 
@@ -111,9 +109,3 @@ def rng() -> np.random.Generator:
     import numpy as np
 
     return np.random.default_rng(SEED)
-
-
-@pytest.fixture(scope="session")
-def certified_data() -> Path:
-    """Folder of certified data sets and reference posteriors; its README names their sources."""
-    return CERTIFIED_DATA

@@ -53,14 +53,8 @@ def test_an_honest_entry_is_answered(tasks: Path, tmp_path: Path) -> None:
     assert "failed" not in answer and answer["sets"] == [[[], 0.5]] and answer["seconds"] > 0
 
 
-# Of ways that end alike, one in the fast tests.
-ALIKE = ("truth", "truth unbuffered", "fork", "maker")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "how", [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS]
-)
+@pytest.mark.parametrize("how", CHEATS)
 def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) -> None:
     act, said = CHEATS[how]
     act = act.replace("TRUTH", repr(str(tasks / "task_000" / "truth.json")))

@@ -49,9 +49,3 @@ def test_channels_are_calibrated_saved_and_reported(folder: Path) -> None:
     reported = run("report", folder / "result", "--out", folder / "unit.html")
     assert reported.status == 0, reported.err
     (folder / "unit.html").read_text("utf-8")
-
-
-def test_missing_channel_is_refused(folder: Path) -> None:
-    ran = run(*command(folder), "--channels", "gyro_x,gyro_y", "--out", folder / "none")
-    assert ran.status == 2
-    assert not (folder / "none").exists()

@@ -31,6 +31,9 @@ def test_fit_as_json() -> None:
     assert slope["mean"] == pytest.approx(0.0535, abs=2e-4)
     assert said["reference"]["T0"] == 57
     assert said["verdict"]["ok"] is True
+    larger = ("--structure", "quadratic", "--add", "bias.temperature_cubic")
+    said = run("fit", TABLE, *GYRO, *QUICK, *larger, "--json").data
+    assert {"bias.temperature_quadratic", larger[-1]} <= {c["name"] for c in said["coefficients"]}
 
 
 def test_a_saved_calibration_is_checked_discovered_and_predicted(

@@ -73,13 +73,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_name_is_that_of_everything_in_c(saved: Path, tmp_path: Path) -> None:
-    done = run("export", saved / "gyro.nc", "--name", "left", "--out", tmp_path / "a.h")
-    assert done.status == 0, done.err
-    assert "left_compensate(" in (tmp_path / "a.h").read_text("utf-8")
-    assert "mems_gyro_" not in (tmp_path / "a.h").read_text("utf-8")
-
-
 @pytest.mark.slow
 def test_without_uncertainty(saved: Path) -> None:
     for file in ("gyro.nc", "accelerometer_triad.nc"):

@@ -36,13 +36,6 @@ def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folde
     assert with_them == without
 
 
-def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> None:
-    assert loop.status == 0
-    checked = run("check", folder / "loop" / "calibration.nc", "--json").data
-    last = [e for e in loop.data["check"] if e["step"] == len(loop.data["steps"]) - 1]
-    assert [e["against"] for e in checked] == [e["against"] for e in last]
-
-
 @pytest.mark.slow
 def test_the_demonstration(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--json")

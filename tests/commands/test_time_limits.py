@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
@@ -134,14 +133,6 @@ def test_what_is_missing_is_not_stated_without_time(readings) -> None:
     assert all(c.probability is None for c in found.candidates)
 
 
-def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
-    devices = {f"D{i}": mems_gyro.simulate(seed=i) for i in range(3)}
-    model = mems_gyro.INSTRUMENT.baseline()
-    found = bc.fit_batch(model, devices, time_limit=NO_TIME)
-    assert {*found.devices} == {*devices} and not found.missing
-    assert all(fit.ok or fit.reason for fit in found)
-
-
 def shown(structure: dict) -> str:
     """A structure of result.json as progress tells of it."""
     noise = [f"{structure['noise']} noise"] if structure["noise"] else []
@@ -149,36 +140,30 @@ def shown(structure: dict) -> str:
     return "+ " + " + ".join(named) if named else "nothing to add"
 
 
-BEST = re.compile(r"(bayescal: (?P<channel>\w+), ch)?.*best so far: (?P<best>.*?), \S+ \S+ rms")
+BEST = re.compile(r"best so far: (.*?), \S+ \S+ rms")
 
 
 class Ended(NamedTuple):
-    """A process: its exit status, the best of each channel that it told of last, and s that it took after the end
-    that it was given."""
+    """A process: its exit status, and the best that it told of last, if any."""
 
     status: int
-    best: dict[str, str]
-    late: float
+    best: str
 
 
-def ended(
-    words: list[str], pressed: Callable[[float, str], bool], folder: Path, limit: float = np.inf
-) -> Ended:
+def ended(words: list[str], pressed: Callable[[float, str], bool], folder: Path) -> Ended:
     """Run a command, Ctrl-C pressed once where `pressed(s since its start, what stands on stderr)` says so."""
-    begun, at, said = time.monotonic(), limit, folder / "stderr.txt"
+    begun, once, said = time.monotonic(), False, folder / "stderr.txt"
     with said.open("w") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "bayescal", *words], stdout=subprocess.DEVNULL, stderr=file
         )
     while process.poll() is None:
-        since = time.monotonic() - begun
-        if at == np.inf and pressed(since, said.read_text("utf-8")):
+        if not once and pressed(time.monotonic() - begun, said.read_text("utf-8")):
             process.send_signal(signal.SIGINT)
-            at = since
+            once = True
         time.sleep(0.02)
-    told = filter(None, map(BEST.match, said.read_text("utf-8").splitlines()))
-    best = {one["channel"] or "": one["best"] for one in told}
-    return Ended(process.wait(), best, time.monotonic() - begun - at)
+    told = BEST.findall(said.read_text("utf-8"))
+    return Ended(process.wait(), told[-1] if told else "")
 
 
 def agrees(folder: Path, best: str) -> None:
@@ -210,14 +195,13 @@ def simulated(instrument: str, hidden: tuple[str, ...], folder: Path) -> list[st
     return ["calibrate", str(file), "--instrument", instrument, "--out", out]
 
 
-def left(done: Ended, out: Path, best: Callable[[Path], dict[Path, str]]) -> None:
+def left(done: Ended, out: Path) -> None:
     """A process has left the best that it told of, or nothing where Ctrl-C came before the first model."""
     if done.status in (130, -signal.SIGINT):  # the latter before Python has loaded the command
         assert not done.best and not out.exists()
         return
     assert done.status in (0, 1)
-    for folder, told in best(out).items():
-        agrees(folder, told)
+    agrees(out, done.best or "nothing to add")
 
 
 MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", "ctrl-c")]
@@ -226,7 +210,7 @@ MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", 
 def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ended:
     """Run a command that ends after so many seconds: of its limit, or by Ctrl-C once it tells of a best."""
     if kind == "limit":
-        return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder, moment)
+        return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder)
     told = list[float]()
 
     def pressed(since: float, said: str) -> bool:
@@ -267,7 +251,7 @@ def test_command_with_a_time_limit_of_zero_answers(command) -> None:
 def test_ctrl_c_during_process_start(seconds: float, tmp_path) -> None:
     command = simulated(*CALIBRATED[0], tmp_path)
     done = ended(command, lambda since, _: since > seconds, tmp_path)
-    left(done, tmp_path / "out", lambda out: {out: done.best.get("", "nothing to add")})
+    left(done, tmp_path / "out")
 
 
 @needs_installation
@@ -278,29 +262,4 @@ def test_last_checkpoint_is_returned_at_any_interruption(number, which, kind, tm
     command = simulated(*CALIBRATED[which], tmp_path)
     moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
     done = ended_at(moment, kind, command, tmp_path)
-    left(done, tmp_path / "out", lambda out: {out: done.best.get("", "nothing to add")})
-
-
-@needs_installation
-@pytest.mark.nightly
-@pytest.mark.usefixtures("at_a_terminal")
-@pytest.mark.parametrize("kind", ["limit", "ctrl-c"])
-@pytest.mark.parametrize("moment", [3.0, 8.0, 15.0, 25.0])
-def test_every_channel_is_returned_at_any_interruption(moment: float, kind: str, tmp_path) -> None:
-    names = [f"output_{i}" for i in range(6)]
-    made = [still_sensor.simulate({HIDDEN: 8.0 * (i < 3)}, seed=i, runs=1) for i in range(6)]
-    columns = {"time [s]": made[0]["time"], "temperature [degC]": made[0]["temperature"]}
-    unit = made[0].unit("output")
-    columns |= {f"{n} [{unit}]": m["output"] for n, m in zip(names, made, strict=True)}
-    pd.DataFrame(columns).to_csv(tmp_path / "unit.csv", index=False)
-    out = tmp_path / "out"
-    command = ["calibrate", str(tmp_path / "unit.csv"), "--instrument", "still_sensor"]
-    command += ["--channels", ",".join(names), "--out", str(out)]
-    done = ended_at(moment, kind, command, tmp_path)
-
-    def best(out: Path) -> dict[Path, str]:
-        told = json.loads((out / "channels.json").read_text("utf-8"))["channels"]
-        assert [*told] == names
-        return {out / told[n]["folder"]: done.best.get(n, "nothing to add") for n in names}
-
-    left(done, out, best)
+    left(done, tmp_path / "out")

@@ -139,12 +139,11 @@ def contributions(
 
 
 STEP = 1e-6  # of a slot
-TRIADS = [name for name in INSTRUMENTS if name.endswith("triad")]  # whose response takes time
 SETTINGS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # of a shape, standard deviations of its prior
 NEAR = 0.4  # of its root mean square, what a basis may leave of the effect that it stands for
 
 
-@pytest.mark.parametrize("case", slow_but({*INSTRUMENTS} - {*TRIADS}, INSTRUMENTS), indirect=True)
+@pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)
 def test_a_hidden_candidate_is_as_large_as_stated_and_near_its_basis(case: Case) -> None:
     plain = {}
     for effect in case.instrument.candidates:

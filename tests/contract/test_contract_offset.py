@@ -15,7 +15,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import INSTRUMENTS, still_sensor
 from tests.support.contract_cases import Case, columns_of
-from tests.support.inside import why_not_testable
+from tests.support.inside import why_untestable
 
 ACROSS = ("across_x", "across_y", "across_z")
 
@@ -70,7 +70,7 @@ class Offset:
         """By least squares: of the model, and with one effect more."""
         readings = self.at(offset)
         candidates = self.instrument.candidates
-        more = next(e for e in candidates if why_not_testable(e, readings) is None)
+        more = next(e for e in candidates if why_untestable(e, readings) is None)
         models = (self.model, self.model + more)
         return tuple(bc.fit(m, readings, LS, strict=False) for m in models)
 

@@ -12,7 +12,18 @@ import bayescal as bc
 from bayescal import effects
 from bayescal_models import still_sensor
 from tests.contract.every_effect import EFFECTS, MADE
+from tests.support.tiers import slow_but
 
+# One of each way through a fit: of a group, of a body, of an uncertain and a corrected column, of one's own prior.
+FAST = (
+    "deviation",
+    "quadratic",
+    "temperature_x_lag",
+    "thermometer",
+    "thermometer_offset",
+    "unknown",
+    "jump",
+)
 INSTRUMENT = still_sensor.instrument("ug", size=2000.0, span=40.0, pace=3.0)
 
 
@@ -34,7 +45,7 @@ def test_every_effect_factory_is_tested() -> None:
     assert makers - {"__loader__"} == set(MADE), "give an effect of each maker in every_effect.py"
 
 
-@pytest.mark.parametrize("maker", MADE)
+@pytest.mark.parametrize("maker", slow_but(FAST, MADE))
 def test_effect_is_fitted_printed_checked_saved_and_loaded(maker: str, tmp_path: Path) -> None:
     c = fitted(maker)
     assert c.verdict.ok

@@ -63,13 +63,6 @@ def test_a_nuisance_that_does_not_act_in_use_is_named_as_the_source() -> None:
     assert readings.kind == "A" and readings.share < 0.1
 
 
-def test_k_and_noise_are_said_and_multiply(gyro) -> None:
-    assert gyro.k == 2.0 and gyro.expanded == 2.0 * gyro.uncertainty
-    np.testing.assert_allclose(gyro.expanded_reading, 2 * np.hypot(gyro.uncertainty, gyro.noise))
-    text = str(gyro)
-    assert "scale.constant" in text and "ppm" in text
-
-
 def test_of_few_runs_the_coverage_is_said_to_be_short_and_their_spread_is_type_a() -> None:
     readings = mems_gyro.simulate({"bias.run": 0.05}, seed=2, campaign=mems_gyro.Campaign(runs=3))
     model = mems_gyro.INSTRUMENT.baseline() + "bias.run"

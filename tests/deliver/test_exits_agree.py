@@ -1,4 +1,4 @@
-"""Every way out of a calibration gives one number: readings as a whole, from a file, in C and in Python row by row."""
+"""Every way out of a calibration gives one number: readings as a whole, in C and in Python row by row."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ import bayescal as bc
 from bayescal_models import (
     inclinometer,
     mems_gyro,
-    ng_accelerometer,
-    quartz_beam_accelerometer,
     still_sensor,
 )
 from tests.support.export_check import identifier, needs_compiler, run_c, tilted
-from tests.support.inside import compensate_file, text_of
+from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 from tests.support.tiers import slow_but
 
@@ -58,12 +56,6 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
         *(mems_gyro, "scale.constant", "bias.rate", "bias.thermal_lag", "bias.run"),
         "unknown:temperature",
         campaign=mems_gyro.Campaign(average=300, runs=3, rate_input=(0.0, 100.0, -100.0)),
-    ),
-    "ng accelerometer": lambda: of(
-        ng_accelerometer, "bias.thermal_lag", "bias.rate", "bias.warm_up", "bias.run"
-    ),
-    "quartz beam": lambda: of(
-        quartz_beam_accelerometer, "bias.thermal_lag", "bias.rate_head", "bias.drift", "bias.run"
     ),
     "still sensor": lambda: of(
         still_sensor, "bias.thermal_lag", "bias.thermal_lag_slow", "bias.rate", "bias.warm_up"
@@ -178,16 +170,3 @@ def test_python_fed_row_by_row(case) -> None:
             record.update(*now, dt=dt)
             found.append(record.correct(output)[:3])
     agree(np.array(found), wanted)
-
-
-def test_a_file(case, tmp_path: Path) -> None:
-    compensator, readings, wanted = case
-    table = tmp_path / "readings.csv"
-    readings.write(table)
-    # Some have times of the fit, and no date: where they begin on its clock is said.
-    begin = f"{float(readings['time'].min())!r} s" if readings.has("time") else ""
-    how: dict[str, Any] = {"method": "first order", "begin": begin}
-    done = compensate_file(compensator, table, tmp_path / "out.csv", **how)
-    kept = np.genfromtxt(done.file, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    names = (kept.dtype.names or ())[-2:]
-    agree(np.column_stack([kept[n] for n in names]), wanted[:, [0, 2]])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -240,11 +239,6 @@ def test_density_below_a_low_pass_is_not_seen() -> None:
     data = bc.Measurements.from_arrays(GYRO, time=0.01 * np.arange(1500), output=output)
     found = bc.noise(data)
     assert symbol(found, "N").bound and "noise.no_level" in codes(found)
-
-
-@cache
-def curve() -> bc.AllanDeviation:
-    return bc.allan_deviation(still(1, n=100))
 
 
 def log(path: Path, output: np.ndarray, labels=None, name: str = "device") -> Path:

@@ -10,7 +10,6 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
 
 
@@ -55,14 +54,3 @@ def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
         pq.write_table(changed, other, write_page_checksum=True)
         with pytest.raises(bc.InputError):
             bc.load_batch(other)
-
-
-@needs_installation
-def test_the_command_writes_the_table(tmp_path) -> None:
-    made = table(count=4)
-    made.loc[made.device == "D02", "temperature [degC]"] = 25.0
-    lot, out = tmp_path / "lot.csv", tmp_path / "result.parquet"
-    made.to_csv(lot, index=False)
-    ended = run("batch", lot, *GYRO, "-o", out)
-    assert ended.status == 1  # for D02; the others are written
-    assert bc.load_batch(out).ok.tolist() == [True, True, False, True]

@@ -101,18 +101,3 @@ def _over_noise(one: bc.Measurements) -> tuple[np.ndarray, np.ndarray]:
     w /= w.sum()
     mean, apart = w @ np.array(means), np.array(means) - w @ np.array(means)
     return mean, np.einsum("k,kij->ij", w, inners) + np.einsum("k,ki,kj->ij", w, apart, apart)
-
-
-@pytest.mark.slow
-def test_records_in_time_are_fitted_as_alone() -> None:
-    model = MODEL + "bias.thermal_lag"
-    made = {f"G{s}": mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=s) for s in range(3)}
-    found = bc.fit_batch(model, made)
-    assert found.ok.all()
-    for name, one in made.items():
-        alone = bc.fit(model, one, bc.LeastSquares())
-        for unknown in ("bias.constant", "bias.temperature", "bias.thermal_lag"):
-            draws = alone.samples(unknown)
-            np.testing.assert_allclose(
-                found[name][unknown], (draws.mean(), draws.std(ddof=1)), rtol=1e-3
-            )

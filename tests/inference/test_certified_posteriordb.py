@@ -8,27 +8,23 @@ import pytest
 
 from benchmarks.accuracy import posteriordb
 
+FOLDER = Path(__file__).parents[1] / "data" / "posteriordb"
 SHIFT = 0.05
 # The others are slow only by their number.
 FAST = (posteriordb.SCHOOLS,)
-
-
-@pytest.fixture
-def folder(certified_data: Path) -> Path:
-    return certified_data / "posteriordb"
 
 
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in posteriordb.PROBLEMS],
 )
-def test_reference_posterior_is_reproduced(name, folder) -> None:
-    fit, rows = posteriordb.compare(name, folder)
+def test_reference_posterior_is_reproduced(name) -> None:
+    fit, rows = posteriordb.compare(name, FOLDER)
     assert fit.verdict.ok
     for row in rows:
         assert abs(row.shift) < SHIFT, row
         assert abs(row.ratio - 1) < row.ratio_allowed, row
 
 
-def test_every_stored_reference_posterior_is_compared(folder) -> None:
-    assert {p.name for p in folder.iterdir() if p.is_dir()} == set(posteriordb.PROBLEMS)
+def test_every_stored_reference_posterior_is_compared() -> None:
+    assert {p.name for p in FOLDER.iterdir() if p.is_dir()} == set(posteriordb.PROBLEMS)

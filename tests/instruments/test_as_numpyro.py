@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from numpyro import handlers
 from numpyro.diagnostics import effective_sample_size
+from numpyro.infer import MCMC, NUTS
 from numpyro.infer.util import log_density
 
 import bayescal as bc
 from bayescal_models import INSTRUMENTS
-from tests.support.in_numpyro import draws
+from bayescal_models.mems_gyro import as_numpyro as mems_gyro
 from tests.support.tiers import slow_but
 
 # Of the others the latent quantities are not the framework's own: nothing but draws compares.
@@ -69,6 +70,21 @@ def standard(name: str, value: Any, site: dict[str, Any]) -> tuple[str, Any]:
         return name, value
     z = (value - np.asarray(law.mean)) / np.sqrt(np.asarray(law.variance))
     return f"{name}.standard", np.atleast_1d(z)
+
+
+def draws(module: ModuleType, readings: bc.Measurements) -> dict[str, np.ndarray]:
+    """Draws of every site, of one chain of NUTS, by the lines that `as_numpyro.py` prints."""
+    said = module if "nuts = " in str(module.__doc__) else mems_gyro
+    lines = [line.strip() for line in str(said.__doc__).splitlines()]
+    at = next(i for i, line in enumerate(lines) if line.startswith("nuts = "))
+    names: dict[str, Any] = {**vars(module), "NUTS": NUTS, "MCMC": MCMC, "readings": readings}
+    with jax.enable_x64(True):
+        names["key"] = jax.random.key(0)
+        exec(lines[at], names)
+        made, run = lines[at + 1].split(".run", 1)
+        chain = eval(made.replace(")", ", progress_bar=False)"), names)
+        eval(f"chain.run{run}", {**names, "chain": chain})
+    return {name: np.asarray(values) for name, values in chain.get_samples().items()}
 
 
 @pytest.mark.nightly

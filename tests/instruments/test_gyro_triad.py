@@ -55,8 +55,8 @@ def test_readings_of_one_direction_are_of_one_mounting_unless_it_is_said() -> No
     [
         ("bias.g_sensitivity", 0.02),
         ("bias.thermal_lag", (0.0, 0.005, 0.0)),  # of one axis
-        pytest.param("misalignment.temperature", 0.02, marks=pytest.mark.slow),
-        pytest.param("square.constant", 1.0, marks=pytest.mark.slow),
+        ("misalignment.temperature", 0.02),
+        ("square.constant", 1.0),
     ],
 )
 def test_a_hidden_effect_is_found(name: str, size: Any) -> None:

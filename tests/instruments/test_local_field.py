@@ -86,7 +86,7 @@ def test_wrongly_stated_field_is_reported(field: float, tmp_path: Path) -> None:
     assert np.allclose(ratios, SCALE / SCALE.mean(), atol=0.02)
 
 
-def test_poses_of_a_log_keep_what_its_outputs_read(tmp_path: Path) -> None:
+def test_poses_of_a_log_keep_what_its_outputs_read() -> None:
     random = np.random.default_rng(2)
     field = random.standard_normal((12, 3))
     field *= 31.0 / np.linalg.norm(field, axis=1)[:, None]

@@ -142,23 +142,6 @@ def test_two_thermometers_hold_on_ramps_of_other_speeds(
         assert left(two, held) < 25 < 200 < left(one, held)
 
 
-@pytest.mark.slow
-def test_order_of_the_structures_on_held_out_ramps() -> None:
-    plan = {"device": "beams", "frequency_sum": True}
-    readings = quartz.simulate(seed=1, campaign=quartz.Campaign(ramp_speeds=(1.0, 3.0), **plan))
-    held = quartz.Campaign(repeats=0, attitudes=(0.0,), ramp_speeds=(2.0,), **plan)
-    models = {
-        "two thermometers": quartz.two_thermometers(),
-        "frequency sum": quartz.of_frequency_sum(),
-        "rate": quartz.with_rate(),
-        "t1, 3": quartz.of_circuit(3),
-        "t1, 1": quartz.of_circuit(1),
-    }
-    error = {n: left(bc.fit(m, readings, bc.LeastSquares()), held) for n, m in models.items()}
-    assert sorted(error, key=error.__getitem__) == list(models)
-    assert 2 * error["two thermometers"] < error["frequency sum"]
-
-
 def test_frequency_is_converted_to_micro_g() -> None:
     made = bc.Measurements.from_arrays(
         quartz.INSTRUMENT,

@@ -10,28 +10,12 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
 from bayescal_models.mems_gyro.simulator import simulated_columns
-from tests.support.command_line import QUICK, needs_installation, run
 
 UNITS = [
     ("m/s^2", "ug", 1e6 / 9.80665), ("mg", "ug", 1e3), ("rad/s", "deg/s", 180 / np.pi),
     ("dps", "deg/s", 1.0), ("arcsec", "rad", np.pi / 648000), ("mV", "V", 1e-3), ("kHz", "Hz", 1e3),
     ("degC", "degC", 1.0), ("1", "1", 1.0),
 ]  # fmt: skip
-
-
-LOGGER_COLUMNS = {"output": "acc_x", "time": "t_s", "temperature": "temp"}
-LOGGER_UNITS = {"t_s": "s", "temp": "degC"}
-
-
-def log(folder: Path, rows: int = 200) -> tuple[Path, np.ndarray]:
-    """A logger's file whose headers have no units, and its channel."""
-    t = np.linspace(0, 3000, rows)
-    temperature = 20 + 30 * np.sin(t / 600)
-    channel = -9.49 + 0.01 * temperature + 0.003 * np.cos(17 * t)
-    path = folder / "imu.csv"
-    table = np.column_stack([t, temperature, channel])
-    np.savetxt(path, table, delimiter=",", header="t_s,temp,acc_x", comments="", fmt="%.9g")
-    return path, channel
 
 
 @pytest.mark.parametrize(("logged", "kept", "factor"), UNITS)
@@ -50,20 +34,6 @@ def test_a_channel_is_kept_in_the_fixed_unit_of_its_kind(logged, kept, factor) -
     instrument = still_sensor.INSTRUMENT.for_readings(readings)
     assert instrument.unit == instrument.slot("bias").unit == kept
     assert instrument.effect("bias.rate").coefficients[0].unit == f"{kept}/(degC/min)"
-
-
-@needs_installation
-def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
-    path, channel = log(tmp_path)
-    asked = [f"--columns={ours}={theirs}" for ours, theirs in LOGGER_COLUMNS.items()]
-    units = {**LOGGER_UNITS, "acc_x": "m/s^2"}.items()
-    asked += [f"--unit={column}={unit}" for column, unit in units]
-    asked += ["--structure", "quadratic", "--add", "bias.hysteresis", "--out", str(tmp_path / "o")]
-    assert run("fit", path, "--instrument", "still_sensor", *asked, *QUICK).status in (0, 1)
-    found = bc.load(tmp_path / "o" / "calibration.nc")
-    np.testing.assert_allclose(found.readings["output"], channel * 1e6 / 9.80665, rtol=1e-8)
-    assert found.model.instrument.tailor is None and found.unit == "ug"
-    assert found.model.names[-2:] == ("bias.temperature_quadratic", "bias.hysteresis")
 
 
 def test_plausible_sizes_grow_with_the_record_and_say_so() -> None:

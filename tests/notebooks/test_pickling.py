@@ -67,17 +67,6 @@ def test_nothing_is_compiled_again(calibration) -> None:
     assert compiled(same) == []
 
 
-def test_results_of_a_search(calibration) -> None:
-    readings = calibration.readings
-    how = {"max_effects": 1, "widen_noise": False}
-    trail = bc.calibrate(GYRO.baseline(), readings, method=QUICK, **how)
-    assert str(again(trail)) == str(trail)
-    assert str(again(trail.final.check)) == str(trail.final.check)
-    discovery = trail.steps[0].discovery
-    assert discovery is not None
-    assert again(discovery).best == discovery.best
-
-
 def summary_of(content: bytes) -> tuple[str, str, int]:
     arrived = pickle.loads(content)
     fitted = bc.fit(arrived.model, arrived.readings, QUICK)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
-from tests.support.inside import mapping_of, write_mapping
+from tests.support.inside import load_mapping, save_mapping
 from tests.support.lab_files import RATE, TEMPERATURE, TIME, text, with_cell
 
 pytestmark = needs_installation
@@ -51,10 +51,10 @@ def test_mapping_is_reused_for_the_next_file(tmp_path: Path) -> None:
     st.floats(9.7, 9.9),
 )
 def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, gravity) -> None:
-    path = tmp_path_factory.mktemp("m") / "lab.toml"
+    path = tmp_path_factory.getbasetemp() / "lab.toml"
     made = {"columns": columns, "units": units, "local_gravity": gravity, "missing": "drop"}
-    write_mapping(path, made)
-    assert mapping_of(path) == {name: value for name, value in made.items() if value}
+    save_mapping(path, made)
+    assert load_mapping(path) == {name: value for name, value in made.items() if value}
 
 
 def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) -> None:
@@ -69,6 +69,6 @@ def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) 
     again = run("fit", *files, *GYRO, *QUICK, *shlex.split(cures), "--save-mapping", kept)
     assert again.status in (0, 1), again.err
     assert run("fit", *files, *GYRO, *QUICK, "--mapping", kept).out == again.out
-    columns = mapping_of(kept)["columns"]
+    columns = load_mapping(kept)["columns"]
     found = bc.read(files, mems_gyro.INSTRUMENT, columns=columns)
     assert np.allclose(found["output"][: len(TIME)], found["output"][len(TIME) :])

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import bayescal as bc
 from tests.support.hostile_names import HOSTILE
-from tests.support.inside import is_overload, name_in_files
+from tests.support.inside import is_overload, to_one_line
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def test_any_name_of_a_column_is_written_and_read_back(tmp_path):
     for name in HOSTILE:
         m = m.with_column(name, [3.0, 4.0], "V")
     back = bc.read(m.write(tmp_path / "t.csv"), SCALE)
-    assert set(back.columns) >= set(map(name_in_files, HOSTILE))
+    assert set(back.columns) >= set(map(to_one_line, HOSTILE))
 
 
 def test_arrays_are_checked_as_files_are():

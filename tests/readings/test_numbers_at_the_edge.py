@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import still_sensor
+from bayescal_models import mems_gyro, still_sensor
 from tests.support.inside import said_of_holdout
-
-INSTRUMENT = still_sensor.INSTRUMENT
 
 
 @pytest.fixture(scope="module")
@@ -33,3 +31,16 @@ def test_hold_out_data_that_are_new(readings: bc.Measurements) -> None:
     rounded = readings.with_column("output", 1000 * np.rint(readings["output"] / 1000))
     rounded = rounded.with_column("temperature", 20 * np.rint(readings["temperature"] / 20))
     assert said_of_holdout(rounded, rounded) == ""  # equal numbers say nothing there
+
+
+@pytest.mark.parametrize("step", [0.15, 0.05])
+def test_other_readings_share_rounded_numbers_by_chance(step: float) -> None:
+    def rounded(seed: int) -> bc.Measurements:
+        found = mems_gyro.simulate(seed=seed)
+        for name, to in (("output", step), ("temperature", 0.5), ("board_temperature", 0.5)):
+            found = found.with_column(name, to * np.floor(found[name] / to))
+        return found
+
+    fitted = rounded(1)
+    assert said_of_holdout(fitted, rounded(101)) == ""
+    assert said_of_holdout(fitted, fitted.select(np.arange(200))) != ""

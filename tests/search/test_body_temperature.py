@@ -67,13 +67,8 @@ def test_block_means_tell_a_better_form_as_all_readings_do(monkeypatch) -> None:
         assert high - low < 2.0 or low > FORM_NATS or high < -FORM_NATS, to
 
 
-def found(seed: int) -> tuple[bool, bool, bool]:
-    """Whether it is found, and whether τ and the curvature lie inside their 95 % intervals."""
-    return told(bc.calibrate(GYRO.baseline(), campaign(seed)[0]), seed)
-
-
 def told(trail: bc.SearchPath, seed: int) -> tuple[bool, bool, bool]:
-    """The same of a search in the campaign of this seed."""
+    """Whether it is found in the campaign of this seed, and τ and the curvature lie inside their 95 % intervals."""
     _, tau, quadratic = campaign(seed)
     last = trail.final.calibration
     if BODY not in last.model.names:
@@ -163,16 +158,6 @@ def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
     mean = bc.predict(used, draws=400).mean
     assert np.sqrt(np.mean((used.readings["output"] - mean) ** 2)) < 1.2 * NOISE + DRIFT
     assert all(e.constant_indices == () or e.name in used.model.names for e in used.model.effects)
-
-
-def test_firmware_holds_one_state_for_a_body(tmp_path: Any) -> None:
-    """Everything at T̃ from one recursion, fed row by row, is what `compensate` makes of the record."""
-    readings, *_ = campaign(1)
-    one = readings.select(np.flatnonzero(readings.groups("run")[1] == 0))
-    model = GYRO.baseline() + "bias.temperature_quadratic" + BODY
-    fitted = bc.fit(model, one, bc.LeastSquares(draws=50))
-    compensator = bc.compensator(fitted)
-    assert [lag.name for lag in compensator.equation.lags] == ["temperature_lag"]
 
 
 def test_a_form_is_as_large_as_the_search_found_it() -> None:

@@ -84,7 +84,6 @@ def test_a_ramp_that_goes_back_tells_a_drift() -> None:
 
 def rows(instrument: str) -> list[set[str]]:
     """Sets of effects that the page has of an instrument, without what is in the first model."""
-    lines = (line.split("|")[2:4] for line in PAGE.read_text("utf-8").splitlines())
     said = PAGE.read_text("utf-8").splitlines()
     lines = [line.split("|") for line in said if line.startswith(f"| {instrument} |")]
     return [{*re.findall(r"`([^`]+)`(?! \(in\))", "|".join(line[2:4]))} for line in lines]

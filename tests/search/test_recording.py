@@ -103,30 +103,3 @@ def test_prediction_with_the_same_thermometer_is_as_good_as_before() -> None:
     readings = still_sensor.simulate(seed=306, interval=30)
     coarse = readings.with_column("temperature", 0.5 * np.floor(readings["temperature"] / 0.5))
     assert bc.predict(fitted(coarse)).model_sd.max() < 0.3 * NOISE
-
-
-@pytest.mark.parametrize(("step", "degrees"), [(0.15, 0.5), (0.05, 0.5)])
-def test_rounded_hold_out_data_are_not_taken_for_those_that_are_fitted(
-    step: float, degrees: float
-) -> None:
-    """Other readings share rounded numbers by chance; the very readings share all of them."""
-
-    def rounded(seed: int) -> bc.Measurements:
-        found = mems_gyro.simulate(seed=seed)
-        for name, to in (
-            ("output", step),
-            ("temperature", degrees),
-            ("board_temperature", degrees),
-        ):
-            found = found.with_column(name, to * np.floor(found[name] / to))
-        return found
-
-    fit, other = rounded(1), rounded(101)
-
-    def said(holdout: bc.Measurements) -> bool:
-        model = mems_gyro.INSTRUMENT.for_readings(fit).baseline()
-        trail = bc.calibrate(model, fit, holdout=holdout, method=QUICK, max_effects=0)
-        flags = trail.calibration.readings.flags
-        return any(getattr(flag, "code", "") == "holdout.not_new" for flag in flags)
-
-    assert not said(other) and said(fit.select(np.arange(200)))

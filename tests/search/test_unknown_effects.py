@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -36,7 +34,7 @@ GIVEN = ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", slow_but(["bias.rate"], GIVEN))
+@pytest.mark.parametrize("name", GIVEN)
 def test_effects_of_the_given_model_beyond_the_baseline_are_evaluated_again(
     trail: bc.SearchPath, name: str
 ) -> None:
@@ -132,7 +130,7 @@ def test_unknown_effect_is_located(form: str) -> None:
     assert trail.gate.ok
 
 
-# A jump and a cycle in time, of no known cause, are told from wandering noise, measured, drafted and saved.
+# A jump and a cycle in time, of no known cause, are told from wandering noise and measured.
 
 
 METHOD = bc.LeastSquares(draws=200)
@@ -149,12 +147,6 @@ def changed(seed: int, contribution) -> bc.Measurements:
     readings = mems_gyro.simulate({}, seed=seed)
     at = part_of_the_record(readings)
     return readings.with_column("output", readings["output"] + contribution(at))
-
-
-def drafted(pattern: str, text: str) -> float:
-    found = re.search(pattern, text)
-    assert found is not None, text
-    return float(found[1])
 
 
 @pytest.fixture(scope="module")
@@ -180,10 +172,6 @@ def test_jump_is_found_with_its_position_and_height(jumped: bc.SearchPath) -> No
     height = final.samples("unknown(time, jump)[1]")
     assert abs(height.mean() - HEIGHT) < 4 * height.std()
     assert jumped.final.rmse == pytest.approx(0.05, rel=0.15)
-    told = [s for s in final.verdict.notes if "which of two levels" in s]
-    apart = drafted(r"which of two levels, (\S+) °/s apart", " ".join(told))
-    assert apart == pytest.approx(abs(float(height.mean())), rel=0.02)
-    assert len(told) == 1
 
 
 @pytest.mark.slow

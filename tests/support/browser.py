@@ -57,9 +57,3 @@ class Opened:
     def dom(self, width: int) -> str:
         """The page as Chromium understood it."""
         return self._run("--dump-dom", f"--window-size={width},900").stdout
-
-    def pdf(self) -> Path:
-        """The page as it is printed."""
-        name = self.folder / f"{self.page.stem}.pdf"
-        self._run(f"--print-to-pdf={name}", "--no-pdf-header-footer")
-        return name

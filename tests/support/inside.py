@@ -42,7 +42,7 @@ from bayescal._inference.noise_on_record import Whitening as Whitening
 from bayescal._inference.record import Record as Record
 from bayescal._model import forward as forward
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.model import why_untestable
+from bayescal._model.model import why_untestable as why_untestable
 from bayescal._model.noise_law import Parameters as Parameters
 from bayescal._model.summed_noise import build_ornstein_uhlenbeck as build_ornstein_uhlenbeck
 from bayescal._model.summed_noise import build_sum as build_sum
@@ -54,8 +54,9 @@ from bayescal._search.next_experiment import CampaignPrediction as CampaignPredi
 from bayescal._search.next_experiment import divergence as divergence
 from bayescal._search.noise_laws import fit_to_residuals as fit_to_residuals
 from bayescal._search.replaced_terms import find_replaced_terms as find_replaced_terms
-from bayescal._tables.mapping_file import load_mapping, save_mapping
-from bayescal._tables.raw_table import to_one_line
+from bayescal._tables.mapping_file import load_mapping as load_mapping
+from bayescal._tables.mapping_file import save_mapping as save_mapping
+from bayescal._tables.raw_table import to_one_line as to_one_line
 from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal._use.compensation_program import CompensationProgram as CompensationProgram
 from bayescal.workshop import MANIFEST as MANIFEST
@@ -63,6 +64,11 @@ from bayescal.workshop import ReadOptions, as_json, as_text, identity, write_jso
 from bayescal.workshop import files_of as files_of
 from bayescal.workshop import whole_folder as whole_folder
 from bayescal.workshop import with_error as with_error
+
+identity_of = identity  # SHA-256 by which every artefact names a calibration
+result_of = result  # what `save` of a search writes as result.json, nothing drawn
+text_of = as_text  # an export as text, no file written
+said_of_holdout = flag_fitted_holdout  # what is said of hold-out data that are not new
 
 
 def constants_of(readings: bc.Measurements) -> dict[str, Any]:
@@ -75,26 +81,11 @@ def frame_of(readings: bc.Measurements, constants: Mapping[str, Any] | None = No
     return build_frame(readings, reference_of(readings) if constants is None else constants)
 
 
-def identity_of(calibration: bc.Calibration) -> str:
-    """The SHA-256 by which every artefact names a calibration."""
-    return identity(calibration)
-
-
-def result_of(trail: bc.SearchPath) -> dict[str, Any]:
-    """What `trail.save` writes as result.json, nothing drawn."""
-    return result(trail)
-
-
 def screen_of(path: bc.SearchPath, verbose: bool = False) -> str:
     """What `bayescal calibrate` prints of a search."""
     from bayescal._cli.output import format_loop
 
     return format_loop(path, verbose=verbose)
-
-
-def text_of(correction: Any, format: str, **how: Any) -> str:
-    """An export as text, no file written."""
-    return as_text(correction, format, **how)
 
 
 def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | None = None) -> str:
@@ -103,34 +94,9 @@ def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | Non
     return dcc_text(calibration, given, decisions=decided)
 
 
-def said_of_holdout(readings: bc.Measurements, holdout: bc.Measurements) -> str:
-    """What a search says of hold-out data that are not new; empty of new ones."""
-    return flag_fitted_holdout(readings, holdout)
-
-
 def is_overload(value: float) -> bool:
     """Whether a number stands for an overload of a voltmeter, as 9.9e37 does."""
     return bool(find_overloads(np.array([value])).size)
-
-
-def name_in_files(name: str) -> str:
-    """What a file's reader makes of the name of a column."""
-    return to_one_line(name)
-
-
-def mapping_of(path: Path) -> dict[str, Any]:
-    """What a mapping file says, as arguments of `bc.read`."""
-    return load_mapping(path)
-
-
-def write_mapping(path: Path, said: Mapping[str, Any]) -> None:
-    """Write a mapping file, as --save-mapping does."""
-    save_mapping(path, said)
-
-
-def why_not_testable(effect: bc.Effect, readings: bc.Measurements) -> str | None:
-    """Why readings cannot test an effect; None where they can."""
-    return why_untestable(effect, readings)
 
 
 def nominal_scale_of(instrument: bc.Instrument, said: str) -> bc.NominalScale | None:

@@ -94,12 +94,10 @@ def write_dataflash(
     time: np.ndarray,
     temperature: np.ndarray,
     units: list[Unit],
-    *,
-    parameters: Mapping[str, float] | None = None,
 ) -> Path:
     """An ArduPilot .bin: IMU messages of each unit at `time`, s.
 
-    ardupilot, libraries/AP_Logger/LogStructure.h (FMT, PARM), libraries/AP_InertialSensor/LogStructure.h (IMU).
+    ardupilot, libraries/AP_Logger/LogStructure.h (FMT), libraries/AP_InertialSensor/LogStructure.h (IMU).
     """
 
     def described(kind: int, name: str, layout: str, columns: str) -> bytes:
@@ -111,11 +109,8 @@ def write_dataflash(
     columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"
     parts = [
         described(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
-        described(0x40, "PARM", "QNff", "TimeUS,Name,Value,Default"),
         described(0x81, "IMU", "QBffffffIIfBBHH", columns),
     ]
-    for name, value in (parameters or {}).items():
-        parts.append(b"\xa3\x95\x40" + struct.pack("<Q16sff", 1, name.encode(), value, 0.0))
     values = [[*_of(u, "gyro", len(time)), *_of(u, "acc", len(time))] for u in units]
     for i, t in enumerate(time):
         for number, own in enumerate(values):
