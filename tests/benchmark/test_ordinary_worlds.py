@@ -13,6 +13,7 @@ from benchmarks.ordinary_test.bodies import lump, slab, two_stages
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
 from benchmarks.ordinary_test.worlds import STRUCTURES, Campaign, drawn
 from benchmarks.wrong_model.worlds import inclinometer
+from tests.support.tiers import slow_but
 
 BODIES = {
     "die": lump(300.0),
@@ -20,9 +21,6 @@ BODIES = {
     "slab, its mean": slab(900.0, 5.0, True),
     "slab, its far face": slab(900.0, 20.0, False),
 }
-
-
-SLOW = ("die", "two stages")  # of structures that end alike, two in the fast tests
 
 
 def outside(step: float, seconds: float = 3600.0) -> np.ndarray:
@@ -73,10 +71,7 @@ def test_one_body_and_two_follow_their_exponentials() -> None:
     np.testing.assert_allclose(found, true, atol=1e-5)
 
 
-WHOLE = [pytest.param(s, marks=[pytest.mark.slow] * (s in SLOW)) for s in STRUCTURES]
-
-
-@pytest.fixture(scope="module", params=WHOLE)
+@pytest.fixture(scope="module", params=slow_but({*STRUCTURES} - {"die", "two stages"}, STRUCTURES))
 def campaign(request: pytest.FixtureRequest) -> Campaign:
     hidden = ("run", "warm-up", "curve", "supply")
     return drawn(np.random.default_rng(3), request.param, False, 200, hidden, recorded=True)

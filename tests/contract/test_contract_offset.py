@@ -16,6 +16,7 @@ import bayescal as bc
 from bayescal_models import INSTRUMENTS, still_sensor
 from tests.support.contract_cases import Case, columns_of
 from tests.support.inside import why_untestable
+from tests.support.tiers import slow_but
 
 ACROSS = ("across_x", "across_y", "across_z")
 
@@ -32,7 +33,6 @@ OFFSETS = [
 ]
 NATS, SD = 0.01, 0.01
 QUICK = ("mems_gyro", "inclinometer", "quartz_beam_accelerometer", "still_sensor")
-EVERY = [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CONSTANTS]
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def assert_same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> Non
             assert max(abs(a.mean() - b.mean()), abs(a.std() - b.std())) <= SD * a.std(), name
 
 
-@pytest.mark.parametrize("case", EVERY, indirect=True)
+@pytest.mark.parametrize("case", slow_but(QUICK, CONSTANTS), indirect=True)
 @pytest.mark.parametrize("far", OFFSETS)
 def test_evidence_and_coefficients_are_the_same(offset: Offset, far: float) -> None:
     for here, there in zip(offset.fits(0.0), offset.fits(far), strict=True):

@@ -15,6 +15,7 @@ import bayescal as bc
 from bayescal_models import INSTRUMENTS
 from benchmarks.accuracy.ranks import drawn
 from tests.support.contract_cases import Case, columns_of
+from tests.support.tiers import slow_but
 
 TRUTH = 4  # seed of the data set from which least squares has to recover its truth
 FAR = 5.0  # posterior sds, which no estimate may be off by
@@ -24,9 +25,6 @@ NEAR, NEAR_BENT = (0.2, 0.15), {"differential_pair": (0.5, 0.4)}
 
 # Products of unknowns and many spreads: their default fit takes long to compile, or is left to chains.
 HEAVY = ("ng_accelerometer", "differential_pair", "accelerometer_triad")
-SLOW_WHERE_HEAVY = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else []) for name in INSTRUMENTS
-]
 
 
 def _effective(calibration: bc.Calibration, values: np.ndarray) -> float:
@@ -44,7 +42,7 @@ def _spread_error(values: np.ndarray, effective: float) -> float:
     return float(np.sqrt((max(float(np.mean(z**4)), 3.0) - 1) / (4 * effective)))
 
 
-@pytest.mark.parametrize("case", SLOW_WHERE_HEAVY, indirect=True)
+@pytest.mark.parametrize("case", slow_but({*INSTRUMENTS} - {*HEAVY}, INSTRUMENTS), indirect=True)
 def test_marginal_agrees_with_the_reference_posterior(request, case: Case) -> None:
     if case.name == "differential_pair":
         why = "its reference posterior is of another environment than the model's: to be made anew"

@@ -144,7 +144,7 @@ def fitted() -> bc.Calibration:
     readings = bc.Measurements.from_arrays(
         SENSOR, run=run.astype(str), time=time + 5000.0 * run, output=output
     )
-    return bc.fit(SENSOR.baseline(), readings, seed=2)
+    return bc.fit(SENSOR.baseline(), readings, bc.LeastSquares(), seed=2)
 
 
 @pytest.mark.parametrize("elapsed", [0.0, 950.0, 1900.0])

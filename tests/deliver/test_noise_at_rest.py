@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfilt
 import bayescal as bc
 from bayescal_models import still_sensor
 from tests.support.command_line import run
+from tests.support.tiers import slow_but
 
 GYRO = still_sensor.instrument("deg/s", size=1.0, constant=10.0, span=0.0)
 STEP, N, K = 0.1, 0.003, 0.002  # s; °/s/√Hz; °/s/√s
@@ -129,7 +130,7 @@ def records(count: int) -> np.ndarray:
     return np.array(held)
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth(count) -> None:
     held = records(count)
     assert np.mean(np.isnan(held)) < 0.2
@@ -201,12 +202,9 @@ KINDS = (
 )
 
 
-@pytest.mark.parametrize(
-    ("kind", "seed"),
-    [("first order", 21), *(pytest.param(k, 21, marks=pytest.mark.slow) for k in KINDS[1:])],
-)
-def test_density_behind_a_filter_is_the_level_that_averages_fall_along(kind, seed) -> None:
-    output = behind(kind, seed)
+@pytest.mark.parametrize("kind", slow_but(KINDS[:1], KINDS))
+def test_density_behind_a_filter_is_the_level_that_averages_fall_along(kind) -> None:
+    output = behind(kind, 21)
     data = bc.Measurements.from_arrays(GYRO, time=0.01 * np.arange(len(output)), output=output)
     found = bc.noise(data)
     n = symbol(found, "N")

@@ -16,6 +16,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
+from tests.support.tiers import slow_but
 
 N, READINGS = 4000, 100_000
 RUN = N // 2  # readings
@@ -154,10 +155,7 @@ def place(name: str, size: int, **more: float) -> dict[str, Any]:
     return {n: np.full(size, v) for n, v in at.items() if n in needed or n != "elapsed"}
 
 
-slow_but_one = [pytest.param(n, marks=[pytest.mark.slow] * (n != "temperature")) for n in CASES]
-
-
-@pytest.mark.parametrize("name", slow_but_one)
+@pytest.mark.parametrize("name", slow_but(["temperature"], CASES))
 def test_stated_risk_is_the_share_of_readings_outside(name) -> None:
     case, at = CASES[name], place(name, READINGS)
     compensate = bc.compensator(calibrated(name))
@@ -174,7 +172,7 @@ def test_stated_risk_is_the_share_of_readings_outside(name) -> None:
     assert found.probability == pytest.approx(0.97, abs=0.2 * 0.03)
 
 
-@pytest.mark.parametrize("name", slow_but_one)
+@pytest.mark.parametrize("name", slow_but(["temperature"], CASES))
 def test_every_exit_has_the_noise_of_the_place(name, tmp_path) -> None:
     case, compensate = CASES[name], bc.compensator(calibrated(name))
     spread = 1.0 if case.tails == math.inf else math.sqrt(case.tails / (case.tails - 2))

@@ -25,6 +25,7 @@ from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from tests.support.contract_cases import Case
 from tests.support.inside import Triad, d_si, dcc_of, result_of, screen_of, text_of
 from tests.support.stated import STATED
+from tests.support.tiers import slow_but
 
 # An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
 SOMETIMES = {
@@ -93,9 +94,7 @@ def in_result(trail: bc.SearchPath) -> dict[str, str]:
     return {name: with_error(row["mean"], row["sd"]) for name, row in used}
 
 
-@pytest.mark.parametrize(
-    "name", [n if n == "mems_gyro" else pytest.param(n, marks=pytest.mark.slow) for n in SOMETIMES]
-)
+@pytest.mark.parametrize("name", slow_but(["mems_gyro"], SOMETIMES))
 @pytest.mark.usefixtures("unpainted")
 def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Path) -> None:
     found, stated = trail(name), tmp_path / "stated.toml"
@@ -136,14 +135,7 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
     assert any(unknown.startswith(SOMETIMES[name]) for unknown in page)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        n if n == "mems_gyro" else pytest.param(n, marks=pytest.mark.slow)
-        for n in SOMETIMES
-        if n != "differential_pair"
-    ],
-)
+@pytest.mark.parametrize("name", slow_but(["mems_gyro"], [n for n in SOMETIMES if n != "differential_pair"]))
 @pytest.mark.usefixtures("unpainted")
 def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> None:
     """At the operating point that nobody names: budget, decision, report, compensator and export."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.inside import nist_strd
+from tests.support.tiers import slow_but
 
 PARAMETERS, DEVIATIONS = 8.0, 6.0  # digits
 # The hard ones; the others are slow only by their number.
@@ -12,10 +13,7 @@ FAST = ("MGH10", "MGH17", "Bennett5", "BoxBOD", "filip")
 LINEAR, NONLINEAR = (nist_strd.certificates(kind) for kind in ("linear", "nonlinear"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in (*LINEAR, *NONLINEAR)],
-)
+@pytest.mark.parametrize("name", slow_but(FAST, (*LINEAR, *NONLINEAR)))
 def test_certified_values_are_reproduced_from_every_start(name) -> None:
     found = nist_strd.fit_data_set(name)
     assert len(found) == (1 if name in LINEAR else 2)

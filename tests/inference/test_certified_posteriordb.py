@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.accuracy import posteriordb
+from tests.support.tiers import slow_but
 
 FOLDER = Path(__file__).parents[1] / "data" / "posteriordb"
 SHIFT = 0.05
@@ -14,10 +15,7 @@ SHIFT = 0.05
 FAST = (posteriordb.SCHOOLS,)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in posteriordb.PROBLEMS],
-)
+@pytest.mark.parametrize("name", slow_but(FAST, posteriordb.PROBLEMS))
 def test_reference_posterior_is_reproduced(name) -> None:
     fit, rows = posteriordb.compare(name, FOLDER)
     assert fit.verdict.ok

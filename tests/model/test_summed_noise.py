@@ -169,7 +169,7 @@ def test_noise_of_neighbouring_readings_alone(terms, rng) -> None:
 
 @pytest.mark.parametrize(
     "terms",
-    [("walk",), *(pytest.param(terms, marks=pytest.mark.slow) for terms in SUMS[-2:])],
+    slow_but([("walk",)], [("walk",), *SUMS[-2:]]),
     ids=name_of,
 )
 def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
@@ -191,11 +191,7 @@ def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
 
 @pytest.mark.parametrize(
     "terms",
-    [
-        ALONE,
-        pytest.param(("smooth", "flicker"), marks=pytest.mark.slow),
-        pytest.param(("tone", "correlated"), marks=pytest.mark.slow),
-    ],
+    slow_but([ALONE], [ALONE, ("smooth", "flicker"), ("tone", "correlated")]),
     ids=name_of,
 )
 def test_samples_have_the_covariance(terms, key) -> None:

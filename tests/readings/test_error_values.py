@@ -59,11 +59,10 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("rows", [*RUNS, *REBOOTS])
-def test_error_value_of_some_rows_is_set_aside(rows: str, seed: int) -> None:
+def test_error_value_of_some_rows_is_set_aside(rows: str) -> None:
     wrong, values = {**RUNS, **REBOOTS}[rows]
-    time, warm, output = log(seed)
+    time, warm, output = log(1)
     spoilt = warm.copy()
     spoilt[wrong] = values
     kept = bc.set_aside(readings_of(time, spoilt, output), needed=NEEDED)

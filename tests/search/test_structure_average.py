@@ -12,6 +12,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support import references
 from tests.support.inside import result_of
 from tests.support.made_up import split_search
 
@@ -90,14 +91,14 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
 
 
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
-    discovery = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), readings))
+    used = references.gyro_search().calibration
+    line, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares()
+    discovery = bc.discover(bc.fit(line, used.readings, quick))
     sent = pickle.loads(pickle.dumps(discovery))
     assert sent == discovery
     with pytest.raises(bc.ModelError, match=r"discovery\.best"):
         sent.fit()
     found = discovery.fit()
-    used = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings).calibration
     assert found.form_factor == pytest.approx(used.form_factor, rel=0.02)
     np.testing.assert_allclose(bc.predict(found).model_sd, bc.predict(used).model_sd, rtol=0.1)
 
