@@ -1,8 +1,9 @@
-"""Channels of one unit together: one body for all, structures of their own, results that can be kept."""
+"""Channels of one unit together: one body for all, structures of their own, results that can be kept; the command."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import still_sensor
 from bayescal_models.still_sensor.simulator import LAG_TAU_S
+from tests.support.command_line import needs_installation, run
 
 LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
 HIDDEN = {"strong": {LAG: 8.0}, "weak": {LAG: 3.0}, "none": {QUADRATIC: 0.05}}
@@ -78,3 +80,34 @@ def test_results_of_removed_channels_are_deleted_and_user_files_kept(unit, tmp_p
         "manifest.json",
     }
     assert [p.name for p in (tmp_path / "weak").iterdir()] == ["notes.txt"]
+
+
+NAMES = ("gyro_x", "gz (deg/s)/2")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unpainted")
+@needs_installation
+def test_the_command_calibrates_saves_and_reports(tmp_path: Path) -> None:
+    """A unit of two channels over a ramp, one bent."""
+    time = np.arange(60) * 30.0
+    temperature = 25 + 30 * np.sin(time / 400)
+    noise = 0.02 * np.random.default_rng(5).standard_normal((2, time.size))
+    first = 0.5 + 0.04 * temperature + noise[0]
+    second = -1.0 + 0.02 * temperature + 1e-3 * (temperature - 25) ** 2 + noise[1]
+    table = np.column_stack([time, temperature, first, second])
+    head = f"time [s],temperature [degC],{NAMES[0]} [deg/s],{NAMES[1]} [deg/s]"
+    path, out = tmp_path / "unit.csv", tmp_path / "result"
+    np.savetxt(path, table, delimiter=",", header=head, comments="", fmt="%.9g")
+    how = ("--instrument", "still_sensor", "--method", "least-squares")
+    ran = run("calibrate", path, *how, "--channels", ",".join(NAMES), "--out", out)
+    assert ran.status == 0, ran.err
+    told = json.loads((out / "channels.json").read_text("utf-8"))
+    assert set(told["channels"]) == set(NAMES)
+    # Whatever a channel's name holds.
+    assert all((out / c["folder"]).parent == out for c in told["channels"].values())
+    assert QUADRATIC in told["channels"][NAMES[1]]["effects"]
+    assert QUADRATIC not in told["channels"][NAMES[0]]["effects"]
+    reported = run("report", out, "--out", tmp_path / "unit.html")
+    assert reported.status == 0, reported.err
+    assert (tmp_path / "unit.html").is_file()

@@ -1,58 +1,32 @@
-"""Readings of use are taken as they come: without runs, with gaps, in other formats, into folders that are made."""
+"""Readings of use are taken as they come: without runs, with gaps, in other formats."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import bayescal as bc
-from tests.support.command_line import QUICK, needs_installation, run
+from bayescal_models import inclinometer
 from tests.support.inside import compensate_file
 from tests.support.made_up import bent_sensor
 
-pytestmark = needs_installation
 
-
-@pytest.fixture(scope="module")
-def tilt(tmp_path_factory) -> Path:
-    """An inclinometer's calibration, whose model has an offset of each run."""
-    folder = tmp_path_factory.mktemp("tilt")
-    how = ("--instrument", "inclinometer", *QUICK)
-    assert run("simulate", *how[:2], "--out", folder / "tilt.csv").status == 0
-    assert run("fit", folder / "tilt.csv", *how, "--out", folder / "result").status == 0
-    return folder
-
-
-def test_a_file_without_runs_is_one_new_run(tilt, tmp_path) -> None:
-    table = pd.read_csv(tilt / "tilt.csv")
-    one = table[table.run == table.run[0]]
-    one.assign(run="never seen").to_csv(tmp_path / "named.csv", index=False)
-    one.drop(columns="run").to_csv(tmp_path / "none.csv", index=False)
-    named, none = (
-        run(
-            "predict",
-            tilt / "result",
-            tmp_path / n,
-            "--out",
-            tmp_path / "deep" / "er" / n,
-            "--json",
-        )
-        for n in ("named.csv", "none.csv")
-    )
-    assert named.status == none.status == 0, none.err
-    assert none.data["rmse"] == named.data["rmse"] and none.data["rows"] == len(one)
-    both = [pd.read_csv(tmp_path / "deep" / "er" / n) for n in ("named.csv", "none.csv")]
-    for name in ("predicted [rad]", "predicted_standard_uncertainty [rad]"):
-        name = next(c for c in both[0] if c.startswith(name.split(" ")[0] + " "))
-        np.testing.assert_array_equal(both[0][name], both[1][name])
-    done = [
-        run("compensate", tilt / "result", tmp_path / n, "--out", tmp_path / f"c_{n}", "--json")
-        for n in ("named.csv", "none.csv")
-    ]
-    assert [d.status for d in done] == [0, 0], done[1].err
+def test_a_file_without_runs_is_one_new_run(tmp_path) -> None:
+    """Of an inclinometer, whose model has an offset of each run."""
+    instrument, made = inclinometer.INSTRUMENT, inclinometer.simulate(seed=0)
+    calibration = bc.fit(instrument.baseline(), made, bc.LeastSquares())
+    table = pd.read_csv(made.select(made["run"] == made["run"][0]).write(tmp_path / "one.csv"))
+    table.assign(run="never seen").to_csv(tmp_path / "named.csv", index=False)
+    table.drop(columns="run").to_csv(tmp_path / "none.csv", index=False)
+    both = [bc.read(tmp_path / name, instrument) for name in ("named.csv", "none.csv")]
+    correct = bc.compensator(calibration, members={"axis": both[0]["axis"][0]})
+    for use in (
+        lambda r: bc.predict(calibration, r).mean,
+        lambda r: bc.predict(calibration, r).sd,
+        lambda r: correct(r, warn=False).uncertainty,
+    ):
+        np.testing.assert_array_equal(use(both[0]), use(both[1]))
 
 
 @pytest.mark.parametrize(("suffix", "memory"), [(".tsv", False), (".parquet", True)])

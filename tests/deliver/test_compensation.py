@@ -98,7 +98,7 @@ def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_pa
         assert list(made(output=bent_sensor.BIAS, warn=False, **late).outside) == flagged
 
 
-@pytest.mark.parametrize("seed", [3, 4, 8])
+@pytest.mark.parametrize("seed", [3, 8])
 def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> None:
     """Warm-up of 1.5 standard deviations of the noise: a draw of τ below zero made 1e85 µg of a reading."""
     random, count = np.random.default_rng(seed), 48

@@ -192,10 +192,6 @@ def test_files_without_dates_are_joined_to_others_by_their_begin(tmp_path: Path)
     assert found["time"][ROWS] == DAY and found.since == BEGAN.timestamp()
 
 
-def test_the_command_compensates_by_date(dated: bc.Calibration, tmp_path: Path) -> None:
-    assert status(dated, file(tmp_path, "dated.csv", LATER, 7)) == 0
-
-
 @pytest.mark.slow
 def test_the_command_asks_when_a_file_begins(undated: bc.Calibration, tmp_path: Path) -> None:
     alone = file(tmp_path, "own.csv", LATER, 7, "own")

@@ -135,7 +135,9 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
     assert any(unknown.startswith(SOMETIMES[name]) for unknown in page)
 
 
-@pytest.mark.parametrize("name", slow_but(["mems_gyro"], [n for n in SOMETIMES if n != "differential_pair"]))
+@pytest.mark.parametrize(
+    "name", slow_but(["mems_gyro"], [n for n in SOMETIMES if n != "differential_pair"])
+)
 @pytest.mark.usefixtures("unpainted")
 def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> None:
     """At the operating point that nobody names: budget, decision, report, compensator and export."""

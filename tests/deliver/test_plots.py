@@ -17,7 +17,8 @@ from tests.support.reported import HIDDEN, trail
 UNIT = re.compile(r"\[[^\[\]]+\]")
 
 
-def every() -> dict[str, Figure]:
+@pytest.fixture(scope="module")
+def figures() -> dict[str, Figure]:
     found, final = trail(), trail().final.calibration
     assert found.steps[0].discovery is not None
     return {
@@ -27,11 +28,6 @@ def every() -> dict[str, Figure]:
         "missing": bc.plot.missing(found.steps[0].discovery),
         "loop": bc.plot.loop(found),
     }
-
-
-@pytest.fixture(scope="module")
-def figures() -> dict[str, Figure]:
-    return every()
 
 
 def test_every_axis_has_a_unit(figures) -> None:

@@ -41,6 +41,13 @@ def own() -> bc.Calibration:
     )
 
 
+@pytest.fixture(scope="module")
+def found() -> bc.Calibration:
+    """Of a campaign with runs, so that groups have members."""
+    data = simulate({"bias.run": 0.05}, seed=1, campaign=Campaign(average=300))
+    return bc.fit(INSTRUMENT.baseline() + "bias.run", data, bc.LeastSquares(draws=400))
+
+
 def same(one: bc.Calibration, other: bc.Calibration) -> None:
     """Everything that a calibration says of itself."""
     assert set(one.tree.children) == set(other.tree.children)
@@ -97,10 +104,8 @@ def test_effects_of_ones_own_come_back_when_they_are_given(own, tmp_path) -> Non
     same(own, bc.load(path, effects=[SQUARE]))
 
 
-def test_groups_come_back_with_their_members_and_starts(tmp_path) -> None:
-    data = simulate({"bias.run": 0.05}, seed=1, campaign=Campaign(average=300))
-    found = bc.fit(INSTRUMENT.baseline() + "bias.run", data, bc.LeastSquares(draws=400))
-    loaded = bc.load(found.save(tmp_path / "runs.nc"))
+def test_groups_come_back_with_their_members_and_starts(found, tmp_path) -> None:
+    data, loaded = found.readings, bc.load(found.save(tmp_path / "runs.nc"))
     same(found, loaded)
     assert list(loaded.tree["posterior"].to_dataset()["run"].values) == ["1", "2", "3"]
     later = data.select(data["run"] == "2")
@@ -163,14 +168,6 @@ def test_saved_file_holds_the_draws_once(line, tmp_path) -> None:
 DAMAGED = 1000
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a campaign with runs, so that groups have members."""
-    data = simulate({"bias.run": 0.05}, seed=1, campaign=Campaign(average=300))
-    found = bc.fit(INSTRUMENT.baseline() + "bias.run", data, bc.LeastSquares(draws=400))
-    return found.save(tmp_path_factory.mktemp("saved") / "whole.nc")
-
-
 def damaged(whole: bytes, kind: int, random: np.random.Generator) -> bytes:
     """One of eight ways in which storage and transport spoil a file."""
     data = bytearray(whole)
@@ -198,8 +195,9 @@ def damaged(whole: bytes, kind: int, random: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def test_a_thousand_damaged_calibrations_are_refused(saved: Path, tmp_path: Path) -> None:
-    random, whole, path = np.random.default_rng(20261122), saved.read_bytes(), tmp_path / "d.nc"
+def test_a_thousand_damaged_calibrations_are_refused(found, tmp_path: Path) -> None:
+    random, path = np.random.default_rng(20261122), tmp_path / "d.nc"
+    whole = found.save(path).read_bytes()
     for i in range(DAMAGED):
         spoilt = damaged(whole, i % 8, random)
         assert spoilt != whole

@@ -161,8 +161,3 @@ def test_the_command_takes_a_folder(lot_folder, result, tmp_path) -> None:
     same(bc.load_batch(out), result)
     ran = run("batch", lot_folder / "none", *GYRO, "-o", out)
     assert ran.status == 2
-    broken = tmp_path / "in"
-    shutil.copytree(lot_folder, broken)
-    (broken / "lot-4.parquet").write_bytes(b"PAR1")
-    ran = run("batch", broken, *GYRO, "-o", tmp_path / "other.parquet")
-    assert ran.status == 1 and bc.load_batch(tmp_path / "other.parquet").fitted > 0

@@ -11,7 +11,6 @@ import pytest
 import bayescal as bc
 from bayescal_models import accelerometer_dividing_head, accelerometer_triad, ng_accelerometer
 from bayescal_models.accelerometer_triad.simulator import BASELINE
-from tests.support.command_line import needs_installation, run
 from tests.support.tiers import slow_but
 
 INSTRUMENT = accelerometer_triad.INSTRUMENT
@@ -86,6 +85,7 @@ def test_one_axis_against_gravity_is_as_uncertain(module) -> None:
 def test_it_stays_in_files_of_readings_and_in_saved_calibrations(tmp_path: Path) -> None:
     readings = poses(9.80665)
     again = bc.read(readings.write(tmp_path / "poses.csv"), INSTRUMENT)
+    assert any("--local-gravity" in flag for flag in readings.flags)
     fitted = bc.fit(MODEL, again, bc.LeastSquares())
     assert np.all(scales(fitted)[1] > 0.99e6 * RELATIVE)
     loaded = bc.load(fitted.save(tmp_path / "calibration.nc"))
@@ -105,21 +105,3 @@ def test_a_file_in_g_beside_one_in_metres_per_second_squared(tmp_path: Path) -> 
     readings = bc.read(sorted(tmp_path.glob("*.csv")), INSTRUMENT)
     sd = scales(bc.fit(MODEL, readings, bc.LeastSquares()))[1]
     assert np.all(sd < 1000)  # twelve poses in g tell local gravity
-
-
-@needs_installation
-def test_commands_report_unstated_gravity_until_it_is_given(tmp_path: Path) -> None:
-    readings = accelerometer_triad.simulate(seed=3)
-    outputs = 9.79 * np.stack([readings[f"output_{a}"] for a in AXES], axis=1)
-    path = tmp_path / "poses.csv"
-    header = ",".join(f"a{a} [m/s^2]" for a in AXES)
-    np.savetxt(path, outputs, delimiter=",", header=header, comments="")
-    asked = ("triad", path, "--poses", "--baseline", "--json")
-    found = {}
-    for given in ((), ("--local-gravity", "9.79")):
-        done = run(*asked, *given)
-        assert done.status == 0, done.err
-        covariance = np.array(done.data["covariance"])
-        found[given] = np.sqrt(covariance[3, 3])
-        assert ("--local-gravity" in done.err) == (not given)
-    assert found[()] > 0.99 * RELATIVE and found["--local-gravity", "9.79"] < 4e-4

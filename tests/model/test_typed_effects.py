@@ -252,14 +252,6 @@ def test_kink_at_a_temperature_is_fitted_saved_and_loaded(tmp_path: Path) -> Non
         assert abs(draws.mean() - truth) < 4 * draws.std()
 
 
-def test_column_that_is_not_there_is_named(readings) -> None:
-    without = bc.Measurements.from_arrays(
-        GYROSCOPE, {n: readings[n] for n in ("time", "temperature", "output")}
-    )
-    with pytest.raises(bc.InputError, match=r"supply_voltage.*the given arrays.*temperature"):
-        bc.effect("own: s * supply_voltage", readings=without, instrument=GYROSCOPE)
-
-
 @pytest.mark.parametrize("name", ["unknown(run)", "unknown(run, jump)"])
 def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
     with pytest.raises(bc.ModelError, match="run"):

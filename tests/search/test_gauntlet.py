@@ -12,6 +12,7 @@ from benchmarks.spoilt_records.judge import judged
 from benchmarks.spoilt_records.kinds import KINDS
 from benchmarks.spoilt_records.measurement import furthest
 from benchmarks.spoilt_records.subjects import SUBJECTS
+from tests.support.tiers import slow_but
 
 GYRO = SUBJECTS["mems_gyro"]
 SEED = 2
@@ -21,17 +22,10 @@ FAST = {
 }
 
 
-def cases() -> list:
-    """Every kind that fits the gyroscope and spoils a record, marked."""
-    made = []
-    for name, kind in KINDS.items():
-        if kind.fits(GYRO) and name != "nothing":
-            marks = [] if name in FAST else [pytest.mark.slow]
-            made.append(pytest.param(name, id=name, marks=marks))
-    return made
+CASES = [name for name, kind in KINDS.items() if kind.fits(GYRO) and name != "nothing"]
 
 
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize("name", slow_but(FAST, CASES))
 def test_faulty_record_is_answered_correctly_or_flagged(name: str) -> None:
     row = judged(GYRO, KINDS[name], SEED)
     found = {key: row.get(key) for key in ("added", "noise", "error", "due", "stated", "says")}

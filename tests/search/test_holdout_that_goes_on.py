@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import still_sensor
-from tests.support.inside import Whitening
+from bayescal_models import mems_gyro, still_sensor
+from tests.support.inside import Whitening, said_of_holdout
 from tests.support.tiers import slow_but
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
@@ -136,3 +136,42 @@ def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> N
     )
     np.testing.assert_allclose(found.sd, sd, rtol=0.15)
     assert np.max(np.abs(found.mean - expected) / sd) < 0.3
+
+
+# Hold-out data that are readings of the fit are said to be so.
+
+
+@pytest.fixture(scope="module")
+def campaign() -> bc.Measurements:
+    return still_sensor.simulate(seed=1)
+
+
+def test_hold_out_data_that_are_the_readings(campaign: bc.Measurements) -> None:
+    later = campaign.with_column("time", campaign["time"] + 86400.0)
+    renamed = campaign.with_column("run", np.char.add("later ", campaign["run"]))
+    for holdout in (campaign, later, renamed):
+        assert f" {len(campaign)} of the {len(campaign)} " in said_of_holdout(campaign, holdout)
+    half = campaign.select(np.arange(0, len(campaign), 2))
+    assert f" {len(half)} of the {len(half)} " in said_of_holdout(campaign, half)
+
+
+def test_hold_out_data_that_are_new(campaign: bc.Measurements) -> None:
+    assert said_of_holdout(campaign, still_sensor.simulate(seed=2)) == ""
+    rows = np.arange(len(campaign)) % 2 == 0
+    assert said_of_holdout(campaign.select(rows), campaign.select(~rows)) == ""
+    rounded = campaign.with_column("output", 1000 * np.rint(campaign["output"] / 1000))
+    rounded = rounded.with_column("temperature", 20 * np.rint(campaign["temperature"] / 20))
+    assert said_of_holdout(rounded, rounded) == ""  # equal numbers say nothing there
+
+
+@pytest.mark.parametrize("step", [0.15, 0.05])
+def test_other_readings_share_rounded_numbers_by_chance(step: float) -> None:
+    def rounded(seed: int) -> bc.Measurements:
+        found = mems_gyro.simulate(seed=seed)
+        for name, to in (("output", step), ("temperature", 0.5), ("board_temperature", 0.5)):
+            found = found.with_column(name, to * np.floor(found[name] / to))
+        return found
+
+    fitted = rounded(1)
+    assert said_of_holdout(fitted, rounded(101)) == ""
+    assert said_of_holdout(fitted, fitted.select(np.arange(200))) != ""

@@ -15,11 +15,9 @@ from typing import Any
 
 import pytest
 
-from bayescal_models import mems_gyro
 from tests.support.browser import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
-HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 0.3}  # °/s per °C, °/s over the record
 # The page that stands while the workbench loads asks again and again, also while the port changes hands.
 HANDED_OVER = re.compile(
     "ERR_(CONNECTION_REFUSED|CONNECTION_RESET|SOCKET_NOT_CONNECTED|EMPTY_RESPONSE)"
@@ -27,14 +25,6 @@ HANDED_OVER = re.compile(
 LONG = 120_000  # ms
 ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run")
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
-
-
-def write_campaign(folder: Path) -> tuple[Path, Path]:
-    """A gyroscope's test with two hidden effects, and a second one kept apart, as files."""
-    paths = folder / "test.csv", folder / "later.csv"
-    for seed, path in enumerate(paths, start=1):
-        mems_gyro.simulate(HIDDEN, seed=seed).write(path)
-    return paths
 
 
 class Bench:
@@ -78,16 +68,6 @@ class Bench:
 
     def close(self) -> None:
         self.end(signal.SIGTERM)
-
-
-@contextmanager
-def bench(*arguments: str | Path) -> Iterator[Bench]:
-    """A workbench for the length of a block."""
-    begun = Bench(*arguments)
-    try:
-        yield begun
-    finally:
-        begun.close()
 
 
 class Seen:
@@ -172,23 +152,16 @@ class Seen:
 
 
 @contextmanager
-def browser(*, width: int = 1280, height: int = 800) -> Iterator[Seen]:
-    """An empty page of a headless Chromium that reaches this machine alone."""
+def opened(url: str) -> Iterator[Seen]:
+    """A page of the workbench in a headless Chromium that reaches this machine alone."""
     path = chromium()
     api = pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
     with api.sync_playwright() as driver:
         running = driver.chromium.launch(executable_path=path, args=[*ARGUMENTS, *QUIET])
         context = running.new_context(
-            viewport={"width": width, "height": height}, accept_downloads=True
+            viewport={"width": 1280, "height": 800}, accept_downloads=True
         )
         try:
-            yield Seen(context.new_page())
+            yield Seen(context.new_page()).open(url)
         finally:
             running.close()
-
-
-@contextmanager
-def opened(url: str, **screen: Any) -> Iterator[Seen]:
-    """A page of the workbench in a `browser`."""
-    with browser(**screen) as seen:
-        yield seen.open(url)

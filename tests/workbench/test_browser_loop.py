@@ -7,28 +7,27 @@ from pathlib import Path
 
 import pytest
 
+from bayescal_models import mems_gyro
 from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
-from tests.workbench.real_page import Bench, bench, opened, write_campaign
+from tests.workbench.real_page import Bench, opened
 
 pytestmark = [needs_installation, pytest.mark.nightly]
 FLOOR = 0.05  # °/s: the noise of the readings
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    chromium()
-    pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
-    made = tmp_path_factory.mktemp("workbench")
-    write_campaign(made)
-    return made
+HIDDEN = {"bias.thermal_lag": 0.05, "bias.drift": 0.3}  # °/s per °C, °/s over the record
 
 
 @pytest.fixture
-def begun(folder: Path, tmp_path: Path) -> Iterator[Bench]:
-    arguments = (*GYRO, "--holdout", folder / "later.csv", "--out", tmp_path / "kept")
-    with bench(folder / "test.csv", *arguments) as running:
-        yield running
+def begun(tmp_path: Path) -> Iterator[Bench]:
+    """Of a gyroscope's test with two hidden effects, and a second one kept apart."""
+    chromium()
+    pytest.importorskip("playwright.sync_api", reason="Playwright for Python is not here")
+    files = tmp_path / "test.csv", tmp_path / "later.csv"
+    for seed, file in enumerate(files, start=1):
+        mems_gyro.simulate(HIDDEN, seed=seed).write(file)
+    running = Bench(files[0], *GYRO, "--holdout", files[1], "--out", tmp_path / "kept")
+    yield running
+    running.close()
 
 
 def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -93,24 +92,6 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
     assert session.current.discovery is not None and trail.final.discovery is not None
     assert str(session.current.discovery) == str(trail.final.discovery)
     assert told == sorted(told)
-
-
-def test_two_sessions_are_independent(campaign: Campaign, tmp_path: Path) -> None:
-    both = [
-        Session.open(mems_gyro.INSTRUMENT.baseline(), campaign.readings, folder=tmp_path / name)
-        for name in ("a", "b")
-    ]
-    work = [
-        threading.Thread(target=one.add, args=(name,))
-        for one, name in zip(both, HIDDEN, strict=True)
-    ]
-    for one in work:
-        one.start()
-    for one in work:
-        one.join()
-    for one, name in zip(both, HIDDEN, strict=True):
-        assert one.current.model.names[-1] == name
-        assert len(one.states) == 2
 
 
 @pytest.mark.slow
