@@ -98,7 +98,7 @@ def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:
     assert sent == discovery
     with pytest.raises(bc.ModelError, match=r"discovery\.best"):
         sent.fit()
-    found = discovery.fit()
+    found = discovery.fit(quick)
     assert found.form_factor == pytest.approx(used.form_factor, rel=0.02)
     np.testing.assert_allclose(bc.predict(found).model_sd, bc.predict(used).model_sd, rtol=0.1)
 
