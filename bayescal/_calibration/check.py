@@ -23,7 +23,7 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._core.formatting import folded, number
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -224,7 +224,7 @@ AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # prior sds in the average, noi
 INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an interaction
 
 
-@on_one_thread
+@run_on_one_thread
 def check(calibration: Calibration) -> Check:
     """Check a fitted model's residuals against every covariate.
 

@@ -18,7 +18,7 @@ from bayescal._calibration.confounding import (
     widen_draws,
 )
 from bayescal._core.errors import InputError
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.renamed import renamed
 from bayescal._data.dataset_checks import MIN_CHANGES, find_grid_step
 from bayescal._data.measurements import Measurements
@@ -366,7 +366,7 @@ class PredictiveMoments(NamedTuple):
     unknown: Float[np.ndarray, "n"]  # posterior mean of the variance of inputs and unseen members
 
 
-@on_one_thread
+@run_on_one_thread
 def predictive_moments(
     problem: Problem, draws: Vectors, noise_mean: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> PredictiveMoments:
@@ -398,7 +398,7 @@ def predictive_moments(
     return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
 
 
-@on_one_thread
+@run_on_one_thread
 def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     """Return each reading's log likelihood under each draw; with correlated noise, given the earlier readings."""
     densities = np.empty((len(draws.x), problem.record.size))
@@ -408,7 +408,7 @@ def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     return densities
 
 
-@on_one_thread
+@run_on_one_thread
 def replicate(
     problem: Problem,
     draws: Vectors,

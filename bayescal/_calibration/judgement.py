@@ -19,7 +19,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import find_rounding_step
 from bayescal._data.unit_conversion import unit_label
@@ -303,7 +303,7 @@ def implausible_scale(effect: Effect, contribution: float, noise: float, unit: s
     return [Claim("effect.off_scale", effect.name, **numbers, unit=unit, own=c.unit)]
 
 
-@on_one_thread
+@run_on_one_thread
 def multimodality(fit: Fitted) -> list[Claim]:
     """Return why the Laplace approximation of the evidence is invalid: an indefinite Hessian or a second mode.
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.special import fdtrc
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
@@ -123,7 +123,7 @@ def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndar
     return kind, tuple(str(i + 1) for i in range(count)), codes
 
 
-@on_one_thread
+@run_on_one_thread
 def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     """Predict every group from the others; return None if the noise is not Gaussian."""
     if not calibration.model.noise.gaussian:

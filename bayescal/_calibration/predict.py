@@ -13,7 +13,7 @@ from scipy.linalg import orth
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import predictive_moments, replicate
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
 from bayescal._inference.noise_on_record import variance
@@ -308,7 +308,7 @@ class HoldoutTest:
         return self.prediction.residual / self._noise, outputs / self._noise
 
     @property
-    @on_one_thread
+    @run_on_one_thread
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
         """Return each coefficient's name, group, and Jacobian column (n,) over the noise sd, at the posterior mean."""
         average, problem = self._problem

@@ -34,7 +34,7 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, probability
 from bayescal._core.importance_weights import resample
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import seed_of, settings
 from bayescal._data import allan_deviation as allan
@@ -358,7 +358,7 @@ class EvaluatedSums(NamedTuple):
     count: int | None  # readings in a mean; None where no Allan deviation falls with slope −½
 
 
-@on_one_thread
+@run_on_one_thread
 def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     """Evaluate sums of noise terms on a channel at rest, and draw parameters of the probable sums; see `noise`."""
     output = np.asarray(readings["output"], float)
@@ -777,7 +777,13 @@ def _figures(
         for noise in sums.noises
     ]
     rows = [
-        ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
+        (
+            "Q",
+            "quantisation noise",
+            names.quantisation_unit,
+            f"{base}*s",
+            pooled_draws("noise.quantisation"),
+        ),
         ("N", density, of_density, f"{base}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),

@@ -568,7 +568,8 @@ class ExportCommand(InUse, DecisionRule, Command):
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(single) < len(corrections):
-            raise InputError(f"{single[0]} has one output, others have three axes: give it alone")
+            fault = f"{single[0]} has one output, but the other files have three axes"
+            raise InputError(f"{fault}: run the command for it separately")
         return corrections
 
     def written(self, corrections: Sequence[Any]) -> Answer:

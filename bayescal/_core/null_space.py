@@ -163,7 +163,7 @@ class Spans:
         return frozenset({n for n in others if self.is_spanned(n, base)} | {*self.latent}) - names
 
     def spanning(self, names: frozenset[str]) -> set[str]:
-        """Return those of the groups `names` without which some other group is no longer in the span."""
+        """Return the groups in `names` whose removal takes another group out of the span of the others."""
         closure = self.implied(names)
         return {n for n in names if closure - self.implied(names - {n}) - {n}}
 

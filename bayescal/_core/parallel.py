@@ -16,12 +16,12 @@ R = TypeVar("R")
 _threads = cache(ThreadpoolController)
 
 
-def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+def run_on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function to run with BLAS on one thread and floating-point warnings ignored."""
 
     @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+    def run_limited(*args: P.args, **kwargs: P.kwargs) -> R:
         with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
             return function(*args, **kwargs)
 
-    return limited
+    return run_limited

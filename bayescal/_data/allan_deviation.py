@@ -35,7 +35,7 @@ class DataSheetTerms(NamedTuple):
 
     names: tuple[str, str, str]
     units: tuple[str, str, str]
-    q_unit: str
+    quantisation_unit: str
 
 
 ACCELEROMETER_TERMS = ("velocity random walk", "bias instability", "acceleration random walk")
@@ -295,27 +295,28 @@ def _edf(noise_type: int, m: int, readings: int) -> float:
     if terms > MAX_OVERLAP_TERMS and ratio > 3:
         a0, a1 = ASYMPTOTIC_EDF[noise_type]
         return ratio / (a0 - a1 / ratio)
-    stride, width = float(m), m if 3 * m <= MAX_OVERLAP_TERMS else math.inf
+    stride, filter_width = float(m), m if 3 * m <= MAX_OVERLAP_TERMS else math.inf
     if terms > MAX_OVERLAP_TERMS:
         terms, differences, stride = MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS / ratio
     j = np.arange(terms + 1)
-    squares = _covariance(j / stride, width, noise_type) ** 2
+    squares = _covariance(j / stride, filter_width, noise_type) ** 2
     weights = np.where(j > 0, 2.0, 1.0) * (1 - j / differences)
     weights[-1] /= 2
     return float(differences * squares[0] / (weights @ squares))
 
 
-def _covariance(t: Float[np.ndarray, "j"], width: float, noise_type: int) -> Float[np.ndarray, "j"]:
+def _covariance(t: np.ndarray, filter_width: float, noise_type: int) -> np.ndarray:
     """Return the autocovariance, up to a factor, of second differences at lags `t`, in averaging times, (j,)."""
 
     def generalised(t: np.ndarray) -> np.ndarray:
-        power = 3 - noise_type if math.isfinite(width) else 1 - noise_type
+        power = 3 - noise_type if math.isfinite(filter_width) else 1 - noise_type
         size = np.abs(t)
         return size**power * (np.log(np.where(size > 0, size, 1.0)) if power % 2 == 0 else 1.0)
 
     def averaged(t: np.ndarray) -> np.ndarray:
-        if not math.isfinite(width):
+        if not math.isfinite(filter_width):
             return generalised(t)
-        return 2 * generalised(t) - generalised(t - 1 / width) - generalised(t + 1 / width)
+        lag = 1 / filter_width
+        return 2 * generalised(t) - generalised(t - lag) - generalised(t + lag)
 
     return sum(c * averaged(t + k) for k, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))

@@ -25,24 +25,23 @@ def parse_duration(text: str | float) -> float:
         if np.isfinite(seconds) and seconds > 0:
             return seconds
     raise InputError(
-        f"{text!r} is not an averaging time: write a positive number with a unit of time, such as '1 s', '0.5 s' or "
-        "'2 min'"
+        f"{text!r} is not an averaging time: write a positive number with a unit of time, such as '0.5 s' or '2 min'"
     )
 
 
 def check_averaging_time(
     time: np.ndarray, is_next: np.ndarray, counts: np.ndarray, seconds: float, file: str
 ) -> None:
-    """Raise InputError for an averaging time that combines no two readings, or all; `is_next`: in the same group."""
+    """Raise InputError if an averaging time combines no two readings, or all; `is_next`: same group as the last."""
     if counts.size == 1:
-        fault = f"averaging over {seconds:g} s combines all {time.size} readings"
+        fault = f"averaging over {seconds:g} s combines all {time.size} readings into one mean"
         raise InputError(f"{file}: {fault}: give a shorter averaging time")
     if counts.max() == 1:
         median_step = float(np.median(np.diff(time)[is_next[1:]])) if is_next.any() else np.inf
         spacing = f" (they are {median_step:.3g} s apart)" * bool(np.isfinite(median_step))
         raise InputError(
-            f"{file}: nothing to average: no two readings with the same labels and settings are within "
-            f"{seconds:g} s{spacing}: give a longer averaging time, or do not average"
+            f"{file}: no readings can be averaged: no two with the same labels and settings are within "
+            f"{seconds:g} s{spacing}. Give a longer averaging time, or do not average"
         )
 
 

@@ -470,7 +470,8 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
                 f"{file_without!r} lacks the column {name!r} that {file_with!r} has: label every file, or none"
             )
         if file_without and name == MAY_BE_EMPTY:
-            joined.flags.append(f"{file_without}: no {name!r}: readings of no cell (a ramp)")
+            message = f"{file_without} has no column {name!r}: its readings belong to no cell"
+            joined.flags.append(f"{message}, as on a temperature ramp")
         elif file_without and name != ASSUMED_GRAVITY:
             joined.flags.append(
                 f"column {name!r} ignored: it is in {file_with}, not in {file_without}"

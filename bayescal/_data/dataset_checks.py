@@ -115,7 +115,7 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
 def flags_of(
     converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> tuple[str, ...]:
-    """Return warnings about accepted readings; `names`: of the files; `repeated`: rows that repeat another."""
+    """Return warnings about accepted readings; `names`: file names; `repeated`: rows that duplicate another."""
     columns, records = converted.values, Records.of(converted.values)
     flags = [*converted.flags]
     if converted.origin is not None:
@@ -298,7 +298,7 @@ def find_anomalies(
                 anomalies.append(Anomaly("held", name, text, select_repeats(values, parts, rows)))
             elif len(rows := find_stuck_rows(values, parts)):
                 level = values[rows[0]]
-                text = f"is constant at {level:g} in {len(rows)} readings, few repeats elsewhere: saturated, stuck?"
+                text = f"is constant at {level:g} in {len(rows)} readings, but rarely elsewhere: saturated or stuck?"
                 anomalies.append(Anomaly("stuck", name, text, rows))
         return [*anomalies, *_find_differing_run(columns, records, names)]
 
@@ -328,7 +328,7 @@ def _find_differing_run(
         run, next_run = np.argsort(rms)[:2]
         if rms[next_run] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
             label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
-            text = f"deviates in run {label} from its relation to {other!r} in other runs: one of both was faulty there"
+            text = f"deviates in run {label} from its relation to {other!r} in the others: is one of the two faulty?"
             yield Anomaly("run", name, text, runs[run])
 
 

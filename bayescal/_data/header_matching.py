@@ -25,7 +25,7 @@ from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
-    names_in,
+    format_headers,
     output_name,
     unit_of,
 )
@@ -352,7 +352,7 @@ class MatchedFile:
             position = find_header(self._headers, user_text)
             if position is None:
                 fault = f"has no column {user_header!r} ({option('--columns', f'{column_name}={user_header}')})"
-                self.report("", fault, cure=f"It has: {names_in(self.table)}")
+                self.report("", fault, cure=f"It has: {format_headers(self.table)}")
             elif position not in self._unmatched:
                 other = next(name for name, index in self.positions.items() if index == position)
                 fault = f"both {other} and {column_name} by --columns"
@@ -485,7 +485,7 @@ class MatchedFile:
             for name, column in self.expected.items()
             if _is_required(column) and name not in {*self.positions, *self.options.columns}
         ]
-        headers = f"It has: {names_in(self.table)}. "
+        headers = f"It has: {format_headers(self.table)}. "
         for column in absent:
             self._note_lack(column, self.rule(column.name).candidates(unmatched), headers)
             headers = ""  # list the headers only once

@@ -255,7 +255,7 @@ class Measurements(Printed):
         )
 
     def concatenate(self, later: Measurements) -> Measurements:
-        """Concatenate these and later readings in their common columns, unchecked."""
+        """Append later readings without validation; keep only the columns that both have in the same unit."""
         names = [n for n in self.columns if later.has(n) and self.unit(n) == later.unit(n)]
         values = {n: np.concatenate([self[n], later[n]]) for n in names}
         return replace(self, values=values, no_causes=frozenset())
@@ -288,7 +288,7 @@ class Measurements(Printed):
         return tuple(label for (label,) in levels), codes
 
     def select(self, selection: ArrayLike) -> Measurements:
-        """Select readings by a mask or by indices; raise InputError for a mask of wrong length, or no reading."""
+        """Select readings by a mask or indices; raise InputError for a mask of wrong length or an empty selection."""
         index = np.asarray(selection)
         if index.dtype == bool and index.shape != (len(self),):
             raise InputError(
@@ -318,7 +318,7 @@ class Measurements(Printed):
         effects that depend on the date, for the message; empty for none.
 
         Raises:
-            InputError: only one of both has dates, and an effect depends on the date.
+            InputError: only the readings or only the calibration has dates, and an effect depends on the date.
         """
         if not self.has("time") or self.since == epoch:
             return self

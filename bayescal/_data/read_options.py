@@ -289,11 +289,11 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
     arguments |= {name: option("--ignore", name) for name in options.ignore}
     arguments |= {n: option("--unwrap", f"{n}={text}") for n, text in options.unwrap.items()}
     for name in (n for n in arguments if n not in known_names):
-        cure = f"It has: {names_in(tables[0])}" + "".join(f", nor has {file!r}" for file in others)
+        cure = f"It has: {format_headers(tables[0])}" + "".join(f", nor has {f!r}" for f in others)
         fault = f"has no column {name!r} ({arguments[name]})"
         problems.append(Objection(first, fault, cure=cure))
 
 
-def names_in(table: Table) -> str:
+def format_headers(table: Table) -> str:
     """Format the headers of a file for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)

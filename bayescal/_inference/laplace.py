@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Conditional, compute_column_scales, condition
 from bayescal._inference.newton import FTOL_NATS, NOWHERE, HessianGuess, fit_gaussian, maximise
@@ -44,7 +44,7 @@ class Mode(NamedTuple):
     indefinite: Any  # whether the Hessian had to be modified to be positive definite
 
 
-@on_one_thread
+@run_on_one_thread
 def find_mode(
     problem: Problem,
     starts: Iterable[np.ndarray] | None = None,

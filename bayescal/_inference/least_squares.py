@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[report
 
 from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import jnp
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
 from bayescal._inference.gaussian import Prior
@@ -80,7 +80,7 @@ class LeastSquares(Method):
         )
 
 
-@on_one_thread  # results must not depend on the number of cores
+@run_on_one_thread  # results must not depend on the number of cores
 def draw_gaussian(layout: Layout, solution: Solution, count: int, seed: int) -> Draws:
     """Draw unknowns from the Gaussian approximation about a least-squares solution."""
     # Amplitude and length scale of a Gaussian process are fixed at their marginal maximum: the joint density with the
@@ -162,7 +162,7 @@ class _Conditional(NamedTuple):
     dof_used: float  # effective number of parameters (degrees of freedom used)
 
 
-@on_one_thread
+@run_on_one_thread
 def refine(
     problem: Problem, mode: Mode, full_hessian: bool, use_optimistix: bool = False
 ) -> Solution:

@@ -19,7 +19,7 @@ from scipy.special import gammaln, logsumexp, ndtr, ndtri, softmax
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import XDraws
@@ -301,7 +301,7 @@ class _Sample(NamedTuple):
     corrections: Float[np.ndarray, "s"]  # added to the log weight of φ; `NOWHERE` if negligible
 
 
-@on_one_thread
+@run_on_one_thread
 def draw_weighted(
     problem: Problem,
     mode: Mode,

@@ -17,7 +17,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.errors import ModelError
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
@@ -146,7 +146,7 @@ def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
     return float(0.5 * (np.sum(whitened**2) + difference @ difference - difference.size) - logs)
 
 
-@on_one_thread
+@run_on_one_thread
 def predict_campaign(calibration: Calibration, readings: Measurements) -> CampaignPrediction:
     """Predict the readings of a campaign by a fitted model, at most `MAX_READINGS`, evenly spread.
 

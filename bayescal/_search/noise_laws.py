@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import fit_at_mode, select_start
@@ -70,7 +70,7 @@ class ResidualFit(NamedTuple):
 NO_FIT = ResidualFit(-math.inf, {})
 
 
-@on_one_thread
+@run_on_one_thread
 def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT) -> ResidualFit:
     """Fit a law to residuals (`Record.residual_record`) by the Laplace approximation, without effects.
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._inference.linear_model import LinearModel, explained_sum_of_squares
 from bayescal._search.library import GridPoint, Library, PriorScale
 from bayescal._search.structures import EvaluatedStructure
@@ -76,7 +76,7 @@ class Scorer:
             (m, P), and of all columns with the whitened residual (P,).
     """
 
-    @on_one_thread
+    @run_on_one_thread
     def __init__(self, library: Library, fit: EvaluatedStructure):
         self.library, self.fit = library, fit
         self.linear = linear = library.structures.linearise(fit)
@@ -149,7 +149,7 @@ class ReducedModel(NamedTuple):
     rss: float  # residual sum of squares
     log_volume: float  # log determinant of L
 
-    @on_one_thread
+    @run_on_one_thread
     def score_candidates(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
         """Score every grid point of these candidates, each candidate's most probable point first."""
         by_name = {}
@@ -217,7 +217,7 @@ class ReducedModel(NamedTuple):
         """Return the change of log volume by the dropped effects, part of every log Bayes factor."""
         return self.scorer.log_volume - self.log_volume
 
-    @on_one_thread
+    @run_on_one_thread
     def score_pairs(self, scores: Scores) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Return log Bayes factors of pairs of candidates of two families, the highest first."""
         points = [p for scored in scores.values() for p in scored[:POINTS_IN_PAIRS]]

@@ -19,7 +19,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -104,7 +104,7 @@ def _run_spreads(
     return {name: size for name, size in spreads.items() if np.isfinite(size)}
 
 
-@on_one_thread
+@run_on_one_thread
 def average_models(
     last: Calibration, structures: Structures, noise: str, seed: int
 ) -> tuple[Calibration, tuple[StructureShare, ...]]:
@@ -135,7 +135,7 @@ def average_models(
     return replace(mixture, method=f"{last.method}, averaged"), shares
 
 
-@on_one_thread
+@run_on_one_thread
 def add_latent_effects(
     last: Calibration, in_use: Calibration, structures: Structures, structure: Structure
 ) -> tuple[Calibration, Calibration]:

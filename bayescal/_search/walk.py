@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 from bayescal._core import deadline
-from bayescal._core.parallel import on_one_thread
+from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
@@ -36,7 +36,7 @@ STOPPED = "The search was interrupted after {:.0f} s with the best structure so 
 NOT_BEGUN = "There was no time to search ({}): only the first structure was evaluated."
 
 
-@on_one_thread
+@run_on_one_thread
 def explore(
     library: Library,
     max_effects: int,
@@ -122,7 +122,7 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
                 break
 
 
-@on_one_thread
+@run_on_one_thread
 def find_path(library: Library, goal: Structure, start: Structure | None = None) -> list[Structure]:
     """Return a path from one structure to a larger one: each step has the highest log posterior, fitted or by score."""
     structures, steps, fit = library.structures, [start or Structure()], None

@@ -309,7 +309,7 @@ def _refuse_ragged(text: CsvText, ragged: Sequence[tuple[int, str, int]]) -> Non
     if any(expected < n for _, _, n in ragged):
         cure += "If the first lines only describe the test, begin each with #. "
     cure += "Give every row one field for each column"
-    fault = f"has {fields} field{'s' * (fields != 1)}, {line!r}, its header has {expected}"
+    fault = f"has {fields} field{'s' * (fields != 1)}, but the header has {expected}: {line!r}"
     places = tuple(f"row {row}" for row, _, _ in ragged)
     Objections([Objection(text.file, fault, cure=cure, places=places)]).refuse()
 

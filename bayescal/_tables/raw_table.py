@@ -161,14 +161,14 @@ def possible_splits(header: Header) -> tuple[Header, ...]:
     if header.unit:
         return (header,)
     splits = [header]
-    before, end = header.raw[:-UNIT_SEARCH_CHARACTERS], header.raw[-UNIT_SEARCH_CHARACTERS:]
+    prefix, suffix = header.raw[:-UNIT_SEARCH_CHARACTERS], header.raw[-UNIT_SEARCH_CHARACTERS:]
     for pattern in (*BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
-        if parts := pattern.fullmatch(end):
-            unit = parts[2].strip()
+        if match := pattern.fullmatch(suffix):
+            unit = match[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit.removeprefix("in ")
-            splits.append(Header(header.raw, (before + parts[1]).strip(), unit))
-    for gap in re.finditer(r"[_\s.]+", end):
-        name, unit = before + end[: gap.start()], end[gap.end() :]
+            splits.append(Header(header.raw, (prefix + match[1]).strip(), unit))
+    for gap in re.finditer(r"[_\s.]+", suffix):
+        name, unit = prefix + suffix[: gap.start()], suffix[gap.end() :]
         if name and unit and not _NO_UNIT.match(unit):
             splits.append(Header(header.raw, name, unit))
     return tuple(splits)

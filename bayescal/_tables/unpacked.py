@@ -21,10 +21,10 @@ SHEET, ARRAYS = (25, 2e7), (100, 1e8)
 Measured ratios: sheet of constants 10, MATLAB's compressed doubles 4 to 7, a single constant 700.
 """
 _MAX_OBJECTS = 100_000  # number of groups and arrays of an HDF5 file
-_AS_CSV = "Save the readings as CSV"
+_CSV_ADVICE = "Save the readings as CSV"
 
 
-def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[float, float]) -> None:
+def refuse_unpacked(file_name: str, packed: int, unpacked: int, limit: tuple[float, float]) -> None:
     """Raise InputError if the unpacked size of a file exceeds the limits of its format."""
     max_ratio, min_bytes = limit
     if unpacked > max(min_bytes, max_ratio * packed):
@@ -32,10 +32,10 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[floa
             f"unpacks from {format_bytes(packed)} to {format_bytes(unpacked)} or more, a ratio of "
             f"{unpacked / packed:,.0f}, above the limit of {max_ratio:g}"
         )
-        raise unusable(file, fault, _AS_CSV)
+        raise unusable(file_name, fault, _CSV_ADVICE)
 
 
-def refuse_hdf5(hdf5: Any, file: str, size: int) -> None:
+def refuse_hdf5(hdf5: Any, file_name: str, size: int) -> None:
     """Raise InputError if an open HDF5 file is too large, has circular groups, or links to other files."""
     import h5py  # takes a tenth of a second
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
@@ -49,15 +49,15 @@ def refuse_hdf5(hdf5: Any, file: str, size: int) -> None:
             is_array = isinstance(node, h5py.Dataset)
             if node is None or (is_array and (node.is_virtual or node.external)):
                 fault = f"is incomplete: {path} is a link, or its numbers are in another file"
-                raise unusable(file, fault, "Save the readings in the file itself")
+                raise unusable(file_name, fault, "Save the readings in the file itself")
             address = h5o.get_info(node.id).addr
             if len(visited) > _MAX_OBJECTS or (address in visited and not is_array):
                 fault = f"has the group {path} twice, or over {_MAX_OBJECTS:,} arrays and groups"
-                raise unusable(file, fault, _AS_CSV)
+                raise unusable(file_name, fault, _CSV_ADVICE)
             visited.add(address)
             total += int(node.size or 0) * node.dtype.itemsize if is_array else 0
             pending += [node] * isinstance(node, h5py.Group)
-    refuse_unpacked(file, size, total, ARRAYS)
+    refuse_unpacked(file_name, size, total, ARRAYS)
 
 
 # Elements of a MATLAB file up to 7.2, and classes of arrays that contain others: cells, structures, objects, functions,
@@ -66,7 +66,7 @@ _COMPRESSED, _CONTAINER_CLASSES, _FUNCTION = 15, b"[\x01\x02\x03\x10\x11]", 16
 _MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of the recursive reader
 
 
-def refuse_matlab(path: Path, file: str) -> None:
+def refuse_matlab(path: Path, file_name: str) -> None:
     """Raise InputError if a MATLAB file up to 7.2 is too large when unpacked, or has too many containers."""
     size, total, containers = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
@@ -86,7 +86,7 @@ def refuse_matlab(path: Path, file: str) -> None:
                 limit = int(max(ARRAYS[1], ARRAYS[0] * size)) + 1
                 data = zlib.decompressobj().decompress(data, limit)
                 total += len(data)
-                refuse_unpacked(file, size, total, ARRAYS)
+                refuse_unpacked(file_name, size, total, ARRAYS)
             for match in flags.finditer(data):
                 containers += 1
                 count = 1
@@ -96,4 +96,4 @@ def refuse_matlab(path: Path, file: str) -> None:
                     count = math.prod(struct.unpack_from(form, data, match.start() + 24))
                 if containers > _MAX_CONTAINERS or 8 * count > len(data):
                     fault = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
-                    raise unusable(file, fault, _AS_CSV)
+                    raise unusable(file_name, fault, _CSV_ADVICE)

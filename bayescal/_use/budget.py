@@ -361,6 +361,6 @@ def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ..
         count = len(chosen.calibration.levels.get(per, ()))
         if count < limit("budget.few_groups", "groups"):
             notes.append(Claim("budget.few_groups", group=per, count=count))
-    if of_correction and not chosen.equation.slope_calibrated:
+    if of_correction and not chosen.equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", chosen.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

@@ -156,10 +156,10 @@ def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin:
     first, last = float(readings["time"].min()), float(readings["time"].max())
     if first <= clock.high and last >= clock.low:
         raise InputError(
-            f"{readings.file}: its times, {first:.6g} to {last:.6g} s, overlap those of the calibration, "
-            f"{clock.low:.6g} to {clock.high:.6g} s, of which it is no part, so its clock has another origin, and "
-            f"{compensator.dated} depends on the date. Give the time of its first reading on the calibration's clock: "
-            "--begin '9 days'; or --begin '0 s' if time counts from the start of each run"
+            f"{readings.file}: its times ({first:.6g} to {last:.6g} s) overlap those of the calibration "
+            f"({clock.low:.6g} to {clock.high:.6g} s), which did not use this file: its clock has another origin. "
+            f"{compensator.dated} depends on absolute time: give the time of the first reading on the calibration's "
+            "clock (--begin '9 days'), or --begin '0 s' if time counts from the start of each run"
         )
 
 

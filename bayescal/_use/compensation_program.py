@@ -288,7 +288,7 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         lag_factors = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
         times = tuple(f"{lag.name} ({m}{lag.shape} = {lag.tau:.4g} s)" for lag, m in lag_factors)
         notes.append(Claim("use.lags", *(lag.name for lag in lags), times=times))
-    if not equation.slope_calibrated:
+    if not equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", equation.use.stimulus))
     elif not has_range:
         notes.append(Claim("use.no_range", equation.use.stimulus))

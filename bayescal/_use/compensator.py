@@ -137,7 +137,7 @@ class Compensator:
 
     @cached_property
     def in_use(self) -> CompensationProgram:
-        """Return the program of mean, covariance and equation, without the fit's residual checks."""
+        """Return the compensation program (equation, mean and covariance of θ), without acceptance checks and notes."""
         return build_program(self.equation, self._moments)
 
     @cached_property

@@ -263,7 +263,7 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
         unit=axis.unit,
         noise=rms(compensator.noise_variance({**inputs, compensator.stimulus: no_stimulus})),
         uncertainty=rms(sd**2),
-        has_scale=compensator.equation.slope_calibrated,
+        has_scale=compensator.equation.is_slope_calibrated,
     )
 
 

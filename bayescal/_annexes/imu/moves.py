@@ -202,7 +202,7 @@ def _attitude(path: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.nd
     return rate, rotation
 
 
-@ws.on_one_thread
+@ws.run_on_one_thread
 def _fit_run(
     log: LoggedRun,
     f_run: LoggedRun,
