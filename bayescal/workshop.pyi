@@ -74,7 +74,7 @@ from ._core.jit import compiled as compiled
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
-from ._core.parallel import on_one_thread as on_one_thread
+from ._core.parallel import run_on_one_thread as run_on_one_thread
 from ._core.progress import print_notes as print_notes
 from ._core.progress import stage as stage
 from ._core.progress import tell as tell

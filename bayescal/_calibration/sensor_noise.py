@@ -777,13 +777,7 @@ def _figures(
         for noise in sums.noises
     ]
     rows = [
-        (
-            "Q",
-            "quantisation noise",
-            names.quantisation_unit,
-            f"{base}*s",
-            pooled_draws("noise.quantisation"),
-        ),
+        ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, of_density, f"{base}/Hz^0.5", white),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),

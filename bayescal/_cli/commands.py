@@ -568,8 +568,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
         if 0 < len(single) < len(corrections):
-            fault = f"{single[0]} has one output, but the other files have three axes"
-            raise InputError(f"{fault}: run the command for it separately")
+            raise InputError(f"{single[0]} has one output, not three axes: export it separately")
         return corrections
 
     def written(self, corrections: Sequence[Any]) -> Answer:

@@ -31,9 +31,9 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     # In the same folder, so that the rename stays within one file system and is atomic (POSIX rename).
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    for leftover in list_leftovers(path):
-        if leftover.is_file():
-            leftover.unlink(missing_ok=True)
+    for leftover_path in list_leftovers(path):
+        if leftover_path.is_file():
+            leftover_path.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)

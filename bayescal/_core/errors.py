@@ -48,8 +48,8 @@ class NotDrawn(BayescalError):
     """A figure, or a page with figures, could not be drawn; the result has been written nevertheless."""
 
     def __init__(self, subject: str, cause: BaseException) -> None:
-        first = next(iter(str(cause).splitlines()), "")
-        reason = f"{type(cause).__name__}: {first}".removesuffix(": ")
+        first_line = next(iter(str(cause).splitlines()), "")
+        reason = f"{type(cause).__name__}: {first_line}".removesuffix(": ")
         super().__init__(
             f"{subject} could not be drawn ({reason}); the result is kept, and is not affected"
         )

@@ -24,15 +24,15 @@ def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"]
     count = log_weight.size
     if np.ptp(log_weight) < 1e-9:
         return np.full(count, 1 / count), 0.0
-    tail = int(3 * count**0.5) if count > 225 else count // 5
-    if tail < MIN_TAIL_WEIGHTS:
+    tail_size = int(3 * count**0.5) if count > 225 else count // 5
+    if tail_size < MIN_TAIL_WEIGHTS:
         raise ValueError(f"{count} draws are too few for Pareto smoothing")
     weights = np.exp(log_weight - np.max(log_weight))
     order = np.argsort(log_weight)
-    largest, cutoff = order[-tail:], weights[order[-tail - 1]]
+    largest, cutoff = order[-tail_size:], weights[order[-tail_size - 1]]
     k_hat, scale = _fit_pareto(weights[largest] - cutoff)
     if np.isfinite(k_hat) and scale > 0:
-        tail_log = np.log1p(-(np.arange(tail) + 0.5) / tail)
+        tail_log = np.log1p(-(np.arange(tail_size) + 0.5) / tail_size)
         stretch = np.expm1(-k_hat * tail_log) / k_hat if k_hat else -tail_log
         weights[largest] = np.minimum(cutoff + scale * stretch, 1.0)
     return weights / weights.sum(), k_hat

@@ -29,20 +29,20 @@ def stepped(
 
 
 def solve_newton(
-    equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, affine: bool
+    equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, is_affine: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve an equation, s → (output, derivative), for s at output y; return s and derivative, NaN for no solution."""
     s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
     with np.errstate(all="ignore"):
-        for _ in range(1 if affine else MAX_NEWTON_STEPS):
+        for _ in range(1 if is_affine else MAX_NEWTON_STEPS):
             value, slope = equation(s)
             step = (value - y) / slope
             s = s - step
             if not np.any(np.abs(step) > precision * np.abs(s)):
                 break
-        if affine:
+        if is_affine:
             return s, slope
         value, slope = equation(s)
         tolerance = MAX_ROUNDING_ERRORS * precision * (np.abs(y) + np.abs(value))
-        valid = np.abs(value - y) <= tolerance
-        return np.where(valid, s, np.nan).astype(y.dtype), np.where(valid, slope, np.nan)
+        is_valid = np.abs(value - y) <= tolerance
+        return np.where(is_valid, s, np.nan).astype(y.dtype), np.where(is_valid, slope, np.nan)

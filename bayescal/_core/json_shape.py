@@ -40,8 +40,8 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
         for option in args:
             with suppress(ValueError):
                 return as_type(value, option, where)
-        meant = [option for option in args if get_origin(option) is type(value)]
-        return as_type(value, (*meant, *args)[0], where)  # raises ValueError
+        matching_types = [option for option in args if get_origin(option) is type(value)]
+        return as_type(value, (*matching_types, *args)[0], where)  # raises ValueError
     if origin in (list, tuple):
         types = args if origin is tuple and args[-1] is not ... else None
         if not isinstance(value, list) or (types and len(value) != len(types)):
@@ -52,8 +52,8 @@ def as_type(value: Any, kind: Any, where: str = "") -> Any:
         return _as_table(value, kind, where)
     kind = NoneType if kind is None else kind
     number = type(value) in (int, float) and abs(value) < 1e308 and math.isfinite(value)
-    right = number if kind is float else type(value) is kind
-    if not right or (kind is str and _SURROGATE.search(value)):
+    is_valid = number if kind is float else type(value) is kind
+    if not is_valid or (kind is str and _SURROGATE.search(value)):
         raise _unexpected(value, _TYPE_NAMES[kind], where)
     return float(value) if kind is float else value
 
@@ -71,10 +71,10 @@ def _as_table(value: Any, kind: Any, where: str) -> Any:
         types, required = get_type_hints(kind), kind.__required_keys__
     for name in (n for n in types if n in required and n not in value):
         raise ValueError(f"{where}.{name}".lstrip(".") + " is missing")
-    at = {name: f"{where}.{str(name)[:60]}".lstrip(".") for name in value}
+    paths = {name: f"{where}.{str(name)[:60]}".lstrip(".") for name in value}
     for name in (n for n in value if n not in types):
-        raise ValueError(f"{at[name]} is unknown; known keys: {', '.join(types)}")
-    return constructor(**{n: as_type(inner, types[n], at[n]) for n, inner in value.items()})
+        raise ValueError(f"{paths[name]} is unknown; known keys: {', '.join(types)}")
+    return constructor(**{n: as_type(entry, types[n], paths[n]) for n, entry in value.items()})
 
 
 def _unexpected(value: Any, expected: str, where: str) -> ValueError:

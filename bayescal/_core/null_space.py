@@ -37,18 +37,18 @@ def exact(columns: np.ndarray) -> np.ndarray:
 
 def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return a null vector supported on the row's large entries alone, if one exists; otherwise the row."""
-    large = np.abs(row) > NEGLIGIBLE_SHARE * np.abs(row).max()
-    if large.all():
+    is_large = np.abs(row) > NEGLIGIBLE_SHARE * np.abs(row).max()
+    if is_large.all():
         return row
-    null = linalg.null_space(_r_factor(columns[:, large]), rcond=EXACT_SHARE)
-    if not null.size:
+    null_vectors = linalg.null_space(_r_factor(columns[:, is_large]), rcond=EXACT_SHARE)
+    if not null_vectors.size:
         return row
-    sparse = np.zeros_like(row)
-    sparse[large] = null[:, -1]
-    return sparse
+    sparse_row = np.zeros_like(row)
+    sparse_row[is_large] = null_vectors[:, -1]
+    return sparse_row
 
 
-def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> np.ndarray:
+def weak(columns: np.ndarray, null_rows: np.ndarray, limit: float, unit_share: float) -> np.ndarray:
     """Return directions z (m, p) with information |columns·z|² below `limit`, without the null directions `exact`.
 
     Columns (n, p) are whitened, per prior standard deviation. A coefficient whose unit vector has a share of more than
@@ -58,10 +58,10 @@ def weak(columns: np.ndarray, exact: np.ndarray, limit: float, alone: float) -> 
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
     _, values, rows = np.linalg.svd(_r_factor(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
-    space = _complement(rows[values**2 < limit], exact)
-    units = np.eye(count)[np.sum(space**2, axis=0) > alone]
-    others = echelon(_complement(space, units))
-    return np.concatenate([units, others])
+    weak_directions = _complement(rows[values**2 < limit], null_rows)
+    units = np.eye(count)[np.sum(weak_directions**2, axis=0) > unit_share]
+    mixed_directions = echelon(_complement(weak_directions, units))
+    return np.concatenate([units, mixed_directions])
 
 
 def _r_factor(columns: np.ndarray) -> np.ndarray:
@@ -72,15 +72,15 @@ def _r_factor(columns: np.ndarray) -> np.ndarray:
     )
 
 
-def _complement(space: np.ndarray, others: np.ndarray) -> np.ndarray:
+def _complement(rows: np.ndarray, excluded_rows: np.ndarray) -> np.ndarray:
     """Return orthonormal rows that span the orthogonal complement of `others` in `space` (orthonormal rows)."""
-    dimensions = len(space) - len(others)
-    if dimensions <= 0 or not len(others):
-        return space[: max(dimensions, 0)]
+    dimensions = len(rows) - len(excluded_rows)
+    if dimensions <= 0 or not len(excluded_rows):
+        return rows[: max(dimensions, 0)]
     # Of the residuals of the projection on `others`, the right singular vectors with the largest singular values
     # span the space: as many as it has dimensions more.
-    basis, _ = np.linalg.qr(others.T)
-    _, _, rows = np.linalg.svd(space - space @ basis @ basis.T, full_matrices=False)
+    basis, _ = np.linalg.qr(excluded_rows.T)
+    _, _, rows = np.linalg.svd(rows - rows @ basis @ basis.T, full_matrices=False)
     return rows[:dimensions]
 
 
@@ -93,8 +93,8 @@ def echelon(rows: np.ndarray) -> np.ndarray:
         candidates = np.where(is_free[:, None], np.abs(reduced), -1.0)
         pivot_row, pivot = np.unravel_index(np.argmax(candidates), candidates.shape)
         reduced[pivot_row] /= reduced[pivot_row, pivot]
-        others = np.arange(len(reduced)) != pivot_row
-        reduced[others] -= np.outer(reduced[others, pivot], reduced[pivot_row])
+        is_other_row = np.arange(len(reduced)) != pivot_row
+        reduced[is_other_row] -= np.outer(reduced[is_other_row, pivot], reduced[pivot_row])
         is_free[pivot_row] = False
     largest = np.abs(reduced).max(axis=1, keepdims=True, initial=0.0)
     reduced[np.abs(reduced) < ROUNDING_SHARE * largest] = 0.0
@@ -113,8 +113,8 @@ def scale_to_integers(vector: np.ndarray) -> np.ndarray:
     ratios = vector / entries.min()
     is_integer = np.abs(ratios - np.rint(ratios)) < 1e-5
     is_small = is_integer.all() and np.abs(ratios).max() < 100
-    scaled = np.rint(ratios) if is_small else vector / entries.max()
-    return scaled * np.sign(scaled[np.flatnonzero(scaled)[0]])
+    scaled_vector = np.rint(ratios) if is_small else vector / entries.max()
+    return scaled_vector * np.sign(scaled_vector[np.flatnonzero(scaled_vector)[0]])
 
 
 def information_nats(columns: np.ndarray) -> float:

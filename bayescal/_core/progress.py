@@ -73,16 +73,16 @@ def stage(operation: str, delay: float = FIRST_SECONDS) -> Iterator[None]:
     start, end_event = time.monotonic(), threading.Event()
 
     def watch() -> None:
-        pause, printed = delay, delay >= INTERVAL_SECONDS
+        pause, has_printed = delay, delay >= INTERVAL_SECONDS
         while not end_event.wait(pause):
             now = time.monotonic()
             idle_seconds = now - max(_last_line, start)
             if _open_stages[-1:] == [end_event] and (
-                idle_seconds >= INTERVAL_SECONDS or not printed
+                idle_seconds >= INTERVAL_SECONDS or not has_printed
             ):
-                so_far = f", {now - start:.0f} s so far" if printed else ""
+                so_far = f", {now - start:.0f} s so far" if has_printed else ""
                 tell(f"{operation}{so_far}")
-                idle_seconds, printed = 0.0, True
+                idle_seconds, has_printed = 0.0, True
             pause = max(INTERVAL_SECONDS - idle_seconds, 0.5)
 
     _open_stages.append(end_event)

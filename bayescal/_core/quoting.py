@@ -29,19 +29,19 @@ def ascii_text(text: str) -> str:
 
     Marks that distinguish symbols are spelled out (ẋ as x_dot), accents are dropped (é as e).
     """
-    spelled = "".join(map(_transliterate, unicodedata.normalize("NFC", text)))
-    return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled)  # ^-^6 is ^-6
+    spelled_text = "".join(map(_transliterate, unicodedata.normalize("NFC", text)))
+    return re.sub(r"(?<=[\^_][-+0-9])[\^_](?=[0-9])", "", spelled_text)  # ^-^6 is ^-6
 
 
 def _transliterate(character: str) -> str:
     if character.isascii() or character in _SPELLING_BY_CHARACTER:
         return _SPELLING_BY_CHARACTER.get(character, character)
-    if greek := re.fullmatch(_GREEK, unicodedata.name(character, "")):
-        return greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
-    kind, _, parts = unicodedata.decomposition(character).rpartition("> ")
-    if parts:
-        before = {"<super": "^", "<sub": "_"}.get(kind, "")
-        return before + "".join(_transliterate(chr(int(part, 16))) for part in parts.split())
+    if greek_match := re.fullmatch(_GREEK, unicodedata.name(character, "")):
+        return greek_match[2].lower() if greek_match[1] == "SMALL" else greek_match[2].capitalize()
+    kind, _, codes = unicodedata.decomposition(character).rpartition("> ")
+    if codes:
+        prefix = {"<super": "^", "<sub": "_"}.get(kind, "")
+        return prefix + "".join(_transliterate(chr(int(code, 16))) for code in codes.split())
     return "" if unicodedata.combining(character) else f"<U+{ord(character):04X}>"
 
 
@@ -120,8 +120,8 @@ def csv_cell(text: Any) -> str:
     Numbers are unchanged. `csv_cell_read` is the inverse.
     """
     text = str(text)
-    begins = re.match(_FORMULA, text.lstrip("'"))
-    return f"'{text}" if begins and not re.fullmatch(_NUMBER, text) else text
+    is_formula = re.match(_FORMULA, text.lstrip("'"))
+    return f"'{text}" if is_formula and not re.fullmatch(_NUMBER, text) else text
 
 
 def csv_cell_read(text: str) -> str:
@@ -131,6 +131,6 @@ def csv_cell_read(text: str) -> str:
 
 def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
     """Format cells as a line of CSV, without a line end."""
-    written = io.StringIO()
-    csv.writer(written, delimiter=separator).writerow(map(csv_cell, cells))
-    return written.getvalue().removesuffix("\r\n")
+    buffer = io.StringIO()
+    csv.writer(buffer, delimiter=separator).writerow(map(csv_cell, cells))
+    return buffer.getvalue().removesuffix("\r\n")

@@ -73,18 +73,18 @@ class ResultTable:
 
     @property
     def flush_left(self) -> list[bool]:
-        flush = [i == 0 if c.left is None else c.left for i, c in enumerate(self.printed_columns)]
-        return [*flush[:-1], flush[-1] or self.fold > 0]
+        is_left = [i == 0 if c.left is None else c.left for i, c in enumerate(self.printed_columns)]
+        return [*is_left[:-1], is_left[-1] or self.fold > 0]
 
     def only(self, *heads: str) -> ResultTable:
         """Select printed columns by their headings, in this order."""
-        printed = {c.head: c for c in self.printed_columns}
-        return replace(self, columns=tuple(printed[head] for head in heads), fold=0)
+        columns_by_head = {c.head: c for c in self.printed_columns}
+        return replace(self, columns=tuple(columns_by_head[head] for head in heads), fold=0)
 
     def data(self) -> dict[str, list[Any]]:
         """Return the unformatted values: name of a column → one value per row."""
-        named = {c.head if c.name is None else c.name: c for c in self.columns}
-        return {n: [column.value(row) for row in self.rows] for n, column in named.items() if n}
+        columns = {c.head if c.name is None else c.name: c for c in self.columns}
+        return {n: [c.value(row) for row in self.rows] for n, c in columns.items() if n}
 
     def __str__(self) -> str:
         """Format as text, with a ruled line below the headings."""
@@ -92,15 +92,15 @@ class ResultTable:
 
     def html(self) -> str:
         """Format as HTML, with all text escaped."""
-        sides = ["left" if flush else "right" for flush in self.flush_left]
+        alignments = ["left" if is_left else "right" for is_left in self.flush_left]
 
         def row(cells: list[str], tag: str) -> str:
-            pairs = zip(map(_html_lines, cells), sides, strict=True)
+            pairs = zip(map(_html_lines, cells), alignments, strict=True)
             elements = (f'<{tag} style="text-align: {side}">{cell}</{tag}>' for cell, side in pairs)
             return f"<tr>{''.join(elements)}</tr>"
 
-        body = "".join(row(cells, "td") for cells in self.cells)
-        return f"<table><thead>{row(self.head, 'th')}</thead><tbody>{body}</tbody></table>"
+        body_html = "".join(row(cells, "td") for cells in self.cells)
+        return f"<table><thead>{row(self.head, 'th')}</thead><tbody>{body_html}</tbody></table>"
 
 
 def plain_table(
@@ -118,23 +118,23 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
     split_rows = [[cell.split("\n") for cell in row] for row in (head, *rows)]
     split_head, *body = split_rows
     widths = [max(map(_width, chain(*column))) for column in zip(*split_rows, strict=True)]
-    room = WIDTH - 2 * (len(head) - 1)
+    space = WIDTH - 2 * (len(head) - 1)
     if fold:
-        last = widths[-1] = min(widths[-1], max(room - sum(widths[:-1]), fold))
+        limit = widths[-1] = min(widths[-1], max(space - sum(widths[:-1]), fold))
         for row in split_rows:
-            parts = ([t] if _width(t) <= last else textwrap.wrap(t, last) for t in row[-1])
+            parts = ([t] if _width(t) <= limit else textwrap.wrap(t, limit) for t in row[-1])
             row[-1] = [*chain(*parts)]
-    least = [max((_width(t) for row in body for t in row[i]), default=0) for i in range(len(head))]
-    by_gain = sorted(range(len(head)), key=lambda i: least[i] - widths[i])
-    for lines, i in product((2, 3, 4), by_gain):
-        if sum(widths) > room:
-            folds = (_folded_name(head[i], w) for w in range(least[i], widths[i] + 1))
+    minima = [max((_width(t) for row in body for t in row[i]), default=0) for i in range(len(head))]
+    widest_first = sorted(range(len(head)), key=lambda i: minima[i] - widths[i])
+    for lines, i in product((2, 3, 4), widest_first):
+        if sum(widths) > space:
+            folds = (_folded_name(head[i], w) for w in range(minima[i], widths[i] + 1))
             split_head[i] = next(fold for fold in folds if len(fold) <= lines)
-            widths[i] = max(least[i], *map(_width, split_head[i]))
-    if sum(widths) > room:
+            widths[i] = max(minima[i], *map(_width, split_head[i]))
+    if sum(widths) > space:
         i = max(range(max(1, len(head) - 1)), key=lambda i: flush_left[i] * widths[i])
         for row in split_rows:
-            row[i] = [*chain(*(_folded_name(t, widths[i] + room - sum(widths)) for t in row[i]))]
+            row[i] = [*chain(*(_folded_name(t, widths[i] + space - sum(widths)) for t in row[i]))]
         widths[i] = max(_width(t) for row in split_rows for t in row[i])
     height = max(map(len, split_head))
     split_rows[0] = [[""] * (height - len(texts)) + texts for texts in split_head]
@@ -203,10 +203,10 @@ class Printed:
 def as_html(parts: Sequence[str | ResultTable]) -> str:
     """Format lines and tables as HTML, with all text escaped."""
     blocks = list[str]()
-    for tables, some in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
-        if tables:
-            blocks += [part.html() for part in some if isinstance(part, ResultTable)]
-        elif text := "\n".join(map(str, some)).strip("\n"):
+    for are_tables, group in groupby(parts, key=lambda part: isinstance(part, ResultTable)):
+        if are_tables:
+            blocks += [part.html() for part in group if isinstance(part, ResultTable)]
+        elif text := "\n".join(map(str, group)).strip("\n"):
             blocks.append(f"<p>{_html_lines(text)}</p>")
     return "".join(blocks)
 

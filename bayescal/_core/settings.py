@@ -55,27 +55,27 @@ def seed_of(random: Any) -> int:
     return int(random.integers(2**31) if hasattr(random, "integers") else random)
 
 
-USUAL = Settings()
-_IN_FORCE: ContextVar[Settings] = ContextVar("settings", default=USUAL)
+DEFAULTS = Settings()
+_CURRENT: ContextVar[Settings] = ContextVar("settings", default=DEFAULTS)
 
 
 def settings() -> Settings:
     """Return the current settings: those of `use_settings`, else the defaults."""
-    return _IN_FORCE.get()
+    return _CURRENT.get()
 
 
 @contextmanager
-def use_settings(chosen: Settings) -> Iterator[None]:
+def use_settings(new_settings: Settings) -> Iterator[None]:
     """Apply settings within the `with` block, in this thread; raise TypeError for another type."""
-    if not isinstance(chosen, Settings):
-        raise TypeError(f"use_settings takes bayescal.Settings(…), not {chosen!r}")
-    token = _IN_FORCE.set(chosen)
+    if not isinstance(new_settings, Settings):
+        raise TypeError(f"use_settings takes bayescal.Settings(…), not {new_settings!r}")
+    token = _CURRENT.set(new_settings)
     try:
         yield
     finally:
-        _IN_FORCE.reset(token)
+        _CURRENT.reset(token)
 
 
 def unusual() -> dict[str, float]:
     """Return the settings that differ from their defaults, by name."""
-    return {name: v for name, v in asdict(settings()).items() if v != getattr(USUAL, name)}
+    return {name: v for name, v in asdict(settings()).items() if v != getattr(DEFAULTS, name)}

@@ -8,7 +8,7 @@ from typing import Any
 from bayescal._core.quoting import number_text
 
 
-def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
+def template(package: str, name: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
     """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
 
     Filters are `filters` and `digits`, which prints a number with all digits; `how`: options of `jinja2.Environment`.
@@ -24,4 +24,4 @@ def template(package: str, file: str, filters: Mapping[str, Callable[..., Any]],
         **how,
     )
     environment.filters |= {"digits": number_text, **filters}
-    return environment.get_template(file)
+    return environment.get_template(name)

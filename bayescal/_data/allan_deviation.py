@@ -35,7 +35,7 @@ class DataSheetTerms(NamedTuple):
 
     names: tuple[str, str, str]
     units: tuple[str, str, str]
-    quantisation_unit: str
+    q_unit: str
 
 
 ACCELEROMETER_TERMS = ("velocity random walk", "bias instability", "acceleration random walk")
@@ -167,19 +167,19 @@ def even_runs(readings: Measurements) -> EvenRuns:
         InputError: no column `time`, no run of 30 readings, mostly repeated times, time steps that differ by more than
             5 % from multiples of the median step, or a run of which more than a fifth is lost.
     """
-    need = f"Allan deviation of {readings.file} needs"
+    text = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
-        raise InputError(f"{need} the column 'time'")
+        raise InputError(f"{text} the column 'time'")
     names, rows = readings.records.names, readings.records.in_time
     if max(len(run_rows) for run_rows in rows) < MIN_RUN_READINGS:
-        raise InputError(f"{need} a run of {MIN_RUN_READINGS} readings or more")
+        raise InputError(f"{text} a run of {MIN_RUN_READINGS} readings or more")
     steps = [np.diff(readings["time"][run_rows]) for run_rows in rows]
     median = float(np.median(np.concatenate(steps)))
     if (grid := _grid(readings["time"], rows, median)) is not None:
         return EvenRuns(tuple(rows), grid)
     if not median > 0:
         raise InputError(
-            f"{need} distinct times: most equal the preceding one. Record the time with more digits, or give a counter"
+            f"{text} distinct times: most equal the preceding one. Record the time with more digits, or give a counter"
         )
     grids = list[np.ndarray]()
     for name, run_steps, run_rows in zip(names, steps, rows, strict=True):
@@ -192,7 +192,7 @@ def even_runs(readings: Measurements) -> EvenRuns:
         if len(bad_steps):
             run = f" in run {name}" if len(rows) > 1 else ""
             raise InputError(
-                f"{need} readings evenly spaced in time: {len(bad_steps)} of {len(run_steps)} steps{run}, such as "
+                f"{text} readings evenly spaced in time: {len(bad_steps)} of {len(run_steps)} steps{run}, such as "
                 f"{number(float(run_steps[bad_steps[0]]))} s, differ from the median {number(median)} s. "
                 "Give runs without gaps"
             )
@@ -270,12 +270,12 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
     """
     lengths, counts = np.unique(runs.lengths, return_counts=True)
     edfs = []
-    for m, kind in zip(runs.factors.astype(int), types.astype(int), strict=True):
+    for m, noise_type in zip(runs.factors.astype(int), types.astype(int), strict=True):
         differences = lengths + 1 - 2 * m
-        usable = differences > 1
-        weight = differences[usable] / (differences[usable] @ counts[usable])
-        edf = np.array([_edf(int(kind), int(m), int(n)) for n in lengths[usable]])
-        edfs.append(1 / (counts[usable] @ (weight**2 / edf)))
+        has_variance = differences > 1
+        weight = differences[has_variance] / (differences[has_variance] @ counts[has_variance])
+        edf = np.array([_edf(int(noise_type), int(m), int(n)) for n in lengths[has_variance]])
+        edfs.append(1 / (counts[has_variance] @ (weight**2 / edf)))
     return (1 - runs.lost) * np.array(edfs)
 
 

@@ -68,9 +68,9 @@ def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
 
 def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
     """Return the means (m, …) of segments of `rows` (n, …) that begin at `begins`; exact for constant segments."""
-    counts, first = np.diff(begins, append=len(rows)), rows[begins]
-    deviations = np.add.reduceat(rows - np.repeat(first, counts, axis=0), begins, axis=0)
-    return first + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
+    counts, first_rows = np.diff(begins, append=len(rows)), rows[begins]
+    deviations = np.add.reduceat(rows - np.repeat(first_rows, counts, axis=0), begins, axis=0)
+    return first_rows + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
 def noise_of_reading(

@@ -193,11 +193,11 @@ def find_placeholders(values: np.ndarray) -> np.ndarray:
     """Return the rows with a placeholder for a missing reading, such as −999, far from all other values."""
     is_placeholder = np.zeros(len(values), dtype=bool)
     for value in np.intersect1d(values[np.isin(values, PLACEHOLDERS)], PLACEHOLDERS):
-        equal = values == value
-        others = values[~equal & np.isfinite(values)]
-        if len(others) < max(3, len(values) / 2):  # too few to tell a placeholder from readings
+        is_equal = values == value
+        numbers = values[~is_equal & np.isfinite(values)]
+        if len(numbers) < max(3, len(values) / 2):  # too few to tell a placeholder from readings
             continue
-        low, high = float(others.min()), float(others.max())
+        low, high = float(numbers.min()), float(numbers.max())
         if max(low - value, value - high) > MIN_PLACEHOLDER_RANGES * (high - low):
-            is_placeholder |= equal
+            is_placeholder |= is_equal
     return np.flatnonzero(is_placeholder)

@@ -56,23 +56,23 @@ def convert_columns(
     """
     problems = Objections()
     file = MatchedFile(table, instrument, options, problems)
-    extra, flags = ({}, []) if file.note_missing() else file.further_columns()
+    further_columns, flags = ({}, []) if file.note_missing() else file.further_columns()
     converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
-    cells = _load_cells(file, extra)
+    cells = _load_cells(file, further_columns)
     _convert_declared(file, cells, converted)
-    _convert_further(file, extra, cells, converted)
+    _convert_further(file, further_columns, cells, converted)
     _note_gravity(file, converted)
-    _note_channels(file, extra, converted)
+    _note_channels(file, further_columns, converted)
     if converted.missing and not problems:
         _drop_rows(file.table, converted)
     problems.refuse()
     return converted
 
 
-def _load_cells(file: MatchedFile, extra: Mapping[str, Column]) -> dict[str, Cells]:
+def _load_cells(file: MatchedFile, further_columns: Mapping[str, Column]) -> dict[str, Cells]:
     """Load the cells of all columns that are used; combine times of day with the dates of a date column."""
     table, positions = file.table, file.positions
-    columns = {n: c for n, c in {**file.expected, **extra}.items() if n in positions}
+    columns = {n: c for n, c in {**file.expected, **further_columns}.items() if n in positions}
     requested = {positions[n]: c.unit is not None for n, c in columns.items()}
     names = {i: normalise(h.name) for i, h in enumerate(table.headers) if not h.unit}
     days = [i for i, n in names.items() if n in DATE_NAMES and i != positions.get("time")]
@@ -105,15 +105,15 @@ def _convert_declared(
 
 def _convert_further(
     file: MatchedFile,
-    extra: Mapping[str, Column],
+    further_columns: Mapping[str, Column],
     cells: Mapping[str, Cells],
     converted: ConvertedColumns,
 ) -> None:
     """Convert columns that the instrument does not declare; ignore, with a flag, one with a non-numeric cell."""
     options = replace(file.options, missing="refuse")
-    for name in (n for n in extra if n in cells):
+    for name in (n for n in further_columns if n in cells):
         objections, flags = Objections(), len(converted.flags)  # not added to the file's problems
-        ColumnReader(file, extra[name], converted, options, objections).read(cells[name])
+        ColumnReader(file, further_columns[name], converted, options, objections).read(cells[name])
         for problem in objections[:1]:
             why = " ".join((*problem.places[:1], problem.fault))
             message = f"{file.table.file}: column {problem.column!r} ignored: {why}"
@@ -134,13 +134,13 @@ def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
 
 
 def _note_channels(
-    file: MatchedFile, extra: Mapping[str, Column], converted: ConvertedColumns
+    file: MatchedFile, further_columns: Mapping[str, Column], converted: ConvertedColumns
 ) -> None:
     """Flag the other channels of the same device, which are excluded as covariates."""
     if (output := output_name(file.instrument)) not in converted.values:
         return
     output_header = file.header(output).name
-    further = {n: u for n, u in converted.units.items() if n in extra}
+    further = {n: u for n, u in converted.units.items() if n in further_columns}
     converted.other_channels.update(other_channels(output_header, further, converted.units[output]))
     if converted.other_channels:
         names = ", ".join(sorted(converted.other_channels))
@@ -153,19 +153,19 @@ def _note_channels(
 def _drop_rows(table: Table, converted: ConvertedColumns) -> None:
     """Drop the rows with a missing reading, with a flag; raise InputError if no row remains."""
     missing = converted.missing
-    dropped = np.unique(np.concatenate(list(missing.values())))
-    converted.kept_rows = np.setdiff1d(np.arange(table.rows), dropped)
+    dropped_rows = np.unique(np.concatenate(list(missing.values())))
+    converted.kept_rows = np.setdiff1d(np.arange(table.rows), dropped_rows)
     converted.tables = (table.take(converted.kept_rows),)
     converted.values = {name: v[converted.kept_rows] for name, v in converted.values.items()}
     places = "; ".join(f"{name} in {_format_rows(table, rows)}" for name, rows in missing.items())
-    message = f"{table.file}: {len(dropped)} of {table.rows} rows dropped, with missing readings: {places}"
+    message = f"{table.file}: {len(dropped_rows)} of {table.rows} rows dropped, with missing readings: {places}"
     converted.flags.append(Flag(message, "rows.dropped", *missing))
 
 
 def _format_rows(table: Table, rows: np.ndarray) -> str:
     """Format the number of rows and the first three row labels, for messages."""
-    first = ", ".join(table.place(int(i)) for i in rows[:3])
-    return first if len(rows) == 1 else f"{len(rows)} rows ({first}{' …' * (len(rows) > 3)})"
+    labels = ", ".join(table.place(int(i)) for i in rows[:3])
+    return labels if len(rows) == 1 else f"{len(rows)} rows ({labels}{' …' * (len(rows) > 3)})"
 
 
 class ColumnReader:
@@ -190,13 +190,13 @@ class ColumnReader:
     def read(self, cells: Cells) -> None:
         """Check and convert the cells of the column; leave it out if it is empty and not required."""
         is_label, count = self.column.unit is None, len(self.problems)
-        empty = cells.values == "" if is_label else np.isnan(cells.values)
-        if not self.column.required and not cells.bad and empty.all():
+        is_empty = cells.values == "" if is_label else np.isnan(cells.values)
+        if not self.column.required and not cells.bad and is_empty.all():
             self._flag("is empty and ignored")
             return
         if is_label:
-            if empty.any():
-                self._note_missing(np.flatnonzero(empty), "is empty", "a label")
+            if is_empty.any():
+                self._note_missing(np.flatnonzero(is_empty), "is empty", "a label")
             self._note_labels(cells.values)
             if len(self.problems) == count:
                 self._store(cells.values)
@@ -242,8 +242,8 @@ class ColumnReader:
             cure, suggestion = "Fill it in, or drop such rows", option("--missing", "drop")
             self._report(fault, expected, cure, suggestion, rows=rows)
             return
-        earlier = self.converted.missing.get(self.name, rows[:0])
-        self.converted.missing[self.name] = np.union1d(earlier, rows)
+        earlier_rows = self.converted.missing.get(self.name, rows[:0])
+        self.converted.missing[self.name] = np.union1d(earlier_rows, rows)
 
     def _note_labels(self, labels: np.ndarray) -> None:
         """Add a problem for each label that is unknown or contains a control character."""
@@ -359,8 +359,8 @@ class ColumnReader:
         if not self.is_output or not finite.size or finite.min() < 0 or (finite % 1).any():
             return
         bits = next((b for b in _CONVERTER_BITS if finite.max() < 2.0**b), np.inf)
-        part = finite // 2.0 ** (bits - 4)  # sixteenths of the range
-        if np.isin(part, (0, 15)).all() and (part == 15).any() and np.sum(part == 0) > 1:
+        index = finite // 2.0 ** (bits - 4)  # sixteenths of the range
+        if np.isin(index, (0, 15)).all() and (index == 15).any() and np.sum(index == 0) > 1:
             fault = f"contains integers near 0 and near 2^{bits} and none between: signed counts stored as unsigned"
             suggestion = option("--unwrap", f"{self.header.raw}=2^{bits}")
             self._report(fault, cure="Unwrap them, if so", option=suggestion)
@@ -388,8 +388,8 @@ class ColumnReader:
                 raw = units.convert(values, unit, scale.unit, **settings)
                 return scale.apply(raw, difference=difference)
             alternative = f", or {scale.unit} (by the nominal scale)" if scale else ""
-            per = f"({target})" if "/" in target else target
-            scale_option = option("--nominal-scale", f"250 {unit}/{per}")
+            unit_divisor = f"({target})" if "/" in target else target
+            scale_option = option("--nominal-scale", f"250 {unit}/{unit_divisor}")
             hint = f" Or give the raw output in {unit} per {target}, such as {scale_option}"
         cure = f"Correct the header, or give the correct unit.{hint}"
         expected = f"{target} or a unit that converts to it{alternative}"
@@ -399,8 +399,8 @@ class ColumnReader:
     def _note_scale(self, scale: NominalScale, difference: bool) -> None:
         """Flag that raw outputs are converted by the nominal scale."""
         is_given = self.options.nominal_scale is not None
-        shifted = scale.offset and not difference
-        reading = f"(reading − {scale.offset:g})" if shifted else "reading"
+        has_offset = scale.offset and not difference
+        reading = f"(reading − {scale.offset:g})" if has_offset else "reading"
         of_instrument = "" if is_given else f" of {self.file.instrument.name}"
         advice = " (for another sensor: --nominal-scale and --nominal-zero)" * (not is_given)
         self._flag(
@@ -420,10 +420,10 @@ class ColumnReader:
         is_empty = np.isnan(raw[bad_rows])
         if is_empty.any() and len(noted_rows) < MAX_BAD:
             self._note_missing(bad_rows[is_empty], _EMPTY_FAULT, expected)
-        if (infinite := bad_rows[~is_empty]).size:
-            first = float(raw[infinite[0]])
-            fault = f"reads {first:g}" + ", too large" * bool(np.isfinite(first))
-            self._report(fault, expected, "Fill it in, or remove the row", rows=infinite)
+        if (infinite_rows := bad_rows[~is_empty]).size:
+            first_value = float(raw[infinite_rows[0]])
+            fault = f"reads {first_value:g}" + ", too large" * bool(np.isfinite(first_value))
+            self._report(fault, expected, "Fill it in, or remove the row", rows=infinite_rows)
 
     def _note_implausible(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
         low = -np.inf if self.column.low is None else self.column.low
@@ -435,12 +435,12 @@ class ColumnReader:
         limits = f"at least {low:g}" if high == np.inf else f"at most {high:g}"
         limits = f"{low:g} … {high:g}" if low > -np.inf and high < np.inf else limits
         unit_text, target_text = units.format_unit(unit), units.format_unit(target)
-        internal = f", that is {values[index]:.6g} {target_text}" * (unit_text != target_text)
-        fault = f"reads {raw[index]:.6g} {unit_text}{internal}; plausible: {limits} {target_text}"
+        conversion = f", that is {values[index]:.6g} {target_text}" * (unit_text != target_text)
+        fault = f"reads {raw[index]:.6g} {unit_text}{conversion}; plausible: {limits} {target_text}"
         cure = "Check the unit and the number"
         if target == "degC" and values[index] > high:
-            undo = option("--unwrap", f"{self.header.raw}=PERIODdegC")
-            cure += f"; if a counter wrapped around, unwrap it with {undo}"
+            unwrap_option = option("--unwrap", f"{self.header.raw}=PERIODdegC")
+            cure += f"; if a counter wrapped around, unwrap it with {unwrap_option}"
         self._report(fault, "", cure, rows=rows)
 
 
@@ -470,8 +470,7 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
                 f"{file_without!r} lacks the column {name!r} that {file_with!r} has: label every file, or none"
             )
         if file_without and name == MAY_BE_EMPTY:
-            message = f"{file_without} has no column {name!r}: its readings belong to no cell"
-            joined.flags.append(f"{message}, as on a temperature ramp")
+            joined.flags.append(f"{file_without} has no {name!r}: its readings belong to no cell")
         elif file_without and name != ASSUMED_GRAVITY:
             joined.flags.append(
                 f"column {name!r} ignored: it is in {file_with}, not in {file_without}"
@@ -481,10 +480,10 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
         missing = (np.full(table.rows, fill) for table in joined.tables)
         columns = [p.values.get(name, nans) for p, nans in zip(parts, missing, strict=True)]
         joined.values[name], joined.units[name] = np.concatenate(columns), unit
-    first = dict[str, str]()
+    file_by_hash = dict[str, str]()
     for table in joined.tables:
-        if (other := first.setdefault(table.sha256, table.file)) != table.file:
-            joined.flags.append(f"{table.file} has the same content as {other}: given twice?")
+        if (first_file := file_by_hash.setdefault(table.sha256, table.file)) != table.file:
+            joined.flags.append(f"{table.file} has the same content as {first_file}: given twice?")
     return joined
 
 
@@ -510,22 +509,22 @@ def _first_files(
 ) -> tuple[str | None, str | None]:
     """Return the names of the first file whose flag is true and the first whose flag is false; None for none."""
     files = [part.tables[0].file for part in parts]
-    first = dict(reversed([*zip(flags, files, strict=True)]))
-    return first.get(True), first.get(False)
+    first_by_flag = dict(reversed([*zip(flags, files, strict=True)]))
+    return first_by_flag.get(True), first_by_flag.get(False)
 
 
 def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
     """Shift the times of dated files to a common origin, the earliest date; return that date, or None without dates."""
-    timed = [part for part in parts if "time" in part.values]
-    origins = [part.origin for part in timed if part.origin is not None]
+    files = [part for part in parts if "time" in part.values]
+    origins = [part.origin for part in files if part.origin is not None]
     if not origins:
         return None
-    file_with, file_without = _first_files(timed, [part.origin is not None for part in timed])
+    file_with, file_without = _first_files(files, [part.origin is not None for part in files])
     if file_without:
         raise InputError(
             f"{file_with!r} has dates in its column 'time', {file_without!r} has none: give its first date, "
             f"--begin '{file_without}=2026-05-13 10:14:20', or read the files separately"
         )
-    for part, origin in zip(timed, origins, strict=True):
+    for part, origin in zip(files, origins, strict=True):
         part.values["time"] = np.round(part.values["time"] + (origin - min(origins)), 6)
     return min(origins)

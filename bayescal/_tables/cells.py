@@ -53,9 +53,9 @@ def parse_date(text: str) -> dict[str, float]:
     text = text.strip()
     if text[4:5] == "-":
         with suppress(ValueError):
-            moment = datetime.fromisoformat(text)
-            elapsed = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
-            return {"": (elapsed.days * 86400 + elapsed.seconds) + elapsed.microseconds * 1e-6}
+            date = datetime.fromisoformat(text)
+            delta = (date if date.tzinfo else date.replace(tzinfo=UTC)) - _EPOCH
+            return {"": (delta.days * 86400 + delta.seconds) + delta.microseconds * 1e-6}
     if _POINTS.match(text):
         clock, day = _parse_time(text, max_hours=23), _parse_days(text).get("")
         readings = {"hms": clock, "dmy": None if day is None else day * _DAY}
@@ -70,22 +70,22 @@ def parse_date(text: str) -> dict[str, float]:
 
 def _split_date_time(text: str) -> tuple[str, float | None]:
     """Split a text into a date and the time of day after it, s (None for other text)."""
-    date_match = next((match for form in _DATE_FORMATS if (match := form.match(text))), None)
+    date_match = next((match for pattern in _DATE_FORMATS if (match := pattern.match(text))), None)
     day = date_match[0] if date_match else ""
-    tail = _DATE_TIME_GAP.sub("", text[len(day) :], count=1)
-    return day, _parse_time(tail, max_hours=23) if len(day) < len(text) else 0.0
+    time_text = _DATE_TIME_GAP.sub("", text[len(day) :], count=1)
+    return day, _parse_time(time_text, max_hours=23) if len(day) < len(text) else 0.0
 
 
 @lru_cache(maxsize=4096)  # days repeat
 def _parse_days(text: str) -> dict[str, int]:
     """Parse a date to days since 1970, by each possible order of day, month, year; "" if unambiguous."""
     days = dict[str, int]()
-    for form, orders in _DATE_FORMATS.items():
-        if not (match := form.fullmatch(text)):
+    for pattern, orders in _DATE_FORMATS.items():
+        if not (match := pattern.fullmatch(text)):
             continue
-        for order, parts in orders.items():
+        for order, group_names in orders.items():
             with suppress(ValueError):
-                year, month, day = (match[part] for part in parts)
+                year, month, day = (match[group_name] for group_name in group_names)
                 if len(year) in (2, 4):  # two digits: this century
                     bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
                     name = max(filter(bare.startswith, _MONTHS), key=len, default="")
@@ -134,8 +134,8 @@ def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
     """
     if detect_epoch_unit(seconds, max_span=np.inf) != "s":
         return seconds, None
-    first = float(np.nanmin(seconds[np.isfinite(seconds)]))
-    return np.round(seconds - first, 6), first
+    origin = float(np.nanmin(seconds[np.isfinite(seconds)]))
+    return np.round(seconds - origin, 6), origin
 
 
 def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -> str | None:
@@ -178,8 +178,8 @@ class Cells:
     def dates(self) -> np.ndarray | None:
         """Return the cells as text if the first non-numeric cell is a date; else None."""
         cells = () if self.texts is None else zip(self.texts, np.isnan(self.values), strict=True)
-        first = next((text for text, is_text in cells if is_text and not is_missing(text)), "")
-        return self.texts if parse_date(first) else None
+        first_text = next((text for text, is_text in cells if is_text and not is_missing(text)), "")
+        return self.texts if parse_date(first_text) else None
 
     def take(self, rows: np.ndarray) -> Cells:
         """Select cells by row index."""
@@ -229,15 +229,15 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
             bad[i] = text
     if unambiguous:
         return Cells(rows[0], bad), []
-    values, present = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
-    valid_orders = [n for n, row in values.items() if not np.isnan(row[present]).any()]
+    values, is_date = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
+    valid_orders = [n for n, row in values.items() if not np.isnan(row[is_date]).any()]
     if not order and len(valid_orders) != 1:
         possible = [n for n, row in values.items() if not np.isnan(row).all()]
         return Cells(np.fmax.reduce(rows), bad), valid_orders or possible
-    chosen = values[order or valid_orders[0]]
-    invalid = np.flatnonzero(present & np.isnan(chosen))[:MAX_BAD]
+    seconds = values[order or valid_orders[0]]
+    invalid = np.flatnonzero(is_date & np.isnan(seconds))[:MAX_BAD]
     bad |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
-    return Cells(chosen, bad), []
+    return Cells(seconds, bad), []
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:

@@ -114,7 +114,7 @@ class CsvText:
                 parts[position].append(cells)
         return {position: Cells.joined(pieces) for position, pieces in parts.items()}
 
-    def split(self, line: str, row: int, place: str = "", cure: str = "") -> list[str]:
+    def split(self, line: str, row: int, position: str = "", cure: str = "") -> list[str]:
         """Split a line into fields; raise InputError for unpaired quotation marks."""
         if '"' not in line:
             return line.split(self.separator)
@@ -122,8 +122,8 @@ class CsvText:
             return next(csv.reader([line], delimiter=self.separator, strict=True))
         except csv.Error as error:
             is_long = "limit" in str(error)
-            mark = "a field that is too long" if is_long else "an unpaired quotation mark"
-            fault = f"has {mark}{place}: {line[:80]!r}"
+            problem = "a field that is too long" if is_long else "an unpaired quotation mark"
+            fault = f"has {problem}{position}: {line[:80]!r}"
             raise unusable(self.file, fault, f"Close or remove it{cure}", f"row {row}") from error
 
 
@@ -200,21 +200,21 @@ def _read_header(text: CsvText) -> None:
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(text.file, "is empty", expected)
     row, line, end = lines[header.first if header else 0]
-    last, _, end = lines[header.last] if header else (row, line, end)
+    last_row, _, end = lines[header.last] if header else (row, line, end)
     separator = text.separator = header.separator if header else _rank_separators(line)[0]
     check_width(text.file, 1 + line.count(separator))
     fields = line.split(separator), line.split()
     if any(not any(map(math.isnan, map(to_number, texts))) for texts in fields):
         cure = "Add a row of column names, such as 'time [s],temperature [degC],output [deg/s]'"
         raise unusable(text.file, f"has no header: its first row, row {row}, is numbers", cure)
-    text.header = text.split(line, row, place=", in the header")
+    text.header = text.split(line, row, position=", in the header")
     if header and (header.last > header.first or len(header.names) != len(text.header)):
         text.header = header.names
     lines_above = lines[: header.first if header else 0]
-    above = [_split_fields(line, separator) for _, line, _ in lines_above]
-    text.header = _append_units(text.header, _labview_units(above))
-    text.first, text.offset, text.named = last + 1, end, row
-    if above:
+    rows_above = [_split_fields(line, separator) for _, line, _ in lines_above]
+    text.header = _append_units(text.header, _labview_units(rows_above))
+    text.first, text.offset, text.named = last_row + 1, end, row
+    if rows_above:
         text.notes.append(f"its header is row {row}; the rows above are ignored")
     if text.first - row > 1:
         text.notes.append(f"its units are read from row {row + 1}")
@@ -222,14 +222,14 @@ def _read_header(text: CsvText) -> None:
 
 def _read_first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
     """Return row, text and end offset of the first lines that are neither blank nor comments."""
-    handle, first, row = io.BytesIO(text.data), [], 0
-    while len(first) < _HEADER_ROWS and (raw := handle.readline()):
+    handle, first_lines, row = io.BytesIO(text.data), [], 0
+    while len(first_lines) < _HEADER_ROWS and (raw := handle.readline()):
         row += 1
         line = raw.removeprefix(_BYTE_ORDER_MARK if row == 1 else b"").decode("utf-8", "replace")
         line = line.removeprefix("#").lstrip() if commented else line
         if line.strip() and not line.startswith("#"):
-            first.append((row, line.rstrip("\r\n"), handle.tell()))
-    return first
+            first_lines.append((row, line.rstrip("\r\n"), handle.tell()))
+    return first_lines
 
 
 def _find_header(texts: Sequence[str]) -> _HeaderRows | None:
@@ -249,7 +249,7 @@ def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
     """Replace the blanks that separate fields by tabs, and strip lines."""
     if runs is None:
         return data
-    lines = (line.strip(b" \t") for line in data.replace(b"\r\n", b"\n").split(b"\n"))
+    lines = (x.strip(b" \t") for x in data.replace(b"\r\n", b"\n").split(b"\n"))
     return b"\n".join((_UNIT_GAP if x[:1] in b"[(<{" else runs).sub(b"\t", x) for x in lines)
 
 
@@ -283,7 +283,7 @@ def _scan_lines(text: CsvText) -> None:
         text.decimal = ","
     if text.decimal == ",":
         text.notes.append("its numbers have decimal commas")
-    row, blanks, ragged = text.first - 1, list[int](), list[tuple[int, str, int]]()
+    row, blanks, ragged_rows = text.first - 1, list[int](), list[tuple[int, str, int]]()
     for row, line in enumerate(text.rows(), text.first):
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot contain a line break"
@@ -293,24 +293,24 @@ def _scan_lines(text: CsvText) -> None:
         else:
             blanks.append(row)
             continue
-        if fields != expected and len(ragged) < MAX_BAD:
-            ragged.append((row, line.decode().strip()[:80], fields))
-    if ragged:
-        _refuse_ragged(text, ragged)
+        if fields != expected and len(ragged_rows) < MAX_BAD:
+            ragged_rows.append((row, line.decode().strip()[:80], fields))
+    if ragged_rows:
+        _refuse_ragged(text, ragged_rows)
     text.readings = np.setdiff1d(np.arange(text.first, row + 1), blanks)
 
 
-def _refuse_ragged(text: CsvText, ragged: Sequence[tuple[int, str, int]]) -> None:
+def _refuse_ragged(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
     """Raise InputError for rows (row, text, number of fields) with more or fewer fields than the header."""
-    _, line, fields = ragged[0]
+    _, line, fields = ragged_rows[0]
     expected = len(text.header)
     comma = text.separator == "," and fields > expected
     cure = "If its numbers have decimal commas, export them with decimal points. " * comma
-    if any(expected < n for _, _, n in ragged):
+    if any(expected < n for _, _, n in ragged_rows):
         cure += "If the first lines only describe the test, begin each with #. "
     cure += "Give every row one field for each column"
     fault = f"has {fields} field{'s' * (fields != 1)}, but the header has {expected}: {line!r}"
-    places = tuple(f"row {row}" for row, _, _ in ragged)
+    places = tuple(f"row {row}" for row, _, _ in ragged_rows)
     Objections([Objection(text.file, fault, cure=cure, places=places)]).refuse()
 
 
@@ -364,10 +364,10 @@ def _is_reading(text: str) -> bool:
 def _are_units(row: Sequence[str], width: int) -> bool:
     """Return whether a row may contain units: short texts, none of them a reading."""
     texts = [text.strip() for text in row if text.strip()]
-    are_short = all(len(t) <= _UNIT_LENGTH and (t[0] in "[(" or not t.endswith("]")) for t in texts)
+    is_short = all(len(t) <= _UNIT_LENGTH and (t[0] in "[(" or not t.endswith("]")) for t in texts)
     has_width = abs(len(row) - width) <= 1 and len(texts) >= 2
     readings = (t for t in texts if _is_reading(t) or (is_missing(t) and t != "-"))
-    return has_width and are_short and not any(readings)
+    return has_width and is_short and not any(readings)
 
 
 def _append_units(names: Sequence[str], units: Sequence[str]) -> list[str]:

@@ -81,9 +81,9 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
                 f"{file!r} has variables along {', '.join(sorted(dimensions))}, so that the dimension of readings is "
                 f"ambiguous. Save variables of one dimension, preferably called {ROW!r}"
             )
-        chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
-        columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == chosen}
-        check_size(file, data.sizes.get(chosen, 0), len(columns), max_bytes)
+        row_dimension = ROW if ROW in dimensions else next(iter(dimensions), "")
+        columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == row_dimension}
+        check_size(file, data.sizes.get(row_dimension, 0), len(columns), max_bytes)
         units = {n: str(v.attrs["units"]) for n, v in columns.items() if "units" in v.attrs}
         return Table.of_columns(file, {n: v.values for n, v in columns.items()}, units)
 
@@ -102,12 +102,12 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         ) from None
     with as_format(file, "Excel (.xlsx)"), path.open("rb") as handle:
         with ZipFile(path) as archive:
-            total = sum(entry.file_size for entry in archive.infolist())  # unpacked size
-        unpacked.refuse_unpacked(file, path.stat().st_size, total, unpacked.SHEET)
+            unpacked_size = sum(entry.file_size for entry in archive.infolist())  # unpacked size
+        unpacked.refuse_unpacked(file, path.stat().st_size, unpacked_size, unpacked.SHEET)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
-            filled = ((s, t) for s in sheets if (t := _text_of(s, file, max_bytes)).strip())
-            sheet, text = next(filled, (None, b""))
+            filled_sheets = ((s, t) for s in sheets if (t := _text_of(s, file, max_bytes)).strip())
+            sheet, text = next(filled_sheets, (None, b""))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
     note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
@@ -156,9 +156,9 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
             "ToScalar=true))"
         )
     rows = lengths.pop()
-    chosen = {name: vector for name, vector in columns.items() if len(vector) == rows}
-    check_size(file, rows, len(chosen), max_bytes)
-    return Table.of_columns(file, chosen)
+    long_vectors = {name: vector for name, vector in columns.items() if len(vector) == rows}
+    check_size(file, rows, len(long_vectors), max_bytes)
+    return Table.of_columns(file, long_vectors)
 
 
 def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
@@ -183,8 +183,8 @@ def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
     """Split a variable into named columns: a vector, the columns of a matrix, or those of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
-        public = {n: v for n, v in fields.items() if not n.startswith("_")}
-        return [pair for field, inner in public.items() for pair in _vectors(field, inner)]
+        members = {n: v for n, v in fields.items() if not n.startswith("_")}
+        return [pair for field, entry in members.items() for pair in _vectors(field, entry)]
     array = np.asarray(value)
     if array.dtype.kind not in "iufbUO" or array.dtype.fields:
         return []

@@ -33,18 +33,18 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
     for path, count in Counter(path.resolve() for path in paths).items():
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
-    shared, total = Counter(path.name for path in paths), 0
-    names = [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
+    name_counts, total_size = Counter(path.name for path in paths), 0
+    names = [one_line(path.name if name_counts[path.name] == 1 else path) for path in paths]
     for path, name in zip(paths, names, strict=True):
         with _reachable(path):
             size = path.stat().st_size
         if not path.is_file():
             raise unusable(str(path), "is not a file", "give a file, or all files of the folder")
-        total += size
-        if total > max_bytes:
+        total_size += size
+        if total_size > max_bytes:
             limit = f"above the limit of {format_bytes(max_bytes)}"
             cure = "Average the readings, read fewer files, or raise max_bytes in Python"
-            raise unusable(name, f"makes the total size {format_bytes(total)}, {limit}", cure)
+            raise unusable(name, f"makes the total size {format_bytes(total_size)}, {limit}", cure)
     return names
 
 

@@ -96,8 +96,8 @@ def _format_problems(problems: Sequence[Objection]) -> str:
     for p in problems:  # equal problems of several files are reported once
         groups.setdefault((p.column, p.fault, p.expected, p.cure, p.option), []).append(p)
     lines = [
-        f"{same[0]}" + f" (and {len(same) - 1} more like it)" * (len(same) > 1)
-        for same in groups.values()
+        f"{group[0]}" + f" (and {len(group) - 1} more like it)" * (len(group) > 1)
+        for group in groups.values()
     ]
     files_text = f"{next(iter(files))!r}" if len(files) == 1 else f"{len(files)} files"
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
@@ -118,8 +118,8 @@ def format_bytes(size: float) -> str:
 
 def to_one_line(text: str) -> str:
     """Replace line breaks and other control characters of a name by spaces."""
-    parts = (part.strip() for part in re.split(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", text))
-    return " ".join(part for part in parts if part)
+    lines = (line.strip() for line in re.split(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+", text))
+    return " ".join(line for line in lines if line)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def refuse_hdf5(hdf5: Any, file_name: str, size: int) -> None:
     import h5py  # takes a tenth of a second
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
-    total, pending, visited = 0, [hdf5], {h5o.get_info(hdf5.id).addr}
+    total_size, pending, visited = 0, [hdf5], {h5o.get_info(hdf5.id).addr}
     while pending:
         group = pending.pop()
         for name in group:
@@ -55,9 +55,9 @@ def refuse_hdf5(hdf5: Any, file_name: str, size: int) -> None:
                 fault = f"has the group {path} twice, or over {_MAX_OBJECTS:,} arrays and groups"
                 raise unusable(file_name, fault, _CSV_ADVICE)
             visited.add(address)
-            total += int(node.size or 0) * node.dtype.itemsize if is_array else 0
+            total_size += int(node.size or 0) * node.dtype.itemsize if is_array else 0
             pending += [node] * isinstance(node, h5py.Group)
-    refuse_unpacked(file_name, size, total, ARRAYS)
+    refuse_unpacked(file_name, size, total_size, ARRAYS)
 
 
 # Elements of a MATLAB file up to 7.2, and classes of arrays that contain others: cells, structures, objects, functions,
@@ -68,7 +68,7 @@ _MAX_CONTAINERS = 2000  # in a file, since some thousands exhaust the stack of t
 
 def refuse_matlab(path: Path, file_name: str) -> None:
     """Raise InputError if a MATLAB file up to 7.2 is too large when unpacked, or has too many containers."""
-    size, total, containers = path.stat().st_size, 0, 0
+    size, total_size, containers = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         header = handle.read(128)
         if 0 in header[:4]:  # version 4: uncompressed matrices
@@ -85,15 +85,15 @@ def refuse_matlab(path: Path, file_name: str) -> None:
             if kind == _COMPRESSED:
                 limit = int(max(ARRAYS[1], ARRAYS[0] * size)) + 1
                 data = zlib.decompressobj().decompress(data, limit)
-                total += len(data)
-                refuse_unpacked(file_name, size, total, ARRAYS)
+                total_size += len(data)
+                refuse_unpacked(file_name, size, total_size, ARRAYS)
             for match in flags.finditer(data):
                 containers += 1
                 count = 1
                 if data[match.end() - 1] < _FUNCTION:  # others have no dimensions
                     (size_bytes,) = struct.unpack_from(f"{order}I", data, match.start() + 20)
-                    form = f"{order}{size_bytes // 4}i"
-                    count = math.prod(struct.unpack_from(form, data, match.start() + 24))
+                    layout = f"{order}{size_bytes // 4}i"
+                    count = math.prod(struct.unpack_from(layout, data, match.start() + 24))
                 if containers > _MAX_CONTAINERS or 8 * count > len(data):
                     fault = f"has over {_MAX_CONTAINERS:,} cells and structures, or declares more data than it holds"
                     raise unusable(file_name, fault, _CSV_ADVICE)

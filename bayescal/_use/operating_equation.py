@@ -288,7 +288,7 @@ class OperatingEquation:
         return tuple(n for n in sorted(self.names) if n in needed)
 
     @cached_property
-    def is_affine(self) -> bool:
+    def affine(self) -> bool:
         """Return whether the expected output is affine in the stimulus."""
         return STIMULUS not in self.graph.inputs([self.gradient[STIMULUS]])
 
@@ -327,9 +327,7 @@ class OperatingEquation:
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
         """Solve for the stimulus of an output; return it and the output's derivative there, NaN without solution."""
         nodes = self.expected, self.gradient[STIMULUS]
-        return solve_newton(
-            lambda s: self.evaluate(nodes, theta, s, inputs), output, self.is_affine
-        )
+        return solve_newton(lambda s: self.evaluate(nodes, theta, s, inputs), output, self.affine)
 
     def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
         """Build the frame of readings without history; (n,) each, in fixed units."""
