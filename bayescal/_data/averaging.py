@@ -40,7 +40,7 @@ def check_averaging_time(
         median_step = float(np.median(np.diff(time)[is_next[1:]])) if is_next.any() else np.inf
         spacing = f" (they are {median_step:.3g} s apart)" * bool(np.isfinite(median_step))
         raise InputError(
-            f"{file}: no readings can be averaged: no two with the same labels and settings are within "
+            f"{file}: nothing can be averaged: no two readings with the same labels and settings are within "
             f"{seconds:g} s{spacing}. Give a longer averaging time, or do not average"
         )
 
