@@ -24,7 +24,7 @@ FAR = 5.0  # posterior sds, which no estimate may be off by
 NEAR, NEAR_BENT = (0.2, 0.15), {"differential_pair": (0.5, 0.4)}
 
 # Products of unknowns and many spreads: their default fit takes long to compile, or is left to chains.
-HEAVY = ("ng_accelerometer", "differential_pair", "accelerometer_triad")
+HEAVY = ("ng_accelerometer", "differential_pair", "accelerometer_triad", "magnetometer_triad")
 
 
 def _effective(calibration: bc.Calibration, values: np.ndarray) -> float:

@@ -276,7 +276,9 @@ def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
     np.testing.assert_allclose(found.gradient, slopes, rtol=2e-3, atol=2e-3)
 
 
-@pytest.mark.parametrize("case", ["gyro", "gyro, wandering", "gyro, scatter", "gyro, stages"])
+@pytest.mark.parametrize(
+    "case", slow_but(FAST, ["gyro", "gyro, wandering", "gyro, scatter", "gyro, stages"])
+)
 def test_table_about_a_mode_is_the_density(case: str) -> None:
     a = assembled(case)
     mode = find_mode(a)
@@ -334,7 +336,7 @@ def stepped(place: float) -> Problem:
     return Problem(bind(fill_amplitudes(model, readings, record), readings)[0], record)
 
 
-@pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
+@pytest.mark.parametrize("place", slow_but([0.61], [0.23, 0.61, 0.88]))
 def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     a = stepped(place)
     mode = find_mode(a)

@@ -126,8 +126,12 @@ def assert_exact(found: bc.Calibration, exact: dict[str, tuple[float, float]], s
         assert draws.std() == pytest.approx(sd, rel=0.03 + 4 / np.sqrt(size)), name
 
 
-def test_a_strong_product_is_promoted_and_the_posterior_is_exact(lever) -> None:
-    found = bc.fit(LEVER.baseline(), lever)
+@pytest.fixture(scope="module")
+def found(lever) -> bc.Calibration:
+    return bc.fit(LEVER.baseline(), lever)
+
+
+def test_a_strong_product_is_promoted_and_the_posterior_is_exact(found, lever) -> None:
     assert len(found.layout.promoted) == 1
     (name,) = found.layout.promoted
     assert name in ("scale.constant", "offset.constant")
@@ -142,8 +146,7 @@ def test_a_strong_product_is_promoted_and_the_posterior_is_exact(lever) -> None:
     assert product.std() < 0.2 * found.samples("offset.constant").std()
 
 
-def test_the_prior_of_a_promoted_coefficient_is_its_own(lever) -> None:
-    found = bc.fit(LEVER.baseline(), lever)
+def test_the_prior_of_a_promoted_coefficient_is_its_own(found) -> None:
     prior = found.tree["prior"].to_dataset()
     for name, sd in (("scale.constant", 0.5), ("offset.constant", 5.0)):
         assert prior[name].std() == pytest.approx(sd, rel=0.12)

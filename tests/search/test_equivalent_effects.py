@@ -84,10 +84,9 @@ def rows(instrument: str) -> list[set[str]]:
     return [{*re.findall(r"`([^`]+)`(?! \(in\))", "|".join(line[2:4]))} for line in lines]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "module",
-    [accelerometer_dividing_head, pytest.param(inclinometer, marks=pytest.mark.slow)],
-    ids=["dividing head", "inclinometer"],
+    "module", [accelerometer_dividing_head, inclinometer], ids=["dividing head", "inclinometer"]
 )
 def test_every_set_of_the_page_is_said(module: Any) -> None:
     readings = module.simulate(seed=1)
