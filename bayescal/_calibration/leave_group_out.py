@@ -81,8 +81,8 @@ class RecordSubset(Record):
         return columns[..., self.rows, :], {name: g[..., self.rows, :] for name, g in grads.items()}
 
     @cached_property
-    def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        return self.parent.affine and self._select_rows(self.parent.affine)
+    def affine_map(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        return self.parent.affine_map and self._select_rows(self.parent.affine_map)
 
     def respond(
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True

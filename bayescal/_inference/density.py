@@ -62,7 +62,8 @@ class Density(NumericDensity):
         """Return the density from cached inner products; None if readings must be processed at each φ."""
         problem = self.problem
         nodes = None
-        if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
+        is_promoted = any(t.place == "phi" for t in problem.terms)
+        if not (problem.corrected_columns or problem.is_noisy or is_promoted):
             nodes = problem.record.nodes(problem.noise)
         v = np.zeros(len(problem.hypers)) if self.expansion_point is None else self.expansion_point
         return None if nodes is None else TabulatedDensity(problem, nodes, self.x, v)
@@ -73,25 +74,25 @@ class Density(NumericDensity):
         return self.x if self.tabulated is None else self.tabulated.origin
 
     def _linearise_at(self, v: np.ndarray, hyper: Values) -> Linearisation:
-        key = self._jacobian_key(v)
+        key = self._get_jacobian_key(v)
         if key not in self._cache:
             if len(self._cache) >= self._batch_size:
                 self._cache.clear()
             self._cache[key] = self.problem.linearise(self.x, hyper)
         return self._cache[key]
 
-    def _jacobian_key(self, v: np.ndarray) -> tuple[float, ...]:
+    def _get_jacobian_key(self, v: np.ndarray) -> tuple[float, ...]:
         """Return the coordinates of φ that ∂output/∂x depends on: shapes and promoted coefficients."""
-        return tuple(float(v[i]) for i in self.problem.moving)
+        return tuple(float(v[i]) for i in self.problem.nonlinear_phi)
 
     def _linearise_many(self, vs: Float[np.ndarray, "b d"]) -> Iterator[Linearisation]:
         """Yield the linearised model at each φ of `vs` (b, d); computed in batches if the output is affine in x."""
         problem = self.problem
         for batch in np.array_split(vs, -(-len(vs) // self._batch_size)):
-            keys = [self._jacobian_key(v) for v in batch]
+            keys = [self._get_jacobian_key(v) for v in batch]
             self._cache = {key: self._cache[key] for key in keys if key in self._cache}
             uncached = {k: v for k, v in zip(keys, batch, strict=True) if k not in self._cache}
-            if problem.affine and not problem.noisy and len(uncached) > 1:
+            if problem.is_affine and not problem.is_noisy and len(uncached) > 1:
                 points = np.tile(self.x, (len(uncached), 1))
                 lines = problem.linearise(points, problem.hyper(np.array([*uncached.values()]).T))
                 for i, key in enumerate(uncached):
@@ -107,7 +108,7 @@ class Density(NumericDensity):
         """Return the variance of each reading from noisy inputs, output unit squared (n,), or 0."""
         return self.problem.extra(line) if self.input_variance is None else self.input_variance
 
-    def _whitening(self, line: Linearisation, hyper: Values) -> Whitening | SdWhitening:
+    def _get_whitening(self, line: Linearisation, hyper: Values) -> Whitening | SdWhitening:
         return whitening(self.problem.noise, hyper, self.problem.record, self._input_variance(line))
 
     def whiten_at(
@@ -118,17 +119,17 @@ class Density(NumericDensity):
         line = self._linearise_at(v, hyper)
         residual = self.problem.record.y - line.mean - line.jacobian @ (x - self.x)
         table = np.column_stack([line.jacobian, residual])
-        return residual, *self._whitening(line, hyper).whiten(table)
+        return residual, *self._get_whitening(line, hyper).whiten(table)
 
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
         """Return the Gram matrix of [J r], Jacobian and residuals, at φ; weighted by Σ⁻¹ (noise covariance Σ)."""
         if not self.problem.noise.gaussian:
-            return Gram(*(part[0] for part in self._laplace_grams(v[None])))
+            return Gram(*(part[0] for part in self._compute_laplace_grams(v[None])))
         line = self._linearise_at(v, hyper)
-        white, logdet = self._whitening(line, hyper).whiten(self._residual_table(line))
+        white, logdet = self._get_whitening(line, hyper).whiten(self._stack_residual_table(line))
         return Gram.split(white.T @ white, logdet)
 
-    def _residual_table(self, line: Linearisation) -> Float[np.ndarray, "n q"]:
+    def _stack_residual_table(self, line: Linearisation) -> Float[np.ndarray, "n q"]:
         return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
@@ -138,19 +139,20 @@ class Density(NumericDensity):
             return self.tabulated.grams(vs)
         if not problem.noise.gaussian:
             parts = range(0, len(vs), self._batch_size)
-            grams = [self._laplace_grams(vs[i : i + self._batch_size]) for i in parts]
+            grams = [self._compute_laplace_grams(vs[i : i + self._batch_size]) for i in parts]
             return Gram(*map(np.concatenate, zip(*grams, strict=True)))
         # Standard deviations between group members enter the prior alone, not the Gram matrix.
-        mask = [k != "group_sd" or i in problem.moving for i, k in enumerate(problem.kinds)]
+        mask = [k != "group_sd" or i in problem.nonlinear_phi for i, k in enumerate(problem.kinds)]
         _, rows, index = np.unique(vs[:, mask], axis=0, return_index=True, return_inverse=True)
-        grams = self._whitened_grams(vs[rows])
+        grams = self._compute_whitened_grams(vs[rows])
         return Gram(*(np.stack([np.asarray(g[i]) for g in grams])[index.ravel()] for i in range(4)))
 
-    def _whitened_grams(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
+    def _compute_whitened_grams(self, vs: Float[np.ndarray, "b d"]) -> list[Gram]:
         """Return the Gram matrices at several φ, each distinct column whitened once per value of noise parameters."""
         is_noise, rows_by_noise = np.array([kind == "noise" for kind in self.problem.kinds]), {}
         for i, v in enumerate(vs):
-            rows_by_noise.setdefault(i if self.problem.noisy else tuple(v[is_noise]), []).append(i)
+            key = i if self.problem.is_noisy else tuple(v[is_noise])
+            rows_by_noise.setdefault(key, []).append(i)
         batch_size = max(1, MAX_FILTER_COLUMNS // (self.problem.size + 1))
         groups = list[list[int]]()
         for members in sorted(rows_by_noise.values(), key=len):
@@ -162,16 +164,16 @@ class Density(NumericDensity):
             line, first_table = None, np.empty(0)
             for group in groups:
                 previous, line = line, next(lines)
-                first_table = first_table if line is previous else self._residual_table(line)
+                first_table = first_table if line is previous else self._stack_residual_table(line)
                 columns, group_columns = [*first_table.T], [[*range(first_table.shape[1])]]
                 for _ in group[1:]:
                     group_columns.append([*group_columns[0]])
-                    table = self._residual_table(next(lines))
+                    table = self._stack_residual_table(next(lines))
                     for j in np.flatnonzero(np.any(table != first_table, axis=0)):
                         group_columns[-1][j] = len(columns)
                         columns.append(table[:, j])
                 column_sets.append(group_columns)
-                whitener = self._whitening(line, hypers[group[0]])
+                whitener = self._get_whitening(line, hypers[group[0]])
                 yield whitener, first_table if len(group) == 1 else np.column_stack(columns)
 
         grams: dict[int, Gram] = {}
@@ -180,7 +182,7 @@ class Density(NumericDensity):
                 grams[i] = Gram.split(products[np.ix_(members, members)], logdet)
         return [grams[i] for i in range(len(vs))]
 
-    def _laplace_grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+    def _compute_laplace_grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return Gram matrices of the Laplace approximation of a non-Gaussian likelihood about the mode of x given φ.
 
         A Newton step that decreases the density is replaced by an EM step (Gaussian scale mixture), which never
@@ -194,7 +196,7 @@ class Density(NumericDensity):
         jacobian = np.stack([line.jacobian for line in lines])
         residual = record.y - np.stack([line.mean for line in lines])
         variances = (np.broadcast_to(self._input_variance(line), (record.size,)) for line in lines)
-        input_variance: Any = np.stack([*variances]) if problem.noisy else 0.0
+        input_variance: Any = np.stack([*variances]) if problem.is_noisy else 0.0
         safe_sd = np.where(prior.sd > 0, prior.sd, 1.0)
 
         def select(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -258,7 +260,6 @@ class Density(NumericDensity):
         noise, record = self.problem.noise, self.problem.record
         if noise.gaussian:
             return gram.rtr
-        # Deviance: −2·log density relative to that of zero residuals.
         line = self.problem.linearise(self.x, hyper)
         residual = record.y - line.mean
         return density_terms(noise, hyper, record, residual, self._input_variance(line)).squares

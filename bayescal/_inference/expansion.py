@@ -77,7 +77,7 @@ class Expansion:
     def factors(self, v: Float[np.ndarray, "d"]) -> Factors:
         """Return the factors with gradient and Hessian at coordinates (d,) inside the box."""
         if not self.half:
-            return _taylor_terms(len(v), self.rank)
+            return _get_factors(len(v), self.rank)
         u, k = (v[0] - self.middle[0]) / self.half, self.orders
         angle = np.arccos(min(max(u, -1 + 1e-12), 1 - 1e-12))
         value, sin = np.cos(k * angle), np.sin(angle)
@@ -88,7 +88,7 @@ class Expansion:
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         """Evaluate the r factors of the expanded columns at b points of the expansion's box, (b, r)."""
         if not self.half:
-            return np.broadcast_to(_taylor_terms(v.shape[1], self.rank).value, (len(v), self.rank))
+            return np.broadcast_to(_get_factors(v.shape[1], self.rank).value, (len(v), self.rank))
         return chebvander((v[:, 0] - self.middle[0]) / self.half, NODES)[:, self.orders]
 
 
@@ -117,8 +117,7 @@ class Polynomials:
         self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
         # Twice as many points as terms, distributed as 1/√(1 − t²) by the cosine below: least squares is then stable.
         count = 2 * math.comb(self.dim + degree, self.dim) + 4
-        # A Kronecker low-discrepancy sequence: multiples of irrational steps, modulo one.
-        # Their base is the positive root of x^(dim + 1) = x + 1.
+        # Kronecker low-discrepancy sequence; the base of its steps is the positive root of x^(dim + 1) = x + 1.
         ratio = np.max(np.roots([1, *np.zeros(self.dim - 1), -1, -1]).real)
         steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
         self.points: np.ndarray = self.centre + np.cos(np.pi * steps) @ self.root.T
@@ -217,11 +216,11 @@ class Expansions:
             count = len(basis.points)
             computed = self._columns(np.concatenate([basis.points, draws[:TEST_DRAWS]]))
             values = computed[:count].reshape(count, -1)
-            exact = computed[count:].reshape(TEST_DRAWS, -1)
+            exact_values = computed[count:].reshape(TEST_DRAWS, -1)
             if not np.all(np.isfinite(computed)):
                 break
             coefficients = np.linalg.pinv(basis.terms(basis.points)) @ values
-            error = basis.terms(draws[:TEST_DRAWS]) @ coefficients - exact
+            error = basis.terms(draws[:TEST_DRAWS]) @ coefficients - exact_values
             misfit = np.max(np.abs(error), initial=0.0) / np.max(np.abs(values), initial=1e-300)
             if misfit >= best:
                 break
@@ -240,11 +239,11 @@ class Expansions:
             half = 0.5 * MAX_BOX_WIDTH_SD * 2.0**-halvings
             computed = self._columns(v + half * np.append(chebpts(NODES), _TEST_POINTS)[:, None])
             nodes = computed[:NODES].reshape(NODES, -1)
-            exact = computed[NODES:].reshape(len(_TEST_POINTS), -1)
+            exact_values = computed[NODES:].reshape(len(_TEST_POINTS), -1)
             coefficients = values_to_coefficients(NODES) @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(
-                np.abs(chebvander(_TEST_POINTS, NODES) @ coefficients - exact), initial=0.0
+                np.abs(chebvander(_TEST_POINTS, NODES) @ coefficients - exact_values), initial=0.0
             )
             if error <= TOLERANCE * largest:
                 self._level = halvings
@@ -259,13 +258,13 @@ class Expansions:
         """Return the second-order Taylor series about v: columns, gradient, Hessian (`_lower_indices`)."""
         h, dim = DIFF_STEP, self.dim
         unit = h * np.eye(dim)
-        mixed = [unit[i] + unit[j] for i, j in _lower_indices(dim) if i != j]
+        mixed = [unit[i] + unit[j] for i, j in _list_lower_indices(dim) if i != j]
         shifts = np.array([np.zeros(dim), *unit, *-unit, *mixed, *np.negative(mixed)])
         computed = self._columns(v + shifts.reshape(-1, dim))
         centre, upper, lower = computed[0], computed[1 : 1 + dim], computed[1 + dim : 1 + 2 * dim]
         mixed_sums = iter(computed[1 + 2 * dim :].reshape(2, -1, *centre.shape).sum(axis=0))
         terms = [centre, *((upper - lower) / (2 * h))]
-        for i, j in _lower_indices(dim):
+        for i, j in _list_lower_indices(dim):
             second = upper[i] - 2 * centre + lower[i]
             if i != j:
                 second = 0.5 * (next(mixed_sums) - second - upper[j] - lower[j])
@@ -273,16 +272,16 @@ class Expansions:
         return Expansion(np.stack(terms, axis=2), v)
 
 
-def _lower_indices(dim: int) -> list[tuple[int, int]]:
+def _list_lower_indices(dim: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(dim) for j in range(i + 1)]
 
 
 @cache
-def _taylor_terms(dim: int, rank: int) -> Factors:
+def _get_factors(dim: int, rank: int) -> Factors:
     """Return the factors of a Taylor series at its point: value (1, 0, …), gradient and Hessian unit vectors."""
     gradient, hessian = np.zeros((dim, rank)), np.zeros((dim, dim, rank))
     if rank > 1:
         gradient = np.eye(rank)[1 : 1 + dim]
-        for k, (i, j) in enumerate(_lower_indices(dim)):
+        for k, (i, j) in enumerate(_list_lower_indices(dim)):
             hessian[i, j, 1 + dim + k] = hessian[j, i, 1 + dim + k] = 1.0
     return Factors(np.eye(rank)[0], gradient, hessian)

@@ -20,18 +20,19 @@ def correct_weights(
     draws: XDraws,
     normal: Float[np.ndarray, "b p"],
     hyper: Batch,
-    exact_marginal: bool,
-    student_t: bool,
+    has_exact_marginal: bool,
+    is_student_t: bool,
 ) -> Float[np.ndarray, "b"]:
-    """Return log p(y, x | φ) − log q(x) − log p̂(y | φ) of each draw; q: proposal density, p̂: linearised marginal.
+    """Return the correction log p(y, x | φ) − log q(x) − log p̂(y | φ) of each draw's log weight for nonlinearity.
 
-    x was drawn with the numbers `normal`, Student-t if `heavy_tails`. exact_marginal: p̂ is exact for an affine output.
+    x was drawn from q with the numbers `normal`, Student-t if `is_student_t`; p̂ is the marginal likelihood of the
+    linearised model, has_exact_marginal: exact for an affine output.
     """
-    if problem.affine and exact_marginal:
+    if problem.is_affine and has_exact_marginal:
         return np.zeros(len(draws.x))
     # x = shift + S·L⁻ᵀ·ε has the density of ε over |S·L⁻ᵀ|, the volume of the map.
     squares = np.sum(normal**2, axis=1)
-    log_proposal = _log_density(squares, normal.shape[1], student_t) - draws.log_volume
+    log_proposal = _compute_log_density(squares, normal.shape[1], is_student_t) - draws.log_volume
     expected, variance = problem.expected_and_extra(draws.x, hyper)
     log_prior = -0.5 * (draws.squares + LOG_2PI * np.sum(problem.weight_of_x))
     # The weight of φ contains p̂(y|φ) already: it is replaced by likelihood × prior of x over the proposal density of x.
@@ -40,17 +41,19 @@ def correct_weights(
     return log_likelihood + log_prior - log_proposal - draws.log_marginal
 
 
-def draw_normals(size: int, count: int, student_t: bool, rng: np.random.Generator) -> np.ndarray:
+def draw_normals(size: int, count: int, is_student_t: bool, rng: np.random.Generator) -> np.ndarray:
     """Draw standard normal, or multivariate Student-t, numbers (b, p) for proposals of x."""
     normal = rng.standard_normal((count, size))
-    if student_t:
+    if is_student_t:
         normal *= np.sqrt(T_DOF / rng.chisquare(T_DOF, count))[:, None]
     return normal
 
 
-def _log_density(squares: Float[np.ndarray, "b"], dim: int, student_t: bool) -> np.ndarray:
+def _compute_log_density(
+    squares: Float[np.ndarray, "b"], dim: int, is_student_t: bool
+) -> np.ndarray:
     """Return the log density of standard normal (or Student-t) vectors with the given sums of squares (b,)."""
-    if not student_t:
+    if not is_student_t:
         return -0.5 * (squares + dim * LOG_2PI)
     # Multivariate t of `draw_normals`: one χ² for all coordinates, hence the sum of all squares.
     half_order = 0.5 * (T_DOF + dim)

@@ -141,7 +141,7 @@ def _maximise_marginal(
     ftol = max(FTOL_NATS, 0.1 * min_increase)
     density = Density(problem, x, flat_scales, starts[0], guess=guess)
     # The linearisation of an affine output is exact: one maximisation, no alternation.
-    if problem.affine:
+    if problem.is_affine:
         v = maximise(density, select_start(density, starts), coarse_below, ftol)
         value, conditional = density.condition_at(v)
         return _Peak(value, 0.0, v, x if conditional is None else conditional.mean, density)
@@ -229,7 +229,7 @@ def find_mode_of_x(
         sd = np.sqrt(np.diag(conditional.covariance)) + 1e-300
         if np.max(np.abs((target - x) / sd), initial=0.0) < 0.1 * xtol:
             return x
-        variance = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
+        variance = problem.extra(problem.linearise(x, hyper)) if problem.is_noisy else None
         for _ in range(MAX_STEP_HALVINGS):
             trial = x + fraction * (target - x)
             trial_squares, conditional = evaluate(trial, variance)
@@ -239,7 +239,7 @@ def find_mode_of_x(
         else:
             return x
         decrease, squares, x = squares - trial_squares, trial_squares, trial
-        if problem.noisy:
+        if problem.is_noisy:
             squares, conditional = evaluate(x)
         elif fraction == 1.0 and decrease < xtol**2:
             return x

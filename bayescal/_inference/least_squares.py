@@ -83,8 +83,7 @@ class LeastSquares(Method):
 @run_on_one_thread  # results must not depend on the number of cores
 def draw_gaussian(layout: Layout, solution: Solution, count: int, seed: int) -> Draws:
     """Draw unknowns from the Gaussian approximation about a least-squares solution."""
-    # Amplitude and length scale of a Gaussian process are fixed at their marginal maximum: the joint density with the
-    # coefficients is unbounded.
+    # Amplitude and length scale of a Gaussian process are fixed: their joint density with coefficients is unbounded.
     phi_index = layout.phi_indices("shape", "promoted")
     rng = np.random.default_rng(seed)
     covariance = np.where(np.isfinite(solution.covariance), solution.covariance, 0.0)
@@ -131,8 +130,7 @@ class QR(NamedTuple):
         """Return the step s that minimises |R·s − Qᵀr|² + damping·|D·s|², D the norms of R's columns."""
         if not damping:
             return self.solution
-        # |R·s − Qᵀr|² + λ·|D·s|² is the least-squares problem of R over √λ·D: no product of R with itself, which
-        # would square its condition (J. Moré, Lecture Notes in Mathematics 630 (1978) 105).
+        # Least squares of R over √λ·D: RᵀR would square the condition (J. Moré, Lect. Notes Math. 630 (1978) 105).
         weight = np.sqrt(np.sum(self.upper**2, axis=0))
         rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
         return qr(np.concatenate([np.column_stack([self.upper, self.projection]), rows])).solution
@@ -176,7 +174,7 @@ def refine(
     x = mode.x if is_finite else problem.start
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.shapes]]), False
-    if use_optimistix and (fit.shapes or not problem.affine):  # a linear model needs one QR step
+    if use_optimistix and (fit.shapes or not problem.is_affine):  # a linear model needs one QR step
         theta = fit.minimise_by_optimistix(theta, v)
     for _ in range(MAX_ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
@@ -201,11 +199,9 @@ class _Refinement:
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
-        # Homoscedastic: unweighted products suffice.
-        self.is_homoscedastic = problem.noise.even(problem.record.frame) and not problem.noisy
+        self.is_homoscedastic = problem.noise.even(problem.record.frame) and not problem.is_noisy
         layout, self.gaussian = problem.layout, problem.noise.gaussian
-        # Only a common noise standard deviation is re-estimated; with as many coefficients as readings it would be
-        # determined by its prior alone.
+        # Only a common noise sd is re-estimated; without degrees of freedom its prior alone would determine it.
         count = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
         has_one_sd = self.gaussian and self.is_homoscedastic and problem.record.size > count
         noise = layout.phi_indices("noise") if has_one_sd else []
@@ -237,7 +233,7 @@ class _Refinement:
         )
         residual, extra = problem.record.y - line.mean, problem.extra(line)
         table = np.column_stack([line.jacobian, *shape_jac, residual])
-        if problem.noisy:
+        if problem.is_noisy:
             total = variance(problem.noise, problem.hyper(v), problem.record) + extra
             steps = DIFF_STEP * self.prior(v).sd
             extra_grad = differentiate(lambda t: problem.extra(linearise_at(t)), theta, steps)
@@ -276,8 +272,7 @@ class _Refinement:
             trial = theta + prior.sd * factor.solve_damped(damping)
             trial_cost, trial_factor = evaluate(trial)
             offset = float(np.linalg.norm(trial_factor.projection))
-            # Relative offset: residuals in the tangent plane over all residuals, independent of units and step length
-            # (D. Bates and D. Watts, Technometrics 23 (1981) 179).
+            # Relative offset, independent of units and steps (D. Bates and D. Watts, Technometrics 23 (1981) 179).
             is_near = best_offset <= OFFSET_TOLERANCE * math.sqrt(cost)
             is_better = offset < 0.8 * best_offset and trial_cost < cost * (1 + 1e-6)
             if is_better or (not is_near and trial_cost < cost):

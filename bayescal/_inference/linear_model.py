@@ -71,7 +71,7 @@ class LinearModel:
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """Whiten columns up to a common orthogonal rotation, which preserves inner products; rows are not readings."""
         law = self.whiten
-        if isinstance(law, Whitening) and not self.problem.noisy:
+        if isinstance(law, Whitening) and not self.problem.is_noisy:
             nodes = law.record.nodes(law.law)
             if isinstance(nodes, DCTNodes):
                 return nodes.whiten(law.law, law.values, columns)
@@ -215,14 +215,15 @@ def linearise_model(problem: Problem, mode: Mode) -> LinearModel:
     prior = problem.prior(hyper, mode.flat)
     _, conditional = density.condition_at(mode.v)
     # The variance from noisy inputs depends on x, which the conditional mean ignores: keep x̂ there.
-    x = mode.x if conditional is None or problem.noisy else conditional.mean
+    x = mode.x if conditional is None or problem.is_noisy else conditional.mean
     residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
 
     def mean(shapes: np.ndarray) -> np.ndarray:
-        return problem.linearise(x, problem.hyper(overwrite(shapes, problem.moving, mode.v))).mean
+        hyper = problem.hyper(overwrite(shapes, problem.nonlinear_phi, mode.v))
+        return problem.linearise(x, hyper).mean
 
     # To first order a shape is one more coefficient of prior sd 1; its column is ∂output/∂coordinate.
-    slopes = differentiate(mean, mode.v[problem.moving], DIFF_STEP)
+    slopes = differentiate(mean, mode.v[problem.nonlinear_phi], DIFF_STEP)
     nuisance = np.empty((len(residual), problem.size + len(slopes)))
     np.multiply(line.jacobian, prior.sd, out=nuisance[:, : problem.size])
     nuisance.T[problem.size :] = slopes if len(slopes) else 0.0
@@ -238,8 +239,8 @@ def linearise_model(problem: Problem, mode: Mode) -> LinearModel:
         nuisance=nuisance,
         weight=np.append(prior.weight, np.ones(len(slopes))),
         sd=np.append(prior.sd, np.ones(len(slopes))),
-        owners=(*owners, *(problem.hypers[i].effect for i in problem.moving)),
-        z=np.append(prior.weight * z, mode.v[problem.moving]),
+        owners=(*owners, *(problem.hypers[i].effect for i in problem.nonlinear_phi)),
+        z=np.append(prior.weight * z, mode.v[problem.nonlinear_phi]),
         whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
         extra=extra,
     )
@@ -281,23 +282,23 @@ def fill_amplitudes(model: Model, readings: Measurements, record: Record) -> Mod
 def guess_amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
     """Return the plausible range (low, high) of the amplitude of effects that a model lacks, output unit."""
     frame, y = record.frame, record.y
-    residual = _least_squares_residual(Problem(bind(model, readings)[0], record.with_frame()))
+    residual = _fit_residual(Problem(bind(model, readings)[0], record.with_frame()))
     # Robust noise estimate: 1.4826·median|difference of neighbours|/√2; missing effects change little between readings.
     diffs, step = np.diff(residual[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
     diffs = diffs[step > 0] if np.any(step > 0) else diffs
     noise_sd = 1.4826 * float(np.median(np.abs(diffs))) / math.sqrt(2) if len(diffs) else 0.0
-    half_range = _half_range(residual) or _half_range(y) or 1.0
+    half_range = _compute_half_range(residual) or _compute_half_range(y) or 1.0
     low = (noise_sd or half_range) / math.sqrt(len(residual))
     return tuple(float(f"{v:.2g}") for v in (min(low, half_range), 10 * half_range))  # pyright: ignore
 
 
-def _half_range(values: Float[np.ndarray, "n"]) -> float:
+def _compute_half_range(values: Float[np.ndarray, "n"]) -> float:
     """Return half of the difference between the 99.5 % and 0.5 % quantiles."""
     low, high = np.quantile(values, [0.005, 0.995])
     return 0.5 * float(high - low)
 
 
-def _least_squares_residual(problem: Problem) -> Float[np.ndarray, "n"]:
+def _fit_residual(problem: Problem) -> Float[np.ndarray, "n"]:
     """Return the residuals of a least-squares fit of ungrouped coefficients, hyper-parameters at the prior median."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
     x, y = problem.start, problem.record.y

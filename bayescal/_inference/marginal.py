@@ -33,8 +33,7 @@ SAMPLING_STOPPED = (
 NUTS_UNFINISHED = "Importance weights are unreliable ({}), and exact NUTS did not finish ({})."
 FEW_EFFECTIVE_DRAWS = "Only {:.0f} effective draws ({})."
 TOO_SHORT = "{:g} s were too short; give a longer time limit"
-# Largest number of proposals if k̂ is acceptable but effective draws are too few: NUTS would need more evaluations,
-# 1,500 iterations of four chains with seven or more gradients each.
+# Largest number of proposals if k̂ is acceptable but the effective sample size too small: NUTS would be slower.
 MAX_EXTENDED_PROPOSALS = 65_536
 
 
@@ -78,7 +77,7 @@ class Marginal(Method):
                     finish = partial(self._resample_draws, layout, weighted, notes, seed)
             if not (fault and self.chains):
                 return finish("chains=False" if fault else "")
-            fallback = UNRELIABLE_WEIGHTS if problem.affine else TOO_NONLINEAR
+            fallback = UNRELIABLE_WEIGHTS if problem.is_affine else TOO_NONLINEAR
             reason = fallback if problem.noise.gaussian else NOT_GAUSSIAN
             return self._run_nuts(problem, mode, seed, (*notes, reason.format(fault)))
         except deadline.TimeIsUp as interrupt:
@@ -95,18 +94,18 @@ class Marginal(Method):
         return replace(outcome, verdict=replace(outcome.verdict, notes=notes))
 
     def _sample_until_reliable(
-        self, problem: Problem, mode: Mode, seed: int, student_t: bool = False
+        self, problem: Problem, mode: Mode, seed: int, is_student_t: bool = False
     ) -> Iterator[_SmoothedDraws]:
         """Yield weighted joint draws with their diagnostics, until these show reliable weights; the last are the best.
 
-        Proposals are doubled up to 8192, and beyond it while k̂ is acceptable. student_t: propose coefficients from a
+        Proposals are doubled up to 8192, and beyond it while k̂ is acceptable. is_student_t: propose coefficients from a
         Student-t distribution, whose tails suffice for a nonlinear model.
         """
         proposals, max_proposals = self.proposals, MAX_EXTENDED_PROPOSALS
         draws = None
         while True:
-            draws = draw_weighted(problem, mode, seed, proposals, self.rounds, student_t, draws)
-            weighted = _smooth_weights(draws, student_t)
+            draws = draw_weighted(problem, mode, seed, proposals, self.rounds, is_student_t, draws)
+            weighted = _smooth_weights(draws, is_student_t)
             count = len(weighted.weights)
             limit = MAX_PROPOSALS if self.proposals is None else 0
             expected_ess = effective_size(weighted.weights) / count * max_proposals
@@ -116,8 +115,8 @@ class Marginal(Method):
             if not weighted.fault or count >= limit:
                 break
             proposals = min(2 * count, limit) - count  # in addition to the earlier ones
-        if not student_t and weighted.limit < weighted.k_hat <= MAX_K_HAT:
-            yield from self._sample_until_reliable(problem, mode, seed, student_t=True)
+        if not is_student_t and weighted.limit < weighted.k_hat <= MAX_K_HAT:
+            yield from self._sample_until_reliable(problem, mode, seed, is_student_t=True)
 
     def _resample_draws(self, layout, weighted: _SmoothedDraws, notes, seed, why: str) -> Outcome:
         """Resample draws by their weights; `why`: the reason for accepting unreliable ones, such as a deadline."""
@@ -171,10 +170,10 @@ class _SmoothedDraws(NamedTuple):
     fault: str
 
 
-def _smooth_weights(draws: WeightedDraws, student_t: bool = False) -> _SmoothedDraws:
+def _smooth_weights(draws: WeightedDraws, is_student_t: bool = False) -> _SmoothedDraws:
     weights, k_hat = smoothed(draws.log_weight)
     weights_of_phi, _ = smoothed(draws.log_weight_phi)
     correction = draws.log_weight - draws.log_weight_phi
-    limit = MAX_K_HAT if student_t else trust.select_k_hat(correction, weights_of_phi)
+    limit = MAX_K_HAT if is_student_t else trust.select_k_hat(correction, weights_of_phi)
     fault = trust.check_weights(weights, k_hat, limit=limit)
     return _SmoothedDraws(draws, weights, k_hat, limit, fault)

@@ -25,7 +25,7 @@ MAX_STEP_SD = 1.5  # largest Newton step, prior standard deviations
 MAX_NEWTON_STEPS = 100  # of one maximisation
 MAX_BACKTRACKS, BACKTRACK_FACTOR = 8, 0.3  # of a line search
 FTOL_NATS = 1e-6  # default tolerance of the predicted increase, about the error of differences
-COARSE_NATS = 0.01  # tolerance below `coarse_below`
+MAX_FTOL_NATS = 0.01  # tolerance below `coarse_below`
 MAX_OUTSIDE = 0.1  # largest squared length, outside group deviations, of their eigenvectors
 MIN_FACTOR = 0.1  # smallest factor of one shortening of a difference step
 NOWHERE = -1e300  # log density where it is undefined
@@ -78,7 +78,7 @@ def maximise(
         gradient = scale * current.gradient
         step = vectors @ (vectors.T @ gradient / np.maximum(np.abs(eigenvalues), MIN_CURVATURE))
         predicted_change = float(step @ gradient)
-        if 0.5 * predicted_change < (ftol if current.log_density > coarse_below else COARSE_NATS):
+        if 0.5 * predicted_change < (ftol if current.log_density > coarse_below else MAX_FTOL_NATS):
             break
         length = float(np.max(np.abs(step)))
         t = t_max = min(1.0, radius / length)

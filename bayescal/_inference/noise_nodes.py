@@ -58,7 +58,7 @@ class Weights(NamedTuple):
 
 
 class SingleNode:
-    """Set of one node, for homoscedastic independent noise; base class of all sets of interpolation nodes."""
+    """A single node, for homoscedastic independent noise; base class of all sets of interpolation nodes."""
 
     count = 1
 
@@ -78,7 +78,7 @@ class SingleNode:
         return {}
 
     def weights(self, law: Noise, values: Values) -> Weights:
-        """Return the weights of the nodes for s parameter sets of the noise law."""
+        """Return the weights of the nodes at s parameter sets of the noise law."""
         variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
         return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
 
@@ -158,9 +158,10 @@ class DCTNodes(SingleNode):
     def products(self, a, b):
         products = np.zeros((self.count, a[0].shape[1], b[0].shape[1]))
         for run, run_a, run_b in zip(self.runs, a, b, strict=True):
-            node = self.node_slices[len(run)].start
+            next_node = self.node_slices[len(run)].start
             for rows, frequencies, lagrange in self.segments[len(run)]:
-                nodes, node = range(node, node + len(frequencies)), node + len(frequencies)
+                nodes = range(next_node, next_node + len(frequencies))
+                next_node = nodes.stop
                 if lagrange.shape[0] == lagrange.shape[1]:  # each frequency is a node
                     products[nodes.start : nodes.stop] += run_a[rows, :, None] * run_b[rows, None]
                     continue
@@ -229,7 +230,7 @@ class DCTNodes(SingleNode):
 
 
 def dct_nodes(time_order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> DCTNodes | None:
-    """Return the nodes for stationary noise; None if time steps are uneven or a run has fewer than 3 readings.
+    """Return frequency nodes for stationary noise; None if time steps are uneven or a run has fewer than 3 readings.
 
     Small jitter, and rounding of times that does not accumulate, are tolerated. step: time since the previous reading,
     s; −1 at the first of a run.
@@ -273,7 +274,6 @@ class Products:
         for key, runs in self._end_table.items():
             if key in weights.inner:
                 ends, inner = weights.ends[key][settings], weights.inner[key][settings]
-                # One matrix product instead of many small ones.
                 columns = (ends.reshape(-1, ends.shape[2]) @ runs).reshape(*ends.shape[:2], -1)
                 yield columns, inner @ columns
 

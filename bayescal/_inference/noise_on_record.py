@@ -45,7 +45,7 @@ class Whitening(NamedTuple):
     def whiten(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """Return the whitened table L⁻¹·table, rows in the order of the readings, and log|Σ|."""
         ((white, logdet),) = _whiten_all([(self, table)])
-        return _to_record_order(self.law, self.record, white), logdet
+        return _unsort_rows(self.law, self.record, white), logdet
 
 
 class SdWhitening(NamedTuple):
@@ -83,19 +83,18 @@ def whitening(
     weight = np.maximum(terms.weight(residual), np.finfo(float).tiny)
     total = terms.squares + terms.logdet
     logdet = -float(np.sum(np.log(weight)))
-    # `excess` makes squares + log|Σ| + excess = −2·log density for these weights.
     return SdWhitening(1 / np.sqrt(weight), total - logdet - float(residual @ (weight * residual)))
 
 
-def _to_law_order(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
+def _sort_by_time(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
     """Sort an array by time of the readings along an axis, if the noise law is correlated."""
     if law.independent or record.is_time_ordered:
         return array
     return np.take(array, record.time_order[0], axis=axis)
 
 
-def _to_record_order(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
-    """Restore the readings' order in a time-sorted array; inverse of `_to_law_order`."""
+def _unsort_rows(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
+    """Restore the order of the readings in an array sorted by time; inverse of `_sort_by_time`."""
     if law.independent or record.is_time_ordered:
         return array
     ordered = np.empty_like(array)
@@ -106,12 +105,12 @@ def _to_record_order(law: Noise, record: Record, array: Float[np.ndarray, "n ...
 def _pad_table(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
     """Sort a table's rows by time if the law is correlated, and pad it with rows and columns of zeros."""
     n, m = table.shape
-    padded = np.zeros((record.padded_size, _width(table)))
-    padded[:n, :m] = _to_law_order(law, record, table, 0)
+    padded = np.zeros((record.padded_size, _pad_width(table)))
+    padded[:n, :m] = _sort_by_time(law, record, table, 0)
     return padded
 
 
-def _width(table: np.ndarray) -> int:
+def _pad_width(table: np.ndarray) -> int:
     """Return the padded number of columns of a table."""
     width = MIN_TABLE_COLUMNS
     while width < table.shape[1]:
@@ -120,7 +119,7 @@ def _width(table: np.ndarray) -> int:
 
 
 @compile_on_call
-def _whitened(law: Noise, frame: Frame, tables, extras, values):
+def _run_whitening(law: Noise, frame: Frame, tables, extras, values):
     """Whiten tables, or one table at several φ; return whitened tables and log deviations of innovations."""
     axis = 0 if tables.ndim == 3 else None
     return jax.vmap(lambda *args: law.whiten(*args, frame), (axis, 0, 0))(tables, extras, values)
@@ -133,7 +132,7 @@ def whitened_grams(
 
     Laws with several Kalman states are evaluated in small batches of tables.
     """
-    for _, group in groupby(pairs, lambda pair: _width(pair[1])):
+    for _, group in groupby(pairs, lambda pair: _pad_width(pair[1])):
         for white, table in (members := iter(group)):
             if isinstance(white, SdWhitening):
                 whitened, logdet = white.whiten(table)
@@ -155,10 +154,10 @@ def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.n
     tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_shared else pairs)]
     extras = [np.asarray(w.extra, float) for w, _ in pairs]
     if np.ndim(white.extra):
-        extras = [record.pad(_to_law_order(law, record, extra, 0)) for extra in extras]
+        extras = [record.pad(_sort_by_time(law, record, extra, 0)) for extra in extras]
     values = {n: np.array([float(w.values[n]) for w, _ in pairs]) for n in law.parameters()}
     args = tables[0] if is_shared else np.stack(tables), np.stack(extras), values
-    whitened, log_sd = map(np.asarray, _whitened(*record.prepare_for_law(law), *args))
+    whitened, log_sd = map(np.asarray, _run_whitening(*record.prepare_for_law(law), *args))
     for (_, table), result, each_sd in zip(part, whitened, log_sd, strict=False):
         yield result[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
 
@@ -202,7 +201,7 @@ def density_terms(
     """
     variance = None if not np.ndim(extra) else np.asarray(extra)
     frame = add_variance(record.frame, variance)
-    phi = {n: _as_column(values[n]) for n in law.parameters()}
+    phi = {n: _reshape_to_column(values[n]) for n in law.parameters()}
     if (slopes := law.by_residual(r, phi, frame)) is not None:
         density, highest = (law.log_density(e, 0.0 * e, phi, frame) for e in (r, 0.0 * r))
         return DensityTerms(density, highest, *slopes)
@@ -213,7 +212,7 @@ def density_terms(
 
 
 @compile_on_call
-def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
+def _run_densities(law: Noise, frame: Frame, y, residuals, extra, values):
     def log_density(args):
         residual, extra, phi = args
         return log_density_with_extra(law, y, y - residual, extra, phi, frame)
@@ -224,7 +223,7 @@ def _densities(law: Noise, frame: Frame, y, residuals, extra, values):
 
 
 @partial(compile_on_call, costly=True)  # random numbers are expensive
-def _samples(law: Noise, frame: Frame, means, keys, values):
+def _draw_in_program(law: Noise, frame: Frame, means, keys, values):
     def draw(args):
         mean, key, phi = args
         return law.sample(jax.random.wrap_key_data(key), mean, phi, frame)
@@ -241,7 +240,7 @@ def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n
 
 def variances(law: Noise, hyper: Batch, record: Record) -> Float[np.ndarray, "b n"]:
     """Return the variance of each reading for several draws of φ, output unit squared (b, n)."""
-    phi = {n: _as_column(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    phi = {n: _reshape_to_column(np.atleast_1d(hyper[n])) for n in law.parameters()}
     variance = np.asarray(law.variance(phi, record.frame))
     return np.broadcast_to(variance, (*np.broadcast_shapes(variance.shape[:-1], (1,)), record.size))
 
@@ -254,19 +253,19 @@ def log_densities(
     `extra`: additional variance of each reading (b, n), or 0.
     """
     if law.independent:
-        return _log_densities_numpy(law, record, residuals, hyper, extra)
-    y = record.pad(_to_law_order(law, record, record.y, 0))
+        return _compute_log_densities(law, record, residuals, hyper, extra)
+    y = record.pad(_sort_by_time(law, record, record.y, 0))
     variance = extra if np.ndim(extra) else None
-    return _run_batches(_densities, law, record, hyper, residuals, variance, shared=(y,))
+    return _run_batches(_run_densities, law, record, hyper, residuals, variance, shared=(y,))
 
 
-def _as_column(values: Any) -> Any:
+def _reshape_to_column(values: Any) -> Any:
     """Reshape one number per draw to a column, to broadcast against readings in rows."""
     values = np.asarray(values, float)
     return values[..., None] if values.ndim else values
 
 
-def _log_densities_numpy(
+def _compute_log_densities(
     law: Noise, record: Record, residuals: Float[np.ndarray, "b n"], hyper: Batch, extra: Any
 ) -> Float[np.ndarray, "b n"]:
     """Return the log densities of independent readings, by NumPy."""
@@ -274,7 +273,7 @@ def _log_densities_numpy(
         variance = variances(law, hyper, record) + extra
         return -0.5 * (residuals**2 / variance + np.log(variance) + LOG_2PI)
     frame = add_variance(record.frame, np.asarray(extra) if np.ndim(extra) else None)
-    phi = {n: _as_column(np.atleast_1d(hyper[n])) for n in law.parameters()}
+    phi = {n: _reshape_to_column(np.atleast_1d(hyper[n])) for n in law.parameters()}
     return np.asarray(law.log_density(record.y, record.y - residuals, phi, frame))
 
 
@@ -288,7 +287,7 @@ def draw_samples(
     # A key is independent of the number of keys: generate them in fixed batches, by one program.
     count = -(-len(means) // KEY_BATCH_SIZE) * KEY_BATCH_SIZE
     keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), count)))
-    return _run_batches(_samples, law, record, hyper, means, keys=(keys[: len(means)],))
+    return _run_batches(_draw_in_program, law, record, hyper, means, keys=(keys[: len(means)],))
 
 
 def normal_scores(
@@ -296,10 +295,10 @@ def normal_scores(
 ) -> Float[np.ndarray, "n"]:
     """Transform residuals to scores that are independent standard normal under the law."""
     frame = record.frame if law.independent else record.frame.in_time()
-    variance = _to_law_order(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
+    variance = _sort_by_time(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
     frame = add_variance(frame, variance)
-    scores = law.normal_scores(_to_law_order(law, record, residual, 0), values, frame)
-    return _to_record_order(law, record, np.asarray(scores))
+    scores = law.normal_scores(_sort_by_time(law, record, residual, 0), values, frame)
+    return _unsort_rows(law, record, np.asarray(scores))
 
 
 def _run_batches(
@@ -310,9 +309,8 @@ def _run_batches(
     arrays_given = [a for a in arrays if a is not None]
     count = max([*(np.size(hyper[n]) for n in names), *map(len, arrays_given), 1])
     phi = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
-    arrays = tuple(a if a is None else _to_law_order(law, record, np.asarray(a), 1) for a in arrays)
+    arrays = tuple(a if a is None else _sort_by_time(law, record, np.asarray(a), 1) for a in arrays)
     output = np.empty((record.size, count))
-    # Batches of one, eight or many draws: three programs to compile.
     max_batch = max(1, MAX_BATCH_ELEMENTS // record.padded_size)
     is_few = count <= 8 * BATCH_DRAWS
     batch_size = 1 if count == 1 else BATCH_DRAWS if is_few else min(256, max_batch)
@@ -326,7 +324,7 @@ def _run_batches(
         outputs = np.asarray(run(*record.prepare_for_law(law), *shared, *inputs, values))
         stop = min(start + batch_size, count)
         output[:, start:stop] = outputs[: stop - start, : record.size].T
-    return _to_record_order(law, record, output).T
+    return _unsort_rows(law, record, output).T
 
 
 def total_log_density(

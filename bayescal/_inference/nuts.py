@@ -145,7 +145,6 @@ def build_program(layout: Layout, frame: Frame) -> Callable:
         values, v = {}, []
         for h in layout.hypers:
             values[h.name] = numpyro.sample(h.name, to_numpyro_distribution(h.prior))
-            # The coordinate of the value in this package: draws are returned in these.
             v.append(h.prior.coordinate(jnp.asarray(values[h.name])))
         v = jnp.stack(v) if v else jnp.zeros(0)
         values.update({name: jnp.asarray(value) for name, value in layout.model.fixed})
@@ -153,8 +152,8 @@ def build_program(layout: Layout, frame: Frame) -> Callable:
         for b in layout.x_blocks:
             c = b.coefficient
             if c.flat:
-                flat = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
-                site = numpyro.sample(b.name, flat)
+                flat_prior = dist.ImproperUniform(dist.constraints.real_vector, (), (b.size,))
+                site = numpyro.sample(b.name, flat_prior)
             else:
                 z = numpyro.sample(
                     f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)

@@ -76,18 +76,18 @@ class Problem:
         layout = self.layout
         terms = terms_of(layout.blocks, self.record, self.size_factors)
         self.terms: tuple[Term, ...] = terms[0]
-        self.corrected: tuple[str, ...] = terms[1]
+        self.corrected_columns: tuple[str, ...] = terms[1]
         self.host: Host = Host(self.record)
         self.hypers: tuple[Unknown, ...] = layout.hypers
         self.size: int = sum(t.size for t in self.terms if t.place == "x")
-        self.noisy: bool = any(t.place == "input" for t in self.terms)  # has noise on an input
+        self.is_noisy: bool = any(t.place == "input" for t in self.terms)  # has noise on an input
         self.noise: Noise = layout.model.noise
         self.fixed_values: dict[str, float] = dict(layout.model.fixed)
         # A promoted coefficient in units of a learned standard deviation changes with it.
         group_sd_names = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds: list[str] = [h.kind for h in self.hypers]
         moving = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
-        self.moving: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
+        self.nonlinear_phi: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
         self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
@@ -197,15 +197,15 @@ class Problem:
         return compose(self.host, terms, values, hyper, with_grad)
 
     @cached_property
-    def affine(self) -> bool:
+    def is_affine(self) -> bool:
         """Return whether the expected output is affine in x."""
-        return not self.corrected and self.record.affine is not None
+        return not self.corrected_columns and self.record.affine_map is not None
 
     @cached_property
     def _dynamic_terms(self) -> tuple[Term, ...]:
         """Return the terms to evaluate at each φ: those that depend on φ if the output is affine in x, else all."""
-        affine = self.affine
-        return tuple(t for t in self.terms if not affine or t.place != "x" or t.shape_names)
+        is_affine = self.is_affine
+        return tuple(t for t in self.terms if not is_affine or t.place != "x" or t.shape_names)
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
@@ -215,7 +215,7 @@ class Problem:
             [indices[:0], *(indices[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
         )
         jacobian = np.zeros((self.record.size, self.size), order="F")
-        if self.affine:
+        if self.is_affine:
             terms = [t for t in self.in_x if not t.shape_names]
             point = np.zeros(self.size), self.fixed_values
             static = linearise_output(self.host, terms, self.compose(terms, *point, with_grad=True))
@@ -226,14 +226,14 @@ class Problem:
         self, x: Float[np.ndarray, "p"], hyper: Values
     ) -> Mapping[str, Float[np.ndarray, "n"]]:
         """Return the derivatives of the expected output with respect to each slot and corrected column, (n,) each."""
-        terms = () if self.affine else self.terms
+        terms = () if self.is_affine else self.terms
         composed = self.compose(terms, x, hyper, with_grad=True)
         return differentiate_output(self.host, terms, composed)[1]
 
     def linearise(self, x: Float[np.ndarray, "*b p"], hyper: Mapping[str, Any]) -> Linearisation:
         """Return expected output and Jacobian at x, or at draws of x, in the output unit per reported unit."""
         line = self.linearise_dynamic(x, hyper)
-        if not self.affine:
+        if not self.is_affine:
             return line
         static, dynamic = self._static_jacobian
         if line.mean.ndim > 1:
@@ -254,14 +254,12 @@ class Problem:
 
     def extra(self, line: Linearisation) -> Float[np.ndarray, "n"] | float:
         """Return the variance of each reading from noisy inputs, output unit squared (n,), or 0."""
-        return compute_input_variance(self.terms, line) if self.noisy else 0.0
-
-    # joint draws: x (b, p), φ by name, one value per draw or one for all -----------------------------
+        return compute_input_variance(self.terms, line) if self.is_noisy else 0.0
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Return the expected output of joint draws, output unit (b, n)."""
         mean = evaluate_output(self.host, self.compose(self._dynamic_terms, x, hyper))
-        if self.affine:
+        if self.is_affine:
             return mean + x @ self._static_jacobian[0].T
         return np.broadcast_to(mean, (len(x), self.record.size))  # one row if there are no terms
 
@@ -280,7 +278,7 @@ class Problem:
         self, x: Any, hyper: Mapping[str, Any]
     ) -> tuple[Float[np.ndarray, "b n"], Any]:
         """Return the expected output of joint draws, and the variance from noisy inputs (b, n), or 0."""
-        if not self.noisy:
+        if not self.is_noisy:
             return self.expected(x, hyper), 0.0
         inputs = [t for t in self.terms if t.place == "input"]
         mean, derivatives = self.expected_with_slopes(x, hyper, inputs)

@@ -110,7 +110,7 @@ class Record:
         """Return a record of residuals, as the output of a channel at constant input, to fit noise laws to."""
         record = Record(CHANNEL, self.frame, residual, _frames=self._frames, _nodes=self._nodes)
         channel = {slot: np.ones(self.size) for slot in record.slots}
-        vars(record)["affine"] = np.zeros(self.size), channel  # nothing to compile
+        vars(record)["affine_map"] = np.zeros(self.size), channel  # nothing to compile
         return record
 
     @cached_property
@@ -130,12 +130,12 @@ class Record:
     @cached_property
     def table(self) -> ColumnTable:
         """Return the table of columns and inner products shared by all structures, for an affine response."""
-        return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+        return ColumnTable(self.y - self.affine_map[0])  # pyright: ignore[reportOptionalSubscript]
 
     def clear_cache(self) -> None:
         """Clear cached columns of effects with shapes, expansions, and the column table."""
         self._shape_columns, self._cached_bytes, self._expansions = OrderedDict(), 0, {}
-        if self.affine is not None:
+        if self.affine_map is not None:
             self.table.clear()
 
     def expansions(self, effect: ColumnSpec, fixed: tuple[float | None, ...]) -> Expansions:
@@ -213,16 +213,16 @@ class Record:
         self, slots: Arrays, shifts: Arrays, with_grad: bool = True
     ) -> tuple[Float[np.ndarray, "*b n"], dict[str, Any]]:
         """Return the expected output (n,), or (b, n) for draws, and its derivatives by slot or shifted column."""
-        if not shifts and self.affine is not None:
-            base, slopes = self.affine
+        if not shifts and self.affine_map is not None:
+            base, slopes = self.affine_map
             return sum((slopes[name] * value for name, value in slots.items()), base), slopes
         if self._host_affine is not None:
             return self._expand(slots, shifts) if with_grad else (self._respond(slots, shifts), {})
         if not any(np.ndim(v) > 1 for v in (*slots.values(), *shifts.values())):
-            return self._cached_response(slots, shifts)
+            return self._get_cached_response(slots, shifts)
         if with_grad:
-            return self._run(programs.differentiate_many, self._spec, slots, shifts)
-        return self._run(programs.respond_many, self.instrument.response, slots, shifts), {}
+            return self._run_batches(programs.differentiate_many, self._spec, slots, shifts)
+        return self._run_batches(programs.respond_many, self.instrument.response, slots, shifts), {}
 
     def _respond(self, slots: Arrays, shifts: Arrays) -> Any:
         """Evaluate the response by NumPy at slot values and column shifts."""
@@ -236,16 +236,16 @@ class Record:
         """Evaluate an affine response and its derivatives by NumPy: complex steps in slots, differences in shifts."""
         slopes = {n: self._respond({n: np.full(self.size, 1j)}, shifts).imag for n in self.slots}
         for name, shift in shifts.items():
-            h = self._difference_step(name)
+            h = self._choose_difference_step(name)
             up, down = (self._respond(slots, {**shifts, name: shift + s}) for s in (h, -h))
             slopes[name] = (up - down) / (2 * h)
         return self._respond(slots, shifts), slopes
 
-    def _difference_step(self, column: str) -> float:
+    def _choose_difference_step(self, column: str) -> float:
         """Return the difference step for derivatives with respect to a column, in its unit."""
         return DIFF_STEP_RANGES * (float(np.ptp(self.frame[column.removesuffix(PATH)])) or 1.0)
 
-    def _cached_response(self, slots, shifts):
+    def _get_cached_response(self, slots, shifts):
         """Return the response and its derivatives at one set of slot values and shifts; the latest is cached."""
         key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *shifts.items())]
         latest = self._latest
@@ -257,18 +257,18 @@ class Record:
         return latest[1]
 
     @cached_property
-    def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    def affine_map(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
         """Return the response at zero slot values and its derivatives; None if it is not affine in the slots.
 
         Affinity is tested at two random sets of slot values.
         """
         if isinstance(self.source, Record):
-            return self.source.affine
-        if (affine := self._host_affine) is not None:
-            return affine
-        base, slopes = self._cached_response({}, {})
-        for slots in self._random_slots(slopes):
-            _, new_slopes = self._cached_response(slots, {})
+            return self.source.affine_map
+        if (affine_map := self._host_affine) is not None:
+            return affine_map
+        base, slopes = self._get_cached_response({}, {})
+        for slots in self._draw_slots(slopes):
+            _, new_slopes = self._get_cached_response(slots, {})
             for name in self.slots:
                 scale = np.max(np.abs(slopes[name]), initial=0.0)
                 change = np.abs(new_slopes[name] - slopes[name])
@@ -279,13 +279,13 @@ class Record:
 
     @cached_property
     def _host_affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-        """Return `affine` computed by NumPy; None if the response needs JAX or is not affine."""
+        """Return `affine_map` computed by NumPy; None if the response needs JAX or is not affine."""
         if isinstance(self.source, Record):
             return self.source._host_affine
         try:
             with np.errstate(all="ignore"):
                 base, slopes = self._expand({}, {})
-                for slots in self._random_slots(slopes):
+                for slots in self._draw_slots(slopes):
                     change = sum((slopes[n] * v for n, v in slots.items()), np.zeros(self.size))
                     error = np.abs(self._respond(slots, {}) - base - change)
                     if not np.max(error) <= AFFINE_TOLERANCE * np.max(np.abs(change)):
@@ -294,7 +294,7 @@ class Record:
             return None
         return base, slopes
 
-    def _random_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
+    def _draw_slots(self, slopes: Mapping[str, np.ndarray]) -> Iterator[dict[str, np.ndarray]]:
         """Yield two random sets of slot values that change the output by about its range, to test for affinity."""
         rng, span = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
         max_slopes = {n: float(np.max(np.abs(slope), initial=0.0)) for n, slope in slopes.items()}
@@ -342,13 +342,13 @@ class Record:
         """Return an effect's columns and their derivatives with respect to each shift, for draws, (b, n, k) each."""
         slopes = {}
         for name, shift in shifts.items():
-            h = self._difference_step(name)
+            h = self._choose_difference_step(name)
             ends = ({**shifts, name: shift + s} for s in (h, -h))
             up, down = (self.columns_of_draws(effect, values, end) for end in ends)
             slopes[name] = (up - down) / (2 * h)
         return self.columns_of_draws(effect, values, shifts), slopes
 
-    def _run(self, program, argument: Any, slots: Arrays, shifts: Arrays) -> Any:
+    def _run_batches(self, program, argument: Any, slots: Arrays, shifts: Arrays) -> Any:
         """Run a program over draws in batches, on padded readings; the last batch is padded with its last draw."""
         count = max(len(v) for v in (*slots.values(), *shifts.values()) if np.ndim(v) > 1)
         sources = {name: slots.get(name, 0.0) for name in self.slots}, shifts

@@ -44,7 +44,7 @@ def promote_products(
                     f"promote: {name!r} is not a coefficient that can be promoted (available: {', '.join(names)})"
                 )
         return Problem(layout.promote(*requested), record), (), None
-    while problem.size and not problem.affine:
+    while problem.size and not problem.is_affine:
         capacity, threshold = MAX_PROMOTED - len(layout.phi_indices("promoted")), MIN_PRODUCT_SD
         blocks = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MAX_MEMBERS]
         blocks = [b for b in blocks if b.size <= capacity]

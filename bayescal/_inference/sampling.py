@@ -124,11 +124,11 @@ class Mixture(NamedTuple):
             terms *= -half
             kernel_sums[start : start + DISTANCE_BATCH_DRAWS] = np.exp(terms, out=terms) @ counts
         # Far away the kernels underflow to zero: the defensive component dominates.
-        log_kernels = np.log(kernel_sums / len(self.centres) + 1e-300) - _log_volume(self.chol)
+        log_kernels = np.log(kernel_sums / len(self.centres) + 1e-300) - _get_log_volume(self.chol)
         down, up = self.widths
         z = _whiten(self.axes, v - self.middle)
         log_wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / dof)
-        log_wide -= _log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
+        log_wide -= _get_log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
         return norm + np.logaddexp(
             log_kernels + math.log1p(-self.wide_weight), log_wide + math.log(self.wide_weight)
         )
@@ -138,7 +138,7 @@ def _whiten(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.linalg.solve(chol, v.T).T if chol.size else v
 
 
-def _log_volume(axes: np.ndarray) -> float:
+def _get_log_volume(axes: np.ndarray) -> float:
     return float(np.linalg.slogdet(axes)[1])
 
 
@@ -146,7 +146,7 @@ class BatchedDensity:
     """Marginal log density of many φ at once, and draws of the coefficients x given each φ.
 
     table: Gram matrices as polynomials in φ about the mode; None if each φ requires new columns or a pass over the
-    readings. exact_marginal: the noise is Gaussian, so that the marginal is exact for an affine output.
+    readings. is_exact: the noise is Gaussian, so that the marginal is exact for an affine output.
     """
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
@@ -155,7 +155,7 @@ class BatchedDensity:
         tabulated, self.table = self.density.tabulated, None
         if tabulated is not None and np.all(np.isfinite(mode.covariance)):
             self.table = tabulated.fit_polynomials(mode.v, mode.covariance, mode.flat)
-        self.exact = problem.noise.gaussian
+        self.is_exact = problem.noise.gaussian
         self.batch_size = max(16, MAX_ARRAY_ELEMENTS // (problem.size + 1) ** 2)
         if self.table is None:  # small batches, between which the deadline is checked
             self.batch_size = min(self.batch_size, max(16, CACHE_ELEMENTS // self.size))
@@ -252,25 +252,26 @@ class Rounds:
         self.prior, self.corrections = prior, Corrections()
         self.mixtures = list[Mixture]()
         self.log_q = np.zeros((0, 0))  # log proposal density of each mixture at all draws
-        self.counts, self.parts = list[int](), list[_Sample]()
+        self.counts, self.sample_list = list[int](), list[_Sample]()
 
     def add(self, mixture: Mixture, log_proposal: np.ndarray, sample: _Sample) -> None:
         """Add the draws of one round, from one mixture, with their log proposal densities."""
-        densities = (_log_proposal(m, self.prior, sample.v) for m in self.mixtures)
+        densities = (_mix_log_density(m, self.prior, sample.v) for m in self.mixtures)
         log_q = np.array([*densities, log_proposal])
         if self.mixtures:
-            previous = np.vstack([self.log_q, _log_proposal(mixture, self.prior, self.samples.v)])
+            log_density = _mix_log_density(mixture, self.prior, self.samples.v)
+            previous = np.vstack([self.log_q, log_density])
             log_q = np.concatenate([previous, log_q], axis=1)
         self.mixtures.append(mixture)
         self.log_q = log_q
         self.counts.append(len(sample.v))
-        self.parts.append(sample)
+        self.sample_list.append(sample)
 
     @property
     def samples(self) -> _Sample:
-        if len(self.parts) > 1:
-            self.parts = [_Sample(*map(np.concatenate, zip(*self.parts, strict=True)))]
-        return self.parts[0]
+        if len(self.sample_list) > 1:
+            self.sample_list = [_Sample(*map(np.concatenate, zip(*self.sample_list, strict=True)))]
+        return self.sample_list[0]
 
     @property
     def log_weight(self) -> Float[np.ndarray, "s"]:
@@ -308,7 +309,7 @@ def draw_weighted(
     seed: int,
     proposals: int | None,
     rounds: int,
-    student_t: bool = False,
+    is_student_t: bool = False,
     earlier_draws: WeightedDraws | None = None,
     probability: float = 1.0,
 ) -> WeightedDraws:
@@ -318,7 +319,7 @@ def draw_weighted(
         proposals: smallest number of final proposals, half of it per adaptation round; chosen by their cost if None. If
             each costs a pass over the readings, draws of adaptation rounds are included.
         rounds: largest number of adaptation rounds.
-        heavy_tails: propose coefficients from a Student-t distribution; always if the noise is not Gaussian.
+        is_student_t: propose coefficients from a Student-t distribution; always if the noise is not Gaussian.
         earlier_draws: weighted draws to extend.
         probability: posterior probability of the structure in a model average; scales the number of proposals.
 
@@ -331,7 +332,7 @@ def draw_weighted(
     prior_component = make_prior_component([h.prior for h in problem.hypers], problem.log_priors)
     if prior_component is not None and density.table is None:
         prior_component = prior_component._replace(weight=COSTLY_PRIOR_WEIGHT)
-    student_t = student_t or not problem.noise.gaussian
+    is_student_t = is_student_t or not problem.noise.gaussian
     earlier_rounds = None if earlier_draws is None else earlier_draws.rounds
     while True:
         min_count = MIN_PROPOSALS_PER_STRUCTURE[density.table is None]
@@ -340,7 +341,7 @@ def draw_weighted(
         pool = Rounds(prior_component) if earlier_rounds is None else earlier_rounds
         target = proposals or count // 2, probability * settings().effective_draws
         max_rounds = 0 if density.table is None and probability < RESTART_PROBABILITY else rounds
-        _fill_pool(pool, density, rng, count, max_rounds, student_t, target, threshold)
+        _fill_pool(pool, density, rng, count, max_rounds, is_student_t, target, threshold)
         draws, start_v = None, density.max_v
         if density.max_log_density <= threshold:
             draws = pool.weigh_draws(density.mode)
@@ -358,7 +359,7 @@ def draw_weighted(
             margin, earlier_rounds = math.inf, None
 
 
-def _axis_mixture(density: BatchedDensity) -> Mixture:
+def _make_axis_mixture(density: BatchedDensity) -> Mixture:
     """Return a split-t proposal at the mode, with two widths along each principal axis.
 
     The widths match the density two Laplace standard deviations from the mode, where a Gaussian is two nats lower. The
@@ -381,31 +382,30 @@ def _fill_pool(
     rng: np.random.Generator,
     count: int,
     rounds: int,
-    student_t: bool,
+    is_student_t: bool,
     targets: tuple[int, float],
     limit: float,
 ) -> None:
-    """Add `count` draws to a pool; costly ones in batches, until k̂ and the effective sample size suffice.
+    """Add `count` draws to a pool; of a costly density in batches, until k̂ and effective sample size are sufficient.
 
-    targets: sufficient number of draws, and effective sample size. limit: log density at which drawing stops.
+    targets: sufficient number of draws and effective sample size. limit: drawing stops at a log density above it.
     """
     mode, prior, is_first = density.mode, pool.prior, not pool.mixtures
     is_costly = density.table is None and len(mode.v) > 0
     if not is_first:
         mixture = _update_mixture(pool.mixtures[0], mode, pool.samples.v, pool.log_weight)
     elif is_costly:
-        mixture = _axis_mixture(density)
+        mixture = _make_axis_mixture(density)
     else:
         args = density.values, prior, rng, count // 2, rounds, limit
         mixture = adapt_proposal(mode, *args)
     batches = COSTLY_BATCHES if is_costly else 1
-    # Draws of adaptation rounds are kept.
     max_rounds = max(batches, 2 * rounds if is_costly and is_first else 0)
     for k in range(1, max_rounds + 1):
         if density.max_log_density > limit:
             break
         v, log_proposal = draw_proposals(mixture, prior, rng, -(-count // batches))
-        sample = _draw_coefficients(density, pool.corrections, v, log_proposal, student_t, rng)
+        sample = _draw_coefficients(density, pool.corrections, v, log_proposal, is_student_t, rng)
         pool.add(mixture, log_proposal, sample)
         if k == max_rounds or len(pool.samples.v) < targets[0]:
             continue
@@ -424,7 +424,8 @@ def choose_proposal_count(density: BatchedDensity) -> int:
         return MIN_PROPOSALS
     if is_costly or problem.size > 100:
         return MEDIUM_PROPOSALS
-    return MEDIUM_PROPOSALS if is_long and not (density.exact and problem.affine) else MAX_PROPOSALS
+    is_closed_form = density.is_exact and problem.is_affine
+    return MEDIUM_PROPOSALS if is_long and not is_closed_form else MAX_PROPOSALS
 
 
 def _draw_coefficients(
@@ -432,20 +433,20 @@ def _draw_coefficients(
     seen_corrections: Corrections,
     v: Float[np.ndarray, "s d"],
     log_proposal: Float[np.ndarray, "s"],
-    student_t: bool,
+    is_student_t: bool,
     rng: np.random.Generator,
 ) -> _Sample:
     """Draw coefficients for each φ of non-negligible weight, and correct the weights for nonlinearity."""
-    mode, problem, count = density.mode, density.problem, len(v)
+    mode, problem, is_exact, count = density.mode, density.problem, density.is_exact, len(v)
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
     log_density, corrections, maximum = np.empty(count), np.full(count, NOWHERE), NOWHERE
     batch_size = max(32, min(density.batch_size, CACHE_ELEMENTS // problem.record.size))
-    is_nonlinear = density.exact and not problem.affine and not seen_corrections.alike
+    is_nonlinear = is_exact and not problem.is_affine and not seen_corrections.alike
     first_count = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
     parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
     for rows in ([np.arange(first_count)] if first_count else []) + parts:
         deadline.current().ask()
-        normal = draw_normals(problem.size, len(rows), student_t, rng)
+        normal = draw_normals(problem.size, len(rows), is_student_t, rng)
         log_density[rows], draws = density.draw_at(v[rows], normal)
         log_weight_phi = log_density[rows] - log_proposal[rows]
         maximum = max(maximum, float(np.max(log_weight_phi)))
@@ -454,18 +455,18 @@ def _draw_coefficients(
         if not is_counted.any():
             continue
         counted_rows, draws, normal = rows[is_counted], draws.select(is_counted), normal[is_counted]
-        if density.exact and seen_corrections.alike:  # a constant correction
+        if is_exact and seen_corrections.alike:  # a constant correction
             log_ratio = np.full(len(counted_rows), seen_corrections.mean)
         else:
             hyper = problem.hyper(v[counted_rows].T)
-            log_ratio = correct_weights(problem, draws, normal, hyper, density.exact, student_t)
-            if density.exact:
+            log_ratio = correct_weights(problem, draws, normal, hyper, is_exact, is_student_t)
+            if is_exact:
                 seen_corrections.add(log_weight_phi[is_counted], log_ratio)
         is_finite = np.isfinite(log_ratio)
         x[counted_rows[is_finite]] = draws.x[is_finite]
         corrections[counted_rows[is_finite]] = log_ratio[is_finite]
     # Replace the first draws' corrections too: their scatter would look like a heavy tail.
-    if seen_corrections.alike and density.exact:
+    if seen_corrections.alike and is_exact:
         corrections = np.where(corrections > NOWHERE, seen_corrections.mean, NOWHERE)
     return _Sample(v, log_density, x, corrections)
 
@@ -479,10 +480,10 @@ def draw_proposals(
     # 37 (1995) 185).
     if prior is not None:
         v = np.where(rng.random((count, 1)) < prior.weight, prior.draw(rng, count), v)
-    return v, _log_proposal(mixture, prior, v)
+    return v, _mix_log_density(mixture, prior, v)
 
 
-def _log_proposal(
+def _mix_log_density(
     mixture: Mixture, prior: PriorComponent | None, v: Float[np.ndarray, "s d"]
 ) -> Float[np.ndarray, "s"]:
     """Return the log density (s,) of mixture and prior, the proposal of `draw_proposals`."""

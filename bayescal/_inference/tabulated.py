@@ -63,14 +63,14 @@ class EffectBlock(NamedTuple):
     key: int  # identifier of its columns in the table, common to equal effects
     expansions: Expansions  # of its columns
     terms: tuple[Term, ...]  # its coefficients
-    shapes: list[int]  # indices in φ of the shapes of its columns
+    shape_indices: list[int]  # indices in φ of the shapes of its columns
     # Index in x of each coefficient and group member; p (the residual) if it has a fixed value.
     owners: Int[np.ndarray, "m"]
     multipliers: Float[np.ndarray, "m"]  # 1, or minus the value of a fixed coefficient
 
     def expansion_at(self, v: Float[np.ndarray, "d"], with_grad: bool) -> Expansion:
         """Return the expansion of the effect's columns that is valid at φ."""
-        return self.expansions.get(v[self.shapes], with_grad)
+        return self.expansions.get(v[self.shape_indices], with_grad)
 
 
 class TabulatedDensity:
@@ -88,19 +88,19 @@ class TabulatedDensity:
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
         self._tables: dict[Any, _StructureRows] = {}
         self.slopes = problem.slopes(x, problem.hyper(expansion_point))
-        if problem.affine:
+        if problem.is_affine:
             self.table: ColumnTable = problem.record.table
-            self.parts = self._list_parts(self.table)
-            self.table.remove_fit([*self._static_parts])
+            self.blocks = self._list_blocks(self.table)
+            self.table.remove_fit([*self._static_blocks])
         else:
             self.table = self._linearise_table(x, expansion_point)
         self.origin = self._choose_origin()
 
-    def _list_parts(self, table: ColumnTable) -> list[EffectBlock]:
+    def _list_blocks(self, table: ColumnTable) -> list[EffectBlock]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.effect), []).append(t)
-        parts = []
+        blocks = []
         for terms in effects.values():
             names, fixed = terms[0].shape_names, problem.fixed_values
             fixed_shapes = tuple(fixed.get(n) for n in names)
@@ -112,7 +112,7 @@ class TabulatedDensity:
                 for t in terms
             ]
             multipliers = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
-            parts.append(
+            blocks.append(
                 EffectBlock(
                     table.number((terms[0].columns.key, fixed_shapes, *config)),
                     problem.record.expansions(terms[0].columns, fixed_shapes),
@@ -122,17 +122,17 @@ class TabulatedDensity:
                     np.concatenate(multipliers),
                 )
             )
-        return parts
+        return blocks
 
-    def _get_block(self, part: EffectBlock, expansion: Expansion) -> int:
+    def _get_block(self, block: EffectBlock, expansion: Expansion) -> int:
         """Return the table's block number of an effect's columns, `rank` columns per coefficient and group member."""
         return self.table.block(
-            (part.key, expansion.number), lambda: self._list_columns(part, expansion)
+            (block.key, expansion.number), lambda: self._list_columns(block, expansion)
         )
 
-    def _list_columns(self, part: EffectBlock, expansion: Expansion) -> Float[np.ndarray, "n w"]:
+    def _list_columns(self, block: EffectBlock, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
-        for t in part.terms:
+        for t in block.terms:
             column = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
             codes = None if t.per is None else self.problem.record.codes[t.per]
             member_columns = expand_members(column.T, codes, t.size)  # (r, n, members)
@@ -140,13 +140,13 @@ class TabulatedDensity:
         return np.concatenate(columns, axis=1)
 
     @cached_property
-    def _static_parts(self) -> dict[int, EffectBlock]:
+    def _static_blocks(self) -> dict[int, EffectBlock]:
         """Return the φ-independent effects by block number, without Gaussian processes (nearly collinear)."""
         medians = np.zeros(len(self.problem.hypers))
         return {
-            self._get_block(part, part.expansion_at(medians, False)): part
-            for part in self.parts
-            if not part.shapes and part.terms[0].effect.weights is None
+            self._get_block(block, block.expansion_at(medians, False)): block
+            for block in self.blocks
+            if not block.shape_indices and block.terms[0].effect.weights is None
         }
 
     def _linearise_table(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]) -> ColumnTable:
@@ -154,17 +154,17 @@ class TabulatedDensity:
         problem = self.problem
         residual = problem.record.y - problem.linearise(x, problem.hyper(v)).mean
         self.table = ColumnTable(residual)
-        self.parts = self._list_parts(self.table)
-        subtracted = dict.fromkeys(self._static_parts)
-        for part in self.parts:
-            expansion = part.expansion_at(v, False)
-            is_in_x = part.owners < problem.size
-            coefficients = np.where(is_in_x, np.append(x, 0.0)[part.owners], -part.multipliers)
-            if (number := self._get_block(part, expansion)) in subtracted:
+        self.blocks = self._list_blocks(self.table)
+        subtracted = dict.fromkeys(self._static_blocks)
+        for block in self.blocks:
+            expansion = block.expansion_at(v, False)
+            is_in_x = block.owners < problem.size
+            coefficients = np.where(is_in_x, np.append(x, 0.0)[block.owners], -block.multipliers)
+            if (number := self._get_block(block, expansion)) in subtracted:
                 subtracted[number] = coefficients
             else:
-                factors = expansion.factors(v[part.shapes]).value
-                residual += self._list_columns(part, expansion) @ np.kron(coefficients, factors)
+                factors = expansion.factors(v[block.shape_indices]).value
+                residual += self._list_columns(block, expansion) @ np.kron(coefficients, factors)
         self.table.fitted_coefficients = subtracted
         return self.table
 
@@ -177,10 +177,10 @@ class TabulatedDensity:
         sd[weight == 0] = np.inf
         for members in problem.sizes.learned_sd_masks.values():
             sd[members > 0] = np.inf
-        for key, part in self._static_parts.items():
+        for key, block in self._static_blocks.items():
             if (coefficients := self.table.fitted_coefficients.get(key)) is not None:
-                is_in_x = part.owners < problem.size
-                indices, coefficients = part.owners[is_in_x], coefficients[is_in_x]
+                is_in_x = block.owners < problem.size
+                indices, coefficients = block.owners[is_in_x], coefficients[is_in_x]
                 is_near = np.abs(coefficients - origin[indices]) < MAX_ORIGIN_SD * sd[indices]
                 origin[indices] = np.where(is_near, coefficients, origin[indices])
         return origin
@@ -212,8 +212,8 @@ class TabulatedDensity:
         prior = problem.prior(hyper, flat_scales)
         if not np.all(np.isfinite(prior.sd)):
             return None
-        rows = self.rows(tuple(part.expansion_at(v, with_grad) for part in self.parts))
-        weights = self.weights(v[self.noise] + _stencil(q)[: None if with_grad else 1])
+        rows = self.rows(tuple(block.expansion_at(v, with_grad) for block in self.blocks))
+        weights = self.weights(v[self.noise] + _make_stencil(q)[: None if with_grad else 1])
         if not np.isfinite(weights.log_det[0]):
             return None
         factors, derivatives = rows.factors(v, with_grad)
@@ -225,14 +225,14 @@ class TabulatedDensity:
         conditional = condition(gram_x, problem.record.size, prior, self.origin)
         if conditional is None:
             return None
-        log_prior, prior_gradient, prior_curvature = self._log_prior(v)
+        log_prior, prior_gradient, prior_curvature = self._compute_log_prior(v)
         value = conditional.log_marginal + log_prior
         if not math.isfinite(value):
             return None
         if not with_grad:
             return Evaluation(value, conditional)
         scale = np.append(prior.sd, 1.0)
-        C, P = _posterior_moments(conditional, prior, self.origin)
+        C, P = _compute_posterior_moments(conditional, prior, self.origin)
         d = scale[rows.owner] * factors
         U = gram_unit * scale  # G·D
         P_rows = P[rows.owner[:, None], rows.owner]
@@ -267,7 +267,7 @@ class TabulatedDensity:
             B[i, :] = B[:, i] = a @ product
         if self.noise:
             traces = rows.products.traces(weights, rows.add_by_column(E)) + weights.log_det
-            B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
+            B[np.ix_(self.noise, self.noise)] = 0.5 * _compute_second_differences(traces, q)
         # The prior mean f = (mean − origin)/sd depends on sd, and with it w·f in p and w·f² in ρ.
         t = _standardise_mean(conditional, prior, self.origin)
         prior_offset = prior.weight * (t - conditional.z)
@@ -286,26 +286,26 @@ class TabulatedDensity:
         """Return the Gram matrices of [J r] at several φ, with residuals r at x = `origin`."""
         p = self.problem.size
         if self.is_direct:
-            return self._grams_from_readings(vs)
-        covers = [part.expansions.cover(vs[:, part.shapes]) for part in self.parts]
+            return self._compute_grams_from_readings(vs)
+        covers = [block.expansions.cover(vs[:, block.shape_indices]) for block in self.blocks]
         products, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([indices for _, indices in covers]).reshape(len(covers), len(vs)).T
         for box in np.unique(boxes, axis=0):
             members = np.flatnonzero(np.all(boxes == box, axis=1))
             rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
             products[members], log_det[members] = self.compute_grams(rows, vs[members])
-        for part, (expansions, _) in zip(self.parts, covers, strict=True):
+        for block, (expansions, _) in zip(self.blocks, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, ListedColumns)):
-                self.table.discard((part.key, listed.number))
+                self.table.discard((block.key, listed.number))
         return Gram.split(products, log_det)
 
     @cached_property
     def is_direct(self) -> bool:
         """Return whether evaluation from the readings can be cheaper: independent noise, several shapes per effect."""
-        has_many_shapes = any(len(part.shapes) > 1 for part in self.parts)
-        return has_many_shapes and self.problem.noise.independent and self.problem.affine
+        has_many_shapes = any(len(block.shape_indices) > 1 for block in self.blocks)
+        return has_many_shapes and self.problem.noise.independent and self.problem.is_affine
 
-    def _grams_from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+    def _compute_grams_from_readings(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         problem, products = self.problem, []
         size = problem.record.size * (problem.size + 1)
         for batch in np.array_split(vs, min(len(vs), -(-len(vs) * size // MAX_BATCH_ELEMENTS))):
@@ -343,18 +343,19 @@ class TabulatedDensity:
         """Approximate columns by polynomials in φ near its mode; return None if inaccurate or too expensive."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
-        for part in self.parts:
-            if not part.shapes:
-                expansions.append(part.expansion_at(v, False))
-            elif (expansion := part.expansions.fit_polynomials(draws[:, part.shapes])) is not None:
-                expansions.append(expansion)
-            else:
+        for block in self.blocks:
+            if not block.shape_indices:
+                expansions.append(block.expansion_at(v, False))
+                continue
+            expansion = block.expansions.fit_polynomials(draws[:, block.shape_indices])
+            if expansion is None:
                 return None
+            expansions.append(expansion)
         polynomial = PolynomialTable(self, tuple(expansions))
         max_pairs = MAX_PAIRS_PER_READING * self.problem.record.size
         if self.is_direct and polynomial.rows.width**2 > max_pairs:
             return None
-        if not any(part.shapes for part in self.parts):
+        if not any(block.shape_indices for block in self.blocks):
             return polynomial
         test_v = draws[:TEST_DRAWS]
         exact, fitted_values = (
@@ -364,7 +365,7 @@ class TabulatedDensity:
         error = np.abs(fitted_values - exact)[np.isfinite(exact)]
         return polynomial if np.max(error, initial=0.0) < MAX_ERROR_NATS else None
 
-    def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
+    def _compute_log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, and its first and second derivatives with respect to each coordinate (d,)."""
         h, log_priors = DIFF_STEP, np.empty((3, len(v)))
         for i, hyper in enumerate(self.problem.hypers):
@@ -405,9 +406,9 @@ class PolynomialTable:
     def __init__(self, tabulated: TabulatedDensity, expansions: tuple[Expansion, ...]) -> None:
         self.tabulated, self.origin = tabulated, tabulated.origin
         self.rows = _StructureRows(tabulated, expansions)
-        for part, expansion in zip(tabulated.parts, expansions, strict=True):
-            if part.shapes:  # columns of this table alone
-                tabulated.table.discard((part.key, expansion.number))
+        for block, expansion in zip(tabulated.blocks, expansions, strict=True):
+            if block.shape_indices:  # columns of this table alone
+                tabulated.table.discard((block.key, expansion.number))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return the Gram matrices of [J r] at several φ, with residuals r at x = `origin`."""
@@ -416,9 +417,9 @@ class PolynomialTable:
     def contains(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
         """Return whether each φ is inside the region of the polynomial fit (b,)."""
         inside = np.ones(len(vs), dtype=bool)
-        for part, expansion in zip(self.tabulated.parts, self.rows.expansions, strict=True):
+        for block, expansion in zip(self.tabulated.blocks, self.rows.expansions, strict=True):
             if isinstance(expansion, PolynomialColumns):
-                inside &= expansion.contains(vs[:, part.shapes])
+                inside &= expansion.contains(vs[:, block.shape_indices])
         return inside
 
 
@@ -426,22 +427,22 @@ class _StructureRows:
     """Rows of D for a combination of expansions: table column, index in x ("owner") and constant factor of each."""
 
     def __init__(self, tabulated: TabulatedDensity, expansions: tuple[Expansion, ...]) -> None:
-        self.expansions, self.parts = expansions, tabulated.parts
+        self.expansions, self.blocks = expansions, tabulated.blocks
         p, table, keys = tabulated.problem.size, tabulated.table, list[int]()
         column, owner, factors, self.slices = [], [], [], []
         start = 0
-        for part, expansion in zip(tabulated.parts, expansions, strict=True):
-            key = tabulated._get_block(part, expansion)
+        for block, expansion in zip(tabulated.blocks, expansions, strict=True):
+            key = tabulated._get_block(block, expansion)
             keys.append(key)
             r = expansion.rank
-            columns = start + np.arange(len(part.owners) * r)
+            columns = start + np.arange(len(block.owners) * r)
             self.slices.append(slice(start, start + len(columns)))
             column.append(columns)
-            owner.append(np.repeat(part.owners, r))
-            factors.append(np.repeat(part.multipliers, r))
+            owner.append(np.repeat(block.owners, r))
+            factors.append(np.repeat(block.multipliers, r))
             # Add back what was subtracted from the residual, relative to the origin of x.
-            is_in_x = part.owners < p
-            origin = tabulated.origin[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0
+            is_in_x = block.owners < p
+            origin = tabulated.origin[np.minimum(block.owners, max(p - 1, 0))] if p else 0.0
             offset = np.where(is_in_x, -origin, 0.0)
             offset += table.fitted_coefficients.get(key, 0.0)
             offset = np.repeat(offset, r)
@@ -482,8 +483,8 @@ class _StructureRows:
     def _dynamic_rows(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return each φ-dependent effect's index, its rows, and the expansion term of each row."""
         entries = []
-        for i, (part, columns) in enumerate(zip(self.parts, self.slices, strict=True)):
-            if part.shapes:
+        for i, (block, columns) in enumerate(zip(self.blocks, self.slices, strict=True)):
+            if block.shape_indices:
                 rows = np.flatnonzero((self.column >= columns.start) & (self.column < columns.stop))
                 terms = (self.column[rows] - columns.start) % self.expansions[i].rank
                 entries.append((i, rows, terms))
@@ -493,20 +494,22 @@ class _StructureRows:
         """Return the element of D in each row at several φ (b, R), for unit prior deviations."""
         factors = np.tile(self.multipliers, (len(vs), 1))
         for i, rows, terms in self._dynamic_rows:
-            factors[:, rows] *= self.expansions[i].values(vs[:, self.parts[i].shapes])[:, terms]
+            shape_values = vs[:, self.blocks[i].shape_indices]
+            factors[:, rows] *= self.expansions[i].values(shape_values)[:, terms]
         return factors
 
     def factors(self, v: Float[np.ndarray, "d"], with_grad: bool) -> tuple[np.ndarray, list[Any]]:
         """Return the element of D in each row; per φ-dependent effect: rows, indices in φ, gradients, Hessians."""
         factors, slopes = self.multipliers.copy(), []
         for i, rows, terms in self._dynamic_rows:
-            shapes = self.parts[i].shapes
-            values = self.expansions[i].factors(v[shapes])
+            shape_indices = self.blocks[i].shape_indices
+            values = self.expansions[i].factors(v[shape_indices])
             factors[rows] *= values.value[terms]
             if with_grad:
                 gradients, hessians = values.gradient[:, terms], values.hessian[:, :, terms]
                 multipliers = self.multipliers[rows]
-                slopes.append((rows, shapes, gradients * multipliers, hessians * multipliers))
+                derivatives = gradients * multipliers, hessians * multipliers
+                slopes.append((rows, shape_indices, *derivatives))
         return factors, slopes
 
 
@@ -518,7 +521,7 @@ def _standardise_mean(
     return conditional.z + np.where(shift == 0, 0.0, shift / np.where(prior.sd > 0, prior.sd, 1.0))
 
 
-def _posterior_moments(
+def _compute_posterior_moments(
     conditional: Conditional, prior: Prior, point: Float[np.ndarray, "p"]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p1 p1"]]:
     """Return C = A⁻¹ and P = [[C + t·tᵀ, −t], [−tᵀ, 1]], as in the module's formulas."""
@@ -529,7 +532,7 @@ def _posterior_moments(
 
 
 @cache
-def _stencil(q: int) -> Float[np.ndarray, "s q"]:
+def _make_stencil(q: int) -> Float[np.ndarray, "s q"]:
     """Return the stencil of first and second central differences in q coordinates (1 + 2q + q(q − 1), q)."""
     unit = np.eye(q)
     pairs = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
@@ -538,7 +541,7 @@ def _stencil(q: int) -> Float[np.ndarray, "s q"]:
     return DIFF_STEP * np.concatenate([np.zeros((1, q)), unit, -unit, pairs, -pairs])
 
 
-def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
+def _compute_second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, "q q"]:
     """Return the Hessian (q, q) of a function by central differences of its values on the stencil."""
     middle, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
     mixed_sums = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)

@@ -32,8 +32,8 @@ MAX_DIVERGENT_FRACTION = 0.005  # largest fraction of divergent transitions
 # Largest change in the last round of a converged mode, standard deviations.
 MAX_MODE_CHANGE_SD = 0.05
 
-NOT_CONVERGED = "Levenberg–Marquardt stopped before its tolerance was met."
-SINGULAR = "The curvature is singular: some direction is not determined by readings or priors."
+NOT_CONVERGED = "Levenberg–Marquardt did not converge to its tolerance."
+SINGULAR = "The Hessian is singular: readings and priors do not identify all unknowns."
 
 
 def check_weights(
@@ -43,7 +43,7 @@ def check_weights(
     limit: float | None = None,
     min_ess: float | None = None,
 ) -> str:
-    """Return k̂ and effective sample size as text if importance weights are unreliable; empty if they are reliable.
+    """Return Pareto k̂ and effective sample size as text if importance weights are unreliable, otherwise "".
 
     limit: largest k̂, default 0.7. min_ess: smallest effective sample size; default from the settings.
     """
@@ -55,7 +55,7 @@ def check_weights(
 
 
 def select_k_hat(log_ratio: Float[np.ndarray, "s"], weights: Float[np.ndarray, "s"]) -> float:
-    """Return the largest k̂ of reliable weights: smaller if the nonlinearity corrections of log weights vary."""
+    """Return the largest acceptable Pareto k̂: smaller if the nonlinearity corrections of log weights vary."""
     log_ratio = np.clip(log_ratio, -1e3, 1e3)
     mean = weights @ log_ratio
     is_nonlinear = weights @ (log_ratio - mean) ** 2 > MIN_NONLINEAR_SD**2
@@ -71,8 +71,8 @@ def judge_weights(
 ) -> Verdict:
     """Return the verdict on weighted draws and their mode; `reasons`: known faults."""
     if mode is not None and not mode.change <= MAX_MODE_CHANGE_SD:
-        message = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
-        reasons = (*reasons, f"{message} when the optimiser stopped.")
+        step = f"its last step was {float(mode.change):.2g} posterior standard deviations"
+        reasons = (*reasons, f"The search for the mode did not converge: {step}.")
     ess = effective_size(weights)
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=ess)
 
@@ -87,10 +87,14 @@ def judge_chains(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdic
     ess = min(float(np.asarray(array_stats.ess(d, chain_axis=0, draw_axis=1))) for d in draws)
     reasons = []
     if not r_hat <= MAX_R_HAT:
-        reasons.append(f"Chains disagree (R-hat {r_hat:.3f}): run longer, or give tighter priors.")
+        reasons.append(
+            f"Chains did not converge (R-hat {r_hat:.3f}): run longer, or tighten priors."
+        )
     if ess < MIN_CHAIN_ESS:
-        reasons.append(f"Only {ess:.0f} effective draws: run longer.")
+        reasons.append(f"The effective sample size is only {ess:.0f}: run longer.")
     if chains.divergences > MAX_DIVERGENT_FRACTION * draws[0].size:
-        reasons.append(f"{chains.divergences} divergent transitions: the posterior has a corner.")
+        reasons.append(
+            f"{chains.divergences} divergent transitions: the posterior is strongly curved."
+        )
     numbers: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": chains.divergences}
     return Verdict(not reasons, tuple(reasons), notes, sampler, **numbers)

@@ -15,18 +15,18 @@ from bayescal._model.instrument import Instrument, Slot, Slots
 from bayescal._model.prior import Flat
 
 
-def _constant_basis(r: Frame) -> float:
+def _evaluate_constant_basis(r: Frame) -> float:
     return 1.0
 
 
-def _constant_response(slots: Slots, r: Frame) -> Any:
+def _evaluate_constant_response(slots: Slots, r: Frame) -> Any:
     return slots["rest"]
 
 
 LEVEL = Effect(
     "rest.level",
     "rest",
-    basis=_constant_basis,
+    basis=_evaluate_constant_basis,
     coefficients=(Coefficient("1", Flat(), per="run"),),
     columns=("run",),
     equation="c[run]",
@@ -42,6 +42,6 @@ CHANNEL = Instrument(
         Column("output", "1"),
     ),
     slots=(Slot("rest", "1", "the output at rest"),),
-    response=_constant_response,
+    response=_evaluate_constant_response,
     effects=(LEVEL,),
 )

@@ -179,10 +179,10 @@ def compute_input_variance(terms: Sequence[Term], linearisation: Linearisation) 
 
 def _assemble_jacobian(source: ColumnSource, mean: np.ndarray, triples: list[tuple]) -> np.ndarray:
     """Assemble the Jacobian (…, n, q) with NumPy, one term after the other, each column contiguous in memory."""
-    column_count = sum(1 if _member_codes(source, t) is None else t.size for t, *_ in triples)
+    column_count = sum(1 if _get_member_codes(source, t) is None else t.size for t, *_ in triples)
     jacobian, start = np.zeros((*mean.shape[:-1], column_count, mean.shape[-1])), 0
     for term, column, derivative in triples:
-        entries, codes = derivative * column, _member_codes(source, term)
+        entries, codes = derivative * column, _get_member_codes(source, term)
         if codes is None:
             jacobian[..., start, :] = entries
             start += 1
@@ -199,12 +199,12 @@ def _trace_jacobian(source: ColumnSource, mean: Any, triples: list[tuple]) -> An
     derivatives = list(columns)
     for term, column, derivative in triples:
         column, derivative = (jnp.broadcast_to(a, mean.shape) for a in (column, derivative))
-        columns.append(expand_members(column, _member_codes(source, term), term.size))
+        columns.append(expand_members(column, _get_member_codes(source, term), term.size))
         derivatives.append(jnp.broadcast_to(derivative[..., None], columns[-1].shape))
     return jnp.concatenate(columns, axis=-1) * jnp.concatenate(derivatives, axis=-1)
 
 
-def _member_codes(source: ColumnSource, t: Term) -> Any:
+def _get_member_codes(source: ColumnSource, t: Term) -> Any:
     return None if t.per is None else source.codes[t.per]
 
 
@@ -253,7 +253,7 @@ class TracedColumns:
             return evaluate(shifts), {}
         shifts = self._broadcast(shifts, shifts)
         columns, jvp = jax.linearize(evaluate, shifts)
-        return columns, {name: jvp(_unit_tangent(shifts, name)) for name in shifts}
+        return columns, {name: jvp(_make_tangent(shifts, name)) for name in shifts}
 
     def _broadcast(self, values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
         return {name: jnp.broadcast_to(values.get(name, 0.0), (self.size,)) for name in names}
@@ -280,11 +280,11 @@ def differentiate_response(
     # Where a slot and a corrected column share a name the correction's derivative replaces the slot's.
     mean, jvp = jax.linearize(response, slots, shifts)
     zeros = [jax.tree.map(jnp.zeros_like, arguments) for arguments in (slots, shifts)]
-    by_slot = {name: jvp(_unit_tangent(slots, name), zeros[1]) for name in slots}
-    return mean, by_slot | {name: jvp(zeros[0], _unit_tangent(shifts, name)) for name in shifts}
+    by_slot = {name: jvp(_make_tangent(slots, name), zeros[1]) for name in slots}
+    return mean, by_slot | {name: jvp(zeros[0], _make_tangent(shifts, name)) for name in shifts}
 
 
-def _unit_tangent(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+def _make_tangent(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Return the tangent vector that is one for `name` and zero for all other names."""
     return {n: jnp.ones_like(v) if n == name else jnp.zeros_like(v) for n, v in values.items()}
 

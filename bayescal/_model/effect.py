@@ -69,14 +69,14 @@ class Coefficient:
         set_fields(self, prior=priors.convert(self.prior), group_sd=priors.convert(self.group_sd))
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
-                f"a coefficient's prior is Normal, Flat or Known, not {_type_name(self.prior)}, since coefficients are "
+                f"a coefficient's prior is Normal, Flat or Known, not {_name_type(self.prior)}, since coefficients are "
                 "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); a positive "
                 'quantity is a shape, bayescal.Shape(…, scale="log")'
             )
         if not isinstance(self.group_sd, HalfNormal | HalfCauchy | Flat | None):
             raise ModelError(
                 f"the prior of a standard deviation between groups is HalfNormal, HalfCauchy or Flat, not "
-                f"{_type_name(self.group_sd)}: give group_sd=HalfNormal(0.05)"
+                f"{_name_type(self.group_sd)}: give group_sd=HalfNormal(0.05)"
             )
         if self.group_sd is not None and self.per is None:
             raise ValueError("a `group_sd` between groups needs a group: give `per`")
@@ -357,7 +357,7 @@ class Effect:
         return evaluate_basis(self.basis, len(self.coefficients), self.name, frame, values)
 
 
-def _type_name(prior: Any) -> str:
+def _name_type(prior: Any) -> str:
     return prior.__name__ if isinstance(prior, type) else type(prior).__name__
 
 

@@ -1,4 +1,4 @@
-"""Parse an effect from one typed line: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
+"""Parse an effect from one line of text: "supply: s * (supply_voltage - 5); s = 0.1 mV/V".
 
 The line is parsed by Python's `ast`; only names, numbers and the functions in `_FUNCTIONS` are accepted. One recursive
 pass converts each subexpression to a linear form Σ coefficient × factor with units; nonlinear unknowns are shapes.
@@ -44,8 +44,8 @@ _SIZE = re.compile(rf"({_VALUE})(?:\s*(?:±|\+-|\+/-)\s*({_VALUE}))?\s*(\D.*)?")
 _RANGE = re.compile(rf"({_VALUE})\s*(?:…|\.\.\.?|to|-)\s*({_VALUE})\s*(\D.*)?")
 
 
-def _power(base: Any, exponent: Any) -> Any:
-    """Raise to a power; integer exponents are passed as int, so that negative bases are differentiable."""
+def _raise_to_power(base: Any, exponent: Any) -> Any:
+    """Raise `base` to a power; integer exponents are passed as int, so that negative bases are differentiable."""
     is_integer = isinstance(exponent, float) and exponent.is_integer()
     return base ** (int(exponent) if is_integer else exponent)
 
@@ -57,7 +57,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 _OPERATORS: dict[str, Callable[..., Any]] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    **{"^": _power, "neg": operator.neg},
+    **{"^": _raise_to_power, "neg": operator.neg},
 }
 _IMPLEMENTATIONS = {**_FUNCTIONS, **_OPERATORS}
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
@@ -88,7 +88,7 @@ Linear = dict[str, FormulaPart]  # linear form: coefficient → factor; "" → t
 
 @dataclass(frozen=True)
 class Formula:
-    """Basis function of a typed effect, in base units; its arguments are a frame of readings and the shapes."""
+    """Basis function of an effect entered as a formula, in base units, of a frame of readings and shape parameters."""
 
     text: str  # the canonical line, with sizes and units
     parts: tuple[Any, ...]  # the factor of each coefficient, as `FormulaPart.tree`
@@ -133,7 +133,7 @@ def effect(
     source: str = "the user's own",
     **definitions: str,
 ) -> Effect:
-    """Make an effect from a typed formula.
+    """Parse an effect from a formula.
 
         bc.effect("supply", "s * (V - 5) / V", s="0.1 mV/V", V="supply_voltage [V]")
         bc.effect("bias.supply: s * (supply_voltage - 5); s = 0.1 mV/V", readings=readings)
@@ -153,7 +153,7 @@ def effect(
             are checked when a model is fitted; they may be stated: V="supply_voltage [V]".
         instrument: instrument to whose slots the effect may add.
         source: source of the formula.
-        definitions: of names: size of each coefficient ("0.1 mV/V", or "0.5 ± 0.1 mV/V" with a nonzero mean); range of
+        definitions: size of each coefficient, by name ("0.1 mV/V", or "0.5 ± 0.1 mV/V" with a nonzero mean); range of
             each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
 
     Raises:
@@ -163,7 +163,7 @@ def effect(
 
 
 def _split(name: str, formula: str, values: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Split a typed line into name, formula and definitions of names; raise InputError if it has another form."""
+    """Split a line into effect name, formula and definitions of names; raise InputError if it has another form."""
     values = {n: str(v).strip() for n, v in values.items()}
     if not formula:
         name, colon, tail = name.partition(":")
@@ -182,7 +182,7 @@ def _split(name: str, formula: str, values: Mapping[str, str]) -> tuple[str, str
 
 
 class _TypedLine:
-    """Parser of one typed line: a formula and definitions of its names, with readings or instrument for units."""
+    """Parser of an effect's line: a formula and definitions of its names, with readings or instrument for units."""
 
     def __init__(
         self,
@@ -251,9 +251,9 @@ class _TypedLine:
             if not isinstance(node, _ALLOWED_NODES):
                 raise self.make_error(self.locate(node), "this is not allowed in a formula")
             if isinstance(node, ast.Call) and len(node.args) != (
-                count := _ARGUMENT_COUNTS.get(_function_name(node), 0)
+                count := _ARGUMENT_COUNTS.get(_get_function_name(node), 0)
             ):
-                reason = f"{_function_name(node)} takes {count} argument{'s' * (count > 1)}"
+                reason = f"{_get_function_name(node)} takes {count} argument{'s' * (count > 1)}"
                 raise self.make_error(self.locate(node), reason)
         self.has_history = any(isinstance(n, ast.Name) and n.id in _HISTORY for n in ast.walk(tree))
         return tree
@@ -283,7 +283,7 @@ class _TypedLine:
         return FormulaPart(value, None, start)
 
     def to_linear(self, node: ast.expr) -> Linear:
-        """Convert an AST node to a linear form of the coefficients."""
+        """Convert an AST (syntax tree) node to a linear form Σ coefficient × factor."""
         start = self.locate(node)
         match node:
             case ast.Constant():
@@ -305,7 +305,7 @@ class _TypedLine:
                 operands = self.to_linear(node.left), self.to_linear(node.right)
                 return self._combine(_SIGNS[type(node.op)], *operands)
         assert isinstance(node, ast.Call)
-        return {"": self._parse_call(_function_name(node), node.args)._replace(start=start)}
+        return {"": self._parse_call(_get_function_name(node), node.args)._replace(start=start)}
 
     def _negate(self, part: FormulaPart) -> FormulaPart:
         return self.apply("neg", part.unit, part)
@@ -327,10 +327,10 @@ class _TypedLine:
         undefined_names = [n for n in coefficients if n not in self.definitions]
         start = next(iter(a.values())).start
         if self.readings is not None and len(undefined_names) == 1 < len(coefficients):
-            raise self.make_error(start, self._missing_text(undefined_names[0]))
+            raise self.make_error(start, self._format_missing_column(undefined_names[0]))
         reason = f"{' and '.join(coefficients)} are multiplied: only their product is identified"
         if self.readings is not None and undefined_names:
-            reason += f". {' and '.join(map(self._missing_text, undefined_names))}"
+            reason += f". {' and '.join(map(self._format_missing_column, undefined_names))}"
         raise self.make_error(start, reason)
 
     def _add_or_compare(self, function: str, a: FormulaPart, b: FormulaPart) -> FormulaPart:
@@ -387,9 +387,7 @@ class _TypedLine:
             raise self.make_error(self.locate(tau[0]), reason)
         return FormulaPart((function, column, *times), unit, self.locate(column_node))
 
-    # definitions of names ---------------------------------------------------------------------------------------
-
-    def _missing_text(self, name: str) -> str:
+    def _format_missing_column(self, name: str) -> str:
         """Format the message that the readings have no numeric column of this name."""
         assert self.readings is not None
         available = ", ".join(self.available)
@@ -422,7 +420,7 @@ class _TypedLine:
             elif readings is None and (name in aliases or (texts and undefined)):
                 pairs[name] = column if name in aliases else name, own_unit  # checked with readings
             elif readings is not None and (name in aliases or (undefined and column in defaults)):
-                raise self.make_error(start, self._missing_text(column))
+                raise self.make_error(start, self._format_missing_column(column))
             elif (
                 undefined
                 and len(name) > 3
@@ -435,7 +433,7 @@ class _TypedLine:
         text = self.definitions.get(name)
         if text is None:
             reason = f"{name!r} has no plausible range: give one, as {name} = 100 to 2000 s"
-            prefix = "" if self.readings is None else f"{self._missing_text(name)}, and "
+            prefix = "" if self.readings is None else f"{self._format_missing_column(name)}, and "
             raise self.make_error(self.first_positions[name], prefix + reason)
         if match := _RANGE.fullmatch(text):
             low, high, unit = _to_float(match[1]), _to_float(match[2]), match[3]
@@ -486,7 +484,7 @@ class _TypedLine:
         return Formula(text, parts, columns, tuple(self.shapes))
 
     def _resolve_slot(self) -> tuple[str, str | None, str]:
-        """Return the slot's name, its unit (None if unknown), and the cause, as parts of the effect's name."""
+        """Return the slot's name, its unit (None if unknown), and the cause, from the effect's name `slot.cause`."""
         slot, _, cause = self.name.rpartition(".")
         if self.instrument is None:
             return slot or "bias", None, cause
@@ -525,7 +523,7 @@ class _TypedLine:
                 f"{name} = {definition!r} is not a size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (match[3] or "1").strip()
-        sd, mean = abs(_to_float(match[2] or match[1])), _to_float(match[1]) if match[2] else 0.0
+        sd, mean = (abs(_to_float(match[2] or match[1])), _to_float(match[1]) if match[2] else 0.0)
         prior = Normal(mean, sd) if sd > 0 else Known(mean)  # 1 ± 0: a constant
         if not (sd > 0 or mean):
             raise InputError(f"{name} = {definition!r}: a size must not be zero")
@@ -550,7 +548,7 @@ class _TypedLine:
         return "; ".join(fields)
 
 
-def _function_name(node: ast.Call) -> str:
+def _get_function_name(node: ast.Call) -> str:
     return getattr(node.func, "id", "")
 
 
@@ -559,7 +557,7 @@ def _list_operands(node: ast.AST) -> list[ast.expr]:
     match node:
         case ast.BinOp(op=ast.Add() | ast.Sub()):
             return [node.left, node.right]
-        case ast.Call() if _function_name(node) in _BINARY:
+        case ast.Call() if _get_function_name(node) in _BINARY:
             return node.args
     return []
 
@@ -597,7 +595,7 @@ def _find_sizes(basis: Formula, readings: Measurements, shapes: Mapping[str, Sha
 
 
 def require_units(typed_effect: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Raise ModelError if a typed effect was parsed for other units than those of the readings or the slot."""
+    """Raise ModelError if a formula's effect was parsed for other units than those of the readings or the slot."""
     basis = typed_effect.basis
     if not isinstance(basis, Formula):
         return

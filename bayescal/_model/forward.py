@@ -33,12 +33,12 @@ def prior_mean(layout: Layout) -> Float[Array, "p"]:
 
 
 def prior_sd(
-    layout: Layout, hyper: Values, flat: Float[Array, "p"] | float = 1.0
+    layout: Layout, hyper: Values, flat_scales: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
-    """Return the prior standard deviation of x given φ (p,); `flat` where the prior is flat."""
+    """Return the prior standard deviation of x given φ (p,); `flat_scales` where the prior is flat."""
     terms, _ = terms_of(layout.x_blocks)
     sd = PriorDeviations(terms, layout.model.effects, layout.size).evaluate(hyper)
-    return jnp.where(prior_weight(layout) > 0, sd, flat * sd)
+    return jnp.where(prior_weight(layout) > 0, sd, flat_scales * sd)
 
 
 def prior_weight(layout: Layout) -> Float[Array, "p"]:

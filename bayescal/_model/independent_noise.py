@@ -115,7 +115,7 @@ class Heteroscedastic(Noise):
     def unit(self, name: str, output: str) -> str:
         return "1" if name in (SLOPE, CURVATURE) else output
 
-    def _position(self, frame: Frame) -> Float[Array, "n"]:
+    def _scale_column(self, frame: Frame) -> Float[Array, "n"]:
         """Return the column scaled to −1 … 1; if proportional, |x| over its maximum at the fit (n,)."""
         if not self.proportional:
             return scale_covariate(frame, self.column)
@@ -123,7 +123,7 @@ class Heteroscedastic(Noise):
         return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
     def variance_place(self, frame: Frame) -> np.ndarray | None:
-        position = None if UNCERTAINTY in frame.columns else np.asarray(self._position(frame))
+        position = None if UNCERTAINTY in frame.columns else np.asarray(self._scale_column(frame))
         if position is None or not self.proportional:
             return position
         # 1/variance has poles near |x| = 0, where a polynomial in |x| converges slowly; in log |x| it is smooth.
@@ -138,7 +138,7 @@ class Heteroscedastic(Noise):
         if not self.proportional:
             return scatter_variance(parameters, frame, self.column)
         white = white_variance(parameters, frame)
-        return white + (parameters[PROPORTIONAL] * self._position(frame)) ** 2
+        return white + (parameters[PROPORTIONAL] * self._scale_column(frame)) ** 2
 
 
 def columns_for(column: str) -> tuple[str, ...]:

@@ -255,7 +255,7 @@ class Instrument:
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
-        """Return the effects of the instrument and of `more` whose columns are all present in these readings."""
+        """Return the effects of the instrument and in `more` whose columns these readings all contain."""
         effects = {**self.known, **{e.name: e for e in more}}
         labels = (label.split("=")[0] for label in frame.labels)
         available = {*frame.columns, *frame.codes, *labels, "temperature_point"}
@@ -276,8 +276,8 @@ class Instrument:
         output_slot = next((s for s in self.slots if s.unit == self.unit != ANY), None)
         if output_slot is None:
             raise ModelError(
-                f"instrument {self.name!r} has no slot in the unit of its output, [{self.unit}], which an "
-                "unknown dependence needs to add to"
+                f"An unknown dependence is added to the output, and instrument {self.name!r} has no slot in the unit "
+                f"of its output, [{self.unit}]: declare one among its `slots`, as a term of its `response`"
             )
         return make_placeholder(covariate, output_slot.name, output_slot.unit)
 
@@ -285,7 +285,7 @@ class Instrument:
 def _unpickle(
     module: str, name: str, changed_fields: dict[str, Any] | None, settings: dict[str, Any]
 ) -> Instrument:
-    """Restore a pickled instrument from its module's definition, tailored again or with changed fields."""
+    """Restore a pickled instrument from the definition in its module, tailored again or with changed fields."""
     instrument: Any = getattr(import_module(module), name)
     if settings:
         return instrument.tailor(None, **settings)
@@ -298,7 +298,7 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     The coefficient is in its reported unit; basis inputs are in declared units, or base units if undeclared.
 
     Raises:
-        ModelError: these units do not agree.
+        ModelError: the units of coefficient, columns and slot do not agree.
     """
     declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
     slot = instrument.slot(coefficient.slot or effect.slot)

@@ -218,8 +218,8 @@ class Model(Printed):
                 )
         if reason := self.noise.why_not(readings[readings.output]):
             raise ModelError(
-                f"{self.noise.name} noise does not fit {readings.file}: {reason}. Give the step in [{model_unit}], or "
-                "use White() noise"
+                f"{self.noise.name} noise cannot be used with {readings.file}: {reason}. Give the rounding step in "
+                f"[{model_unit}], or use White() noise"
             )
         covariates = list_covariates(readings, with_no_causes=True) if self.noise.covariates else {}
         for name in self.noise.covariates:

@@ -57,7 +57,7 @@ def exponential(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralT
     """Return the transformed covariance of an Ornstein–Uhlenbeck process of correlation exp(−Δt/time)."""
     x = -step / np.asarray(time)
     symbol = variance * _compute_symbol(x, lam)
-    m = partial(_end_coefficient, variance, x)
+    m = partial(_compute_end_coefficient, variance, x)
     return SpectralTerm(symbol, (symbol,), lambda n, sign: m(n, sign)[None, None])
 
 
@@ -67,7 +67,7 @@ def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> 
     symbol = variance * _compute_symbol(x, lam)
 
     def correction(n: int, sign: int) -> Any:
-        m = _end_coefficient(variance, x, n, sign)
+        m = _compute_end_coefficient(variance, x, n, sign)
         return np.array([[m.real, -m.imag], [-m.imag, -m.real]])
 
     return SpectralTerm(symbol.real, (symbol.real, symbol.imag), correction)
@@ -79,7 +79,7 @@ def _compute_symbol(x: Any, lam: Lambda) -> Any:
     return one_minus_a * (2 - one_minus_a) / (one_minus_a**2 + (1 - one_minus_a) * lam)
 
 
-def _end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
+def _compute_end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
     """Return the end coefficient m± (s,), as in the module's formulas, of the correlation aᵏ at lag k, a = exp(x)."""
     a = np.exp(x)
     return np.reshape(1 / (variance * ((1 + a) / a + _compute_end_variance(x, n, sign)[0])), -1)
@@ -110,7 +110,8 @@ def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
 
 
 def _compute_end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
-    """Return e±ᵀN e± for unit variance and a = exp(x), and its derivative with respect to log(−x); method of images."""
+    """Return e±ᵀN e± of the module's formulas for v = 1, a = exp(x), and its derivative with respect to log(−x)."""
+    # Method of images: the sum over reflections of the run.
     a, end_correlation = np.exp(x), np.exp((n - 1) * x)
     mirror_term, denom = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
     numer = (1 + a) * (1 + mirror_term) + sign * end_correlation * (1 + a) ** 2

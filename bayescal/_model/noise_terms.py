@@ -303,14 +303,14 @@ class ToneTerm(NoiseTerm):
     def variance(self, values, bounds):
         return values["noise.tone"] ** 2
 
-    def _frequency(self, values: Values, bounds: Bounds, z: Any) -> Any:
+    def _compute_frequency(self, values: Values, bounds: Bounds, z: Any) -> Any:
         slope, bend = (values[name] if bounds.column else 0.0 for name in SLOPE_NAMES)
         return values["noise.tone.frequency"] + slope * z + bend * z**2
 
     def block(self, values, bounds, h):
         z = values[bounds.column] if bounds.column else 0.0
         # Two quadratures rotated by 2πf·Δt and damped as an Ornstein–Uhlenbeck process: half width 1/(2π·time).
-        phase = 2 * math.pi * self._frequency(values, bounds, z) * h
+        phase = 2 * math.pi * self._compute_frequency(values, bounds, z) * h
         c, s = jnp.cos(phase), jnp.sin(phase)
         ou = exponential_block(values["noise.tone.time"], values["noise.tone"] ** 2, h)
         eye = jnp.eye(2)
@@ -325,7 +325,7 @@ class ToneTerm(NoiseTerm):
         positions = np.linspace(-1, 1, 33) if bounds.column else [0.0]
         decay, curves = step / values["noise.tone.time"], []
         for z in positions:
-            phase = 2j * math.pi * step * self._frequency(values, bounds, z)
+            phase = 2j * math.pi * step * self._compute_frequency(values, bounds, z)
             curves.append(allan_of_exponential(m + 0j, decay - phase).real)
         return values["noise.tone"] ** 2 * np.mean(curves, axis=0)
 
@@ -339,7 +339,7 @@ class ToneTerm(NoiseTerm):
         if len(rows) < MIN_WINDOWS:
             return []
         window = np.hanning(WINDOW_SIZE + 2)[1:-1]
-        power = _relative_power(residuals[rows], window, is_varying=z is not None)
+        power = _compute_relative_power(residuals[rows], window, is_varying=z is not None)
         positions = np.zeros(len(rows)) if z is None else z[rows].mean(axis=1)
         slopes = np.linspace(-1, 1, 4 * SLOPE_COUNT + 1) if z is not None else np.zeros(1)
         bin_count, best = ZERO_PADDING * WINDOW_SIZE, (-math.inf, 0.0, 0.0, 0.0)
@@ -369,7 +369,7 @@ class ToneTerm(NoiseTerm):
         return [start]
 
 
-def _relative_power(
+def _compute_relative_power(
     residuals: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], is_varying: bool
 ) -> Float[np.ndarray, "w f"]:
     """Return the power of detrended windows (w, f) relative to the background power at each frequency.

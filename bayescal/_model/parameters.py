@@ -202,7 +202,7 @@ class Layout:
                 rows.append((effect.shape_name(shape), *row))
         for block in self.blocks:
             if block.place == "phi":
-                row = block.coefficient.unit, _promoted_prior(block), "promoted", block.effect.name
+                row = (block.coefficient.unit, _promote_prior(block), "promoted", block.effect.name)
                 rows += [(name, *row) for name in block.member_names()]
         free_rows = (row for row in rows if row[0] not in fixed)
         return tuple(
@@ -241,7 +241,7 @@ class Layout:
         return is_flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
 
 
-def _promoted_prior(block: CoefficientBlock) -> Normal | FlatLine:
+def _promote_prior(block: CoefficientBlock) -> Normal | FlatLine:
     c = block.coefficient
     if c.group_sd is not None:
         return Normal(0.0, 1.0)  # in units of the learned standard deviation
@@ -256,10 +256,10 @@ def bind(
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """Return the layout of the model's unknowns for these readings, and the members of each group.
 
-    more: effects that may be added later, whose groups are included. reference: contains the origins of outputs.
+    more: effects that may be added later, whose groups are counted too. reference: the frame's reference constants.
 
     Raises:
-        ModelError: fewer readings than flat coefficients, or a group effect without its group.
+        ModelError: too few readings for the flat priors, a group without members, or the noise law does not apply.
     """
     extra_groups = (
         c.per for effect in more for c in effect.coefficients if c.per not in (None, READING)

@@ -73,14 +73,14 @@ def draw_states(key: Array, states: States) -> Float[Array, "n"]:
 
 
 def kalman_whiten(
-    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+    states: States, white_variance: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Whiten columns by the Kalman filter; return them, and the log standard deviation of each innovation (n,).
 
     With P the covariance of the states given earlier readings, h the observation vector and w the white variance of a
-    reading (`white`): g = P·h, innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
+    reading (`white_variance`): g = P·h, innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
-    result = _filter(states, white, columns)
+    result = _filter(states, white_variance, columns)
     return result.innovation / jnp.sqrt(result.variance)[:, None], 0.5 * jnp.log(result.variance)
 
 
@@ -94,25 +94,25 @@ class _FilterPass(NamedTuple):
     mean: Float[Array, "n p m"]  # mean of the states given earlier readings
 
 
-def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]) -> _FilterPass:
+def _filter(states: States, white_variance: Array, columns: Float[Array, "n m"]) -> _FilterPass:
     h, count = jnp.asarray(states.observation), len(states.observation)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
     def advance_covariance(previous, reading):
-        transition, noise, white_variance = reading
-        predicted = _matmul(transition, _matmul(transition, previous).T) + noise
+        transition, noise, reading_variance = reading
+        predicted = _multiply(transition, _multiply(transition, previous).T) + noise
         state_covariance = jnp.sum(predicted * h, axis=1)
-        variance = jnp.sum(state_covariance * h) + white_variance
+        variance = jnp.sum(state_covariance * h) + reading_variance
         gain = state_covariance / variance
         return predicted - gain[:, None] * state_covariance, (variance, gain, predicted)
 
     def advance_mean(previous, reading):
         transition, gain, row = reading
-        predicted = _matmul(transition, previous)
+        predicted = _multiply(transition, previous)
         innovation = row - jnp.sum(predicted * h[:, None], axis=0)
         return predicted + gain[:, None] * innovation, (innovation, predicted)
 
-    initial, rows = jnp.zeros((count, count)), (states.transition, states.noise, white)
+    initial, rows = jnp.zeros((count, count)), (states.transition, states.noise, white_variance)
     variance, gain, covariance = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
     initial, rows = jnp.zeros((count, columns.shape[1])), (states.transition, gain, columns)
     innovation, mean = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
@@ -120,11 +120,11 @@ def _filter(states: States, white: Float[Array, "n"], columns: Float[Array, "n m
 
 
 def smooth(
-    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+    states: States, white_variance: Float[Array, "n"], columns: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Return the smoothed mean (n, m) and variance (n,) of the correlated noise, given all readings of the run.
 
-    white: white-noise variance of each row; infinite in a row without a reading. columns: residuals.
+    white_variance: white-noise variance of each row; infinite in a row without a reading. columns: residuals.
     Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
     """
     h = jnp.asarray(states.observation)
@@ -135,19 +135,19 @@ def smooth(
     def step_backward(sums, reading):
         (r, info), (a, filter_pass) = sums, reading
         column, update = filter_pass.covariance @ h, jnp.eye(len(h)) - filter_pass.gain[:, None] * h
-        r = h[:, None] * (filter_pass.innovation / filter_pass.variance) + _matmul(update.T, r)
-        info = h[:, None] * h / filter_pass.variance + _matmul(_matmul(update.T, info), update)
+        r = h[:, None] * (filter_pass.innovation / filter_pass.variance) + _multiply(update.T, r)
+        info = h[:, None] * h / filter_pass.variance + _multiply(_multiply(update.T, info), update)
         mean = h @ filter_pass.mean + column @ r
-        variance = column @ h - column @ _matmul(info, column[:, None])[:, 0]
-        return (_matmul(a.T, r), _matmul(a.T, _matmul(info, a))), (mean, variance)
+        variance = column @ h - column @ _multiply(info, column[:, None])[:, 0]
+        return (_multiply(a.T, r), _multiply(a.T, _multiply(info, a))), (mean, variance)
 
     size = len(h)
     initial = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    rows = states.transition, _filter(states, white, columns)
+    rows = states.transition, _filter(states, white_variance, columns)
     _, (mean, variance) = jax.lax.scan(step_backward, initial, rows, reverse=True)
     return mean, jnp.maximum(variance, 0.0)
 
 
-def _matmul(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
+def _multiply(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
     """Multiply small matrices by broadcasting, which XLA fuses with adjacent operations."""
     return jnp.sum(a[:, :, None] * b[None], axis=1)

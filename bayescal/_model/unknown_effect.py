@@ -153,12 +153,12 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
             slot,
             value_partial(basis, covariate),
             coefficients=make_standard_normals(unit, 2 if kind == "cycle" else 1),
-            shapes=(*_form_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
-            weights=_constant_weights,
+            shapes=(*_make_form_shapes(kind, in_time), Shape("amplitude", unit, low, high)),
+            weights=_evaluate_constant_weights,
             measure="amplitude",
             columns=(covariate,),
             varies=(covariate,),
-            untestable=functools.partial(_why_untestable, covariate),
+            untestable=functools.partial(_explain_untestable, covariate),
             equation=equation.format(*sides, covariate=covariate),
             source=SOURCE,
             along="" if in_time else covariate,
@@ -179,7 +179,7 @@ def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary:
     return make_form
 
 
-def _form_shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
+def _make_form_shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
     """Return the shapes of a form: location and half width, relative to the range; or the number of cycles."""
     if kind == "cycle":
         return (Shape("cycles", "1", *CYCLES, ragged=True),)
@@ -191,29 +191,29 @@ def _form_shapes(kind: Kind, in_time: bool) -> tuple[Shape, ...]:
     return (place,) if is_step else (place, Shape("width", "1", *HALF_WIDTHS))
 
 
-def _step_basis(covariate, r, place, width=STEP_HALF_WIDTH):
+def _evaluate_step_basis(covariate, r, place, width=STEP_HALF_WIDTH):
     return 0.5 * xp.tanh((r.position(covariate) - place) / width)
 
 
-def _line_basis(covariate, r):
+def _evaluate_line_basis(covariate, r):
     return r.position(covariate) - 0.5
 
 
-def _kink_basis(covariate, r, place, width):
+def _evaluate_kink_basis(covariate, r, place, width):
     distance = r.position(covariate) - place
     return 0.5 * (distance + xp.sqrt(distance**2 + width**2))
 
 
-def _peak_basis(covariate, r, place, width):
+def _evaluate_peak_basis(covariate, r, place, width):
     return 1 / (1 + ((r.position(covariate) - place) / width) ** 2)
 
 
-def _cycle_basis(covariate, r, cycles):
+def _evaluate_cycle_basis(covariate, r, cycles):
     phase = 2 * math.pi * cycles * r.position(covariate)
     return xp.stack([xp.sin(phase), xp.cos(phase)], axis=-1)
 
 
-def _constant_weights(amplitude):
+def _evaluate_constant_weights(amplitude):
     return amplitude
 
 
@@ -222,7 +222,7 @@ def make_standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
     return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
 
 
-def _why_untestable(covariate: str, readings: Measurements) -> str | None:
+def _explain_untestable(covariate: str, readings: Measurements) -> str | None:
     count = np.unique(readings[covariate]).size
     noun = "times" if covariate == "time" else f"values of {covariate}"
     is_enough = count >= MIN_DISTINCT_VALUES
@@ -235,11 +235,11 @@ _STEP_DOC = "A slot's value steps by a at one time, or near one value of a colum
 _KINK_DOC = "A slot's slope along a column changes near one value of it, by a over its range."
 _PEAK_DOC = "A slot's value has a peak of height a at one value of a column, as of a resonance."
 _CYCLE_DOC = "A slot's value is sinusoidal in time."
-line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _line_basis, _LINE_DOC)
-jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _step_basis, _STEP_DOC)
-kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _kink_basis, _KINK_DOC)
-peak: Form = _make_factory("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _peak_basis, _PEAK_DOC)
-cycle: Form = _make_factory("cycle", "a·sin(2π·cycles·t + φ)", _cycle_basis, _CYCLE_DOC)
+line: Form = _make_factory("line", f"a·(x − ½),  {_X}", _evaluate_line_basis, _LINE_DOC)
+jump: Form = _make_factory("jump", "−a/2 {}, a/2 {} it", _evaluate_step_basis, _STEP_DOC)
+kink: Form = _make_factory("kink", f"a·max(0, x − p),  {_X}", _evaluate_kink_basis, _KINK_DOC)
+peak: Form = _make_factory("peak", f"a/(1 + ((x − p)/w)²),  {_X}", _evaluate_peak_basis, _PEAK_DOC)
+cycle: Form = _make_factory("cycle", "a·sin(2π·cycles·t + φ)", _evaluate_cycle_basis, _CYCLE_DOC)
 
 TIME_FORMS = ("time, jump", "time, cycle")
 FORMS = {"line": line, "jump": jump, "kink": kink, "peak": peak}  # along a column

@@ -23,7 +23,7 @@ class Power(Protocol):  # signature of the factories below
     ) -> Effect: ...
 
 
-def _power_basis(column: str, order: int, r: Frame) -> Any:
+def _evaluate_power(column: str, order: int, r: Frame) -> Any:
     return r.centred(column) ** order
 
 
@@ -36,7 +36,7 @@ def _make_power(kind: Kind, order: int, meaning: str) -> Power:
         return Effect(
             f"{slot}.{name or column}{suffix}",
             slot,
-            basis=partial(_power_basis, column, order),
+            basis=partial(_evaluate_power, column, order),
             coefficients=(Coefficient(unit, Normal(0.0, size)),),
             columns=(column,),
             varies=(column,),

@@ -102,7 +102,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
     return Effect(
         f"{slot}.rate",
         slot,
-        basis=partial(_rate_basis, column),
+        basis=partial(_evaluate_rate, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("window", "s", *WINDOW_RANGE_S, scale="bounded"),),
         columns=("time", column),
@@ -137,12 +137,12 @@ def hysteresis(
     return Effect(
         f"{slot}.hysteresis",
         slot,
-        basis=partial(_hysteresis_basis, column),
-        coefficients=(Coefficient(unit, Normal(0.0, size)), _initial_state(unit, size)),
+        basis=partial(_evaluate_hysteresis, column),
+        coefficients=(Coefficient(unit, Normal(0.0, size)), _make_initial_state(unit, size)),
         shapes=(Shape("width", widths[2], *widths[:2]),),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_why_monotonic, column, widths),
+        untestable=partial(_explain_monotonic, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
         kind="hysteresis",
@@ -184,9 +184,9 @@ def thermal_lag(
     for form, response in (BODIES if bodies is None else bodies).items():
         lag = body(slot, start, start_unit, behind=response, name=f"{name}.{form}", **options)
         forms.append(replace(lag, general=response.general and f"{slot}.{name}.{response.general}"))
-    coefficients = Coefficient(unit, Normal(0.0, size)), _initial_state(start_unit, start)
+    coefficients = Coefficient(unit, Normal(0.0, size)), _make_initial_state(start_unit, start)
     equation = "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃"
-    lag = _lag_effect(slot, name, _lag_basis, coefficients, equation, **options)
+    lag = _make_effect(slot, name, _evaluate_lag, coefficients, equation, **options)
     return replace(lag, kind="lag", forms=(*forms, *(() if short is None else (short,))))
 
 
@@ -215,11 +215,11 @@ def body(
         behind: thermal response of the body, of `BODIES`.
         name: name of the effect after the slot.
     """
-    coefficients = _initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
+    coefficients = _make_initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
     equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"
     options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    basis = partial(_body_basis, behind.modes)
-    effect = _lag_effect(slot, name, basis, coefficients, equation, behind.shapes, **options)
+    basis = partial(_evaluate_body, behind.modes)
+    effect = _make_effect(slot, name, basis, coefficients, equation, behind.shapes, **options)
     return replace(effect, slot=column)
 
 
@@ -242,10 +242,10 @@ def temperature_x_lag(
     coefficients = (Coefficient(unit, Normal(0.0, size)),)
     equation = "c·(T − T0)·(T̃ − T),  τ·dT̃/dt = T − T̃"
     options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
-    return _lag_effect(slot, "temperature_x_lag", _product_basis, coefficients, equation, **options)
+    return _make_effect(slot, "temperature_x_lag", _multiply_lag, coefficients, equation, **options)
 
 
-def _lag_effect(
+def _make_effect(
     slot: str,
     name: str,
     basis: Callable[[str, Frame, Any], Any],
@@ -267,27 +267,27 @@ def _lag_effect(
         shapes=(Shape("tau", "s", low, high, shared=True), *shapes),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_why_too_short, low),
+        untestable=partial(_explain_too_short, low),
         equation=equation,
         source=source,
     )
 
 
-def _initial_state(unit: str, size: float, slot: str | None = None) -> Coefficient:
+def _make_initial_state(unit: str, size: float, slot: str | None = None) -> Coefficient:
     """Return the coefficient of the initial state of a run: one per run, with learned standard deviation."""
     options = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
     return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **options)
 
 
-def _rate_basis(column: str, r: Frame, window: Any) -> Any:
+def _evaluate_rate(column: str, r: Frame, window: Any) -> Any:
     return -r.behind(window, column) / window
 
 
-def _hysteresis_basis(column: str, r: Frame, width: Any) -> Any:
+def _evaluate_hysteresis(column: str, r: Frame, width: Any) -> Any:
     return xp.stack(r.direction(width, column), axis=-1)
 
 
-def _body_basis(
+def _evaluate_body(
     modes: Callable[..., Modes],
     column: str,
     r: Frame,
@@ -301,15 +301,15 @@ def _body_basis(
     return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in pairs), lag], axis=-1)
 
 
-def _lag_basis(column: str, r: Frame, tau: Any) -> Any:
+def _evaluate_lag(column: str, r: Frame, tau: Any) -> Any:
     return xp.stack([r.lag(tau, column), xp.exp(-r.elapsed / tau)], axis=-1)
 
 
-def _product_basis(column: str, r: Frame, tau: Any) -> Any:
+def _multiply_lag(column: str, r: Frame, tau: Any) -> Any:
     return r.centred(column) * r.lag(tau, column)
 
 
-def _why_monotonic(column: str, widths: Any, readings: Measurements) -> str | None:
+def _explain_monotonic(column: str, widths: Any, readings: Measurements) -> str | None:
     """Return a message if a column does not both rise and fall, which identifies a hysteresis; otherwise None."""
     frame = build_frame(readings, reference_of(readings))
     direction = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
@@ -321,7 +321,7 @@ def _why_monotonic(column: str, widths: Any, readings: Measurements) -> str | No
     return f"needs {column} to rise and to fall within runs, by over {widths[0]:g} {unit_label(widths[2])}; it {motion}"
 
 
-def _why_too_short(low: float, readings: Measurements) -> str | None:
+def _explain_too_short(low: float, readings: Measurements) -> str | None:
     """Return a message if no run is longer than the shortest plausible lag `low`, s; otherwise None."""
     longest = max(float(np.ptp(readings["time"][rows])) for rows in readings.records.rows)
     if longest >= low:

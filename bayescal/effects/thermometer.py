@@ -12,11 +12,11 @@ from bayescal._model.prior import Normal
 from bayescal.effects.constant import deviation, one
 
 
-def _rate_basis(column: str, r: Frame) -> Any:
+def _evaluate_rate(column: str, r: Frame) -> Any:
     return r.rate(column)
 
 
-def _column_basis(name: str, r: Frame) -> Any:
+def _evaluate_column(name: str, r: Frame) -> Any:
     return r[name]
 
 
@@ -38,7 +38,7 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
     return Effect(
         f"{column}.reading",
         column,
-        basis=partial(_column_basis, sd) if is_column else one,
+        basis=partial(_evaluate_column, sd) if is_column else one,
         coefficients=(Coefficient(unit, Normal(0.0, 1.0 if is_column else sd), per="reading"),),
         columns=(column, sd) if is_column else (column,),
         equation=f"{column}_true = {column} + e,  e ~ N(0, s²)",
@@ -88,7 +88,7 @@ def thermometer_delay(sd: float, *, source: str, column: str = "temperature") ->
     return Effect(
         f"{column}.delay",
         column,
-        basis=partial(_rate_basis, column),
+        basis=partial(_evaluate_rate, column),
         coefficients=(Coefficient("s", Normal(0.0, sd)),),
         columns=("time", column),
         varies=(column,),

@@ -16,20 +16,20 @@ BEND_RANGE = (0.03, 3.0)  # time in which the rate of a logarithmic drift halves
 RATIO_RANGE = (0.05, 0.5)  # shorter over longer time constant of a two-exponential warm-up
 
 
-def _drift_basis(r: Frame) -> Any:
+def _evaluate_drift(r: Frame) -> Any:
     return r.progress
 
 
-def _ageing_basis(r: Frame, bend: Any) -> Any:
+def _evaluate_ageing(r: Frame, bend: Any) -> Any:
     fraction = xp.maximum(r.position("time"), 0.0)
     return xp.log1p(fraction / bend) / xp.log1p(1.0 / bend) - 0.5
 
 
-def _decay_basis(modes: Modes, r: Frame, tau: Any) -> Any:
+def _evaluate_decay(modes: Modes, r: Frame, tau: Any) -> Any:
     return sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes)
 
 
-def _two_decays_basis(r: Frame, tau: Any, ratio: Any) -> Any:
+def _evaluate_two_decays(r: Frame, tau: Any, ratio: Any) -> Any:
     return xp.stack([xp.exp(-r.elapsed / tau), xp.exp(-r.elapsed / (ratio * tau))], axis=-1)
 
 
@@ -42,7 +42,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
     linear = Effect(
         f"{slot}.drift",
         slot,
-        basis=_drift_basis,
+        basis=_evaluate_drift,
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         columns=("time",),
         equation="c·(t − t̄)/(tmax − tmin)",
@@ -52,7 +52,7 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
     logarithmic = replace(
         linear,
         name=f"{slot}.drift.logarithmic",
-        basis=_ageing_basis,
+        basis=_evaluate_ageing,
         shapes=(Shape("bend", "1", *BEND_RANGE),),
         equation="c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)",
     )
@@ -69,7 +69,7 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
     single = Effect(
         f"{slot}.warm_up",
         slot,
-        basis=partial(_decay_basis, ((1.0, 1.0),)),
+        basis=partial(_evaluate_decay, ((1.0, 1.0),)),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
         shapes=(Shape("tau", "s", low, high),),
         columns=("time",),
@@ -81,12 +81,12 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
     double = replace(
         single,
         name=f"{slot}.warm_up.two_times",
-        basis=_two_decays_basis,
+        basis=_evaluate_two_decays,
         coefficients=(*single.coefficients, Coefficient(unit, Normal(0.0, size), "fast")),
         shapes=(*single.shapes, Shape("ratio", "1", *RATIO_RANGE, scale="bounded")),
         equation="c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start",
     )
     terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
-    diffusion = {"basis": partial(_decay_basis, slab()), "equation": f"c·({terms})"}
+    diffusion = {"basis": partial(_evaluate_decay, slab()), "equation": f"c·({terms})"}
     by_diffusion = replace(single, name=f"{slot}.warm_up.diffusion", **diffusion)
     return replace(single, forms=(double, by_diffusion))

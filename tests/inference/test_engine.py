@@ -244,13 +244,13 @@ def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> No
     a = assembled(case)
     x, v = somewhere(a)
     flat = compute_column_scales(a.linearise(a.start, a.hyper(v)).jacobian)
-    table, readings = (Density(a, a.start if a.affine else x, flat, v) for _ in range(2))
+    table, readings = (Density(a, a.start if a.is_affine else x, flat, v) for _ in range(2))
     monkeypatch.setitem(vars(readings), "tabulated", None)
     ours, exact = table.condition_at(v), readings.condition_at(v)
     assert ours[0] == pytest.approx(exact[0], rel=1e-8, abs=1e-5)
     np.testing.assert_allclose(ours[1].mean, exact[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
     vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
-    vs = vs if a.affine else v[None]
+    vs = vs if a.is_affine else v[None]
     one_by_one = [table.condition_at(one)[0] for one in vs]
     np.testing.assert_allclose(table.values(vs), one_by_one, rtol=1e-8, atol=1e-5)
 
@@ -260,7 +260,7 @@ def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
     a = assembled(case)
     x, v = somewhere(a)
     flat = compute_column_scales(a.linearise(a.start, a.hyper(v)).jacobian)
-    density = Density(a, a.start if a.affine else x, flat, v)
+    density = Density(a, a.start if a.is_affine else x, flat, v)
     found, step = density.evaluate(v), 1e-4
     assert found is not None and found.curvature is not None
     for row, unit in zip(found.curvature, step * np.eye(len(v)), strict=True):
@@ -413,8 +413,8 @@ def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:
         output=np.rad2deg(tilt) * 3600,
     )
     frame = frame_of(readings)
-    assert Record(instrument, frame, readings["output"]).affine is None
-    assert assembled("inclinometer").record.affine is not None  # no tilt: a sum
+    assert Record(instrument, frame, readings["output"]).affine_map is None
+    assert assembled("inclinometer").record.affine_map is not None  # no tilt: a sum
 
 
 @pytest.mark.parametrize(

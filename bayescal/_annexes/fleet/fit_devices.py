@@ -187,7 +187,7 @@ def _bind_jointly(
             ws.Problem(layout, ws.Record(model.instrument, f, f["output"]))
             for f in (frame, frames[0])
         )
-        if single_problem.affine:
+        if single_problem.is_affine:
             # A basis may depend on all readings in its frame: then the Jacobians differ.
             jacobian, single_jacobian = _linearise(problem)[1][0], _linearise(single_problem)[1]
             atol = JACOBIAN_RTOL * np.max(np.abs(single_jacobian))
