@@ -21,7 +21,7 @@ from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
 
 LENGTH_RATIO = 1.25  # ratio of successive padded lengths
-MIN_PADDED_LENGTH = 32
+MIN_PADDED_LENGTH = 32  # smallest padded length
 # Number of readings at which the run time outweighs twice the compile time.
 MIN_OPTIMISED_READINGS = 2000
 
