@@ -231,7 +231,7 @@ CEILINGS = {
     "bayescal/_core": 2_048,
     "bayescal/_tables": 1_487,
     "bayescal/_data": 4_105,
-    "bayescal/_model": 5_468,
+    "bayescal/_model": 5_467,
     "bayescal/effects": 651,
     "bayescal/_inference": 6_020,
     "bayescal/_calibration": 4_562,
