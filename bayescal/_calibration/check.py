@@ -77,15 +77,15 @@ class Check(Printed):
     """Residual checks of a model.
 
     Attributes:
-        entries: one per covariate, the strongest evidence first.
-        pairs: one per pair of covariates, the strongest evidence first.
+        entries: log Bayes factors, one per covariate, in descending order.
+        pairs: log Bayes factors of interactions, one per pair of covariates, in descending order.
         unit: output unit.
         rms: root mean square of the residuals, output unit.
         noise: standard deviation of the reference noise, output unit.
         autocorrelation: (lag-1 coefficient within runs in excess of that induced by the fit, its z).
         scatter_with: p-values of covariates that correlate with the size of the residuals.
         outliers: (row, leave-one-out residual in standard deviations).
-        pit_p: p-value of uniform leave-one-out probability integral transforms.
+        pit_p: p-value of the test that the leave-one-out probability integral transforms are uniform.
         one_sided: p-value of the sign test on the tenth of the readings farthest from the model.
         free_noise: noise sd of the same model with its fixed coefficients freed, output unit; None if none is fixed.
         residuals: (n,), output unit.
@@ -226,7 +226,7 @@ INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an in
 
 @run_on_one_thread
 def check(calibration: Calibration) -> Check:
-    """Check a fitted model's residuals against every covariate.
+    """Check a fitted model's residuals: dependence on covariates, autocorrelation, outliers, normality.
 
     With fixed coefficients, the reference noise is that of a refit with free ones: misfit would inflate it.
     """
@@ -272,7 +272,7 @@ def check(calibration: Calibration) -> Check:
 
 
 def why_not(calibration: Calibration) -> str:
-    """Return why a calibration is not fit for use, or ""; run the acceptance checks unless its verdict has them."""
+    """Return the reasons why a calibration is not fit for use, or ""; run the acceptance checks if not done yet."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
@@ -404,9 +404,9 @@ def log_bayes_factors(
     for covariate in covariates:
         score, information = calibration.linear.score(covariate.columns * noise)
         amplitudes = np.concatenate([np.outer(AMPLITUDES, weight) for weight in covariate.weights])
-        scaled = amplitudes[:, :, None] * information * amplitudes[:, None, :]
-        log_det, explained = explained_sum_of_squares(amplitudes * score, scaled)
-        factors.append(float(logsumexp(0.5 * explained - log_det) - np.log(np.size(log_det))))
+        scaled_information = amplitudes[:, :, None] * information * amplitudes[:, None, :]
+        log_det, squares = explained_sum_of_squares(amplitudes * score, scaled_information)
+        factors.append(float(logsumexp(0.5 * squares - log_det) - np.log(np.size(log_det))))
     return factors
 
 

@@ -129,7 +129,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
         if len(c.readings) != len(output) or not np.allclose(c.readings["output"], output):
             raise InputError(
                 f"{first_name!r} and {name!r} were fitted to different readings ({first_fit.readings.file}, "
-                f"{c.readings.file}): fit both to the same"
+                f"{c.readings.file}): fit both to the same readings"
             )
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
@@ -195,21 +195,21 @@ def _sum_error(differences: np.ndarray) -> float:
 
 def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
     """Yield claims where the ranking rule does not decide, or another measure is unreliable or disagrees."""
-    best, second = rows[:2]
+    best, runner_up = rows[:2]
     if fold and fold.count < MIN_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)
-    undecided = partial(Claim, "compare.undecided", best.name, second.name)
+    undecided_claim = partial(Claim, "compare.undecided", best.name, runner_up.name)
     if rule == EVIDENCE:
-        gap = (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
+        gap = (best.log_evidence or 0.0) - (runner_up.log_evidence or 0.0)
         if gap < settings().strong_evidence:
-            yield undecided(gap=f"{gap:.1f}", measure=rule)
+            yield undecided_claim(gap=f"{gap:.1f}", measure=rule)
         best_by_groups = max(rows, key=lambda r: r.group_score or -np.inf)
         if best_by_groups is not best:
             yield Claim("compare.other_first", best_by_groups.name)
-    elif rule == GROUP_SCORE and second.group_error:
-        gap, error = -(second.group_difference or 0.0), second.group_error
+    elif rule == GROUP_SCORE and runner_up.group_error:
+        gap, error = -(runner_up.group_difference or 0.0), runner_up.group_error
         if gap < limit("compare.undecided", "errors") * error:
-            yield undecided(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{rule} score")
+            yield undecided_claim(gap=f"{gap:.1f} ± {error:.1f}", measure=f"{rule} score")
     for row in (r for r in rows if r.pareto_k > MAX_K_HAT):
         yield Claim("compare.pointwise_unreliable", row.name, pareto_k=row.pareto_k)
 

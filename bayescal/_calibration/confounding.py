@@ -7,7 +7,7 @@ column orthogonal to the model's terms shifts none; one collinear with the therm
 and the prior splits it. The squared shift, averaged over presence and absence of the effect, is added to each
 coefficient's variance. Posterior means stay those of the model, which compensate a sensor in its test conditions.
 
-A column that was rounded or truncated may be off by up to half a step in all readings alike. It is treated as a column
+A rounded or truncated column may have a common error of up to half a step in all readings. It is treated as a column
 whose effect is certain, with standard deviation step/√12 times the derivative of the output with respect to the column.
 Source: J. Hoeting, D. Madigan, A. Raftery and C. Volinsky, Stat. Sci. 14 (1999) 382 (averaging over models).
 """
@@ -68,11 +68,11 @@ def find_confounders(
 ) -> tuple[Confounder, ...]:
     """Find unmodelled or rounded columns that increase a coefficient's standard uncertainty by a fifth or more."""
     layout, sd = linear.problem.layout, linear.sd
-    single = np.flatnonzero(is_single_coefficient(layout))
-    if not len(single):
+    indices = np.flatnonzero(is_single_coefficient(layout))
+    if not len(indices):
         return ()
-    z = (linear.mode.x - linear.problem.mean_of_x)[single] / np.where(sd > 0, sd, 1.0)[single]
-    amplitude = AMPLITUDE_SHARE * float(np.std(linear.nuisance[:, single] @ z))
+    z = (linear.mode.x - linear.problem.mean_of_x)[indices] / np.where(sd > 0, sd, 1.0)[indices]
+    amplitude = AMPLITUDE_SHARE * float(np.std(linear.nuisance[:, indices] @ z))
     # An unmodelled effect enters the first slot (term of the equation) in the output's unit, or that of each axis.
     instrument = layout.model.instrument
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]

@@ -106,7 +106,7 @@ def fit(
     if strict and not calibration.verdict.ok:
         raise NotConverged(
             f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
-            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
+            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it nevertheless.)",
             calibration,
         )
     return calibration
@@ -146,9 +146,9 @@ def _refuse_lost_digits(problem: Problem, readings: Measurements) -> None:
         ratio = float(np.max(np.abs(b.mean) / sd))
         if ratio > np.finfo(float).eps ** -0.5:
             raise ModelError(
-                f"{readings.file}: the output is {ratio:.2g} times the plausible size of {b.name} away from its prior "
-                "mean, so that rounding errors are too large. Subtract a constant from it, give the nominal zero, or "
-                "check the unit"
+                f"{readings.file}: the output differs from the prior mean of {b.name} by {ratio:.2g} prior standard "
+                "deviations, so that rounding errors are too large. Subtract a constant from the output, give the "
+                "nominal zero, or check the unit"
             )
 
 

@@ -55,10 +55,7 @@ class Vectors(NamedTuple):
 @renamed(likeliest="likeliest_effects", held_at="reference_constants")
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The fields and computations of a fit result; `Calibration` adds printing, saving and the ArviZ tree.
-
-    `Calibration` documents the fields.
-    """
+    """The fields and computations of a fit result; `Calibration` documents them and adds printing and saving."""
 
     model: Model
     readings: Measurements
@@ -165,8 +162,8 @@ class Fitted:
         The variance is that of the noise model and of uncertain inputs; χ² tests the fit if `noise.white` is fixed.
         """
         squares = float(np.sum(self.linear.residual**2 / self.linear.variance))
-        freedom = self.linear.size - len(self.linear.owners)
-        return squares, freedom, float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
+        dof = self.linear.size - len(self.linear.owners)
+        return squares, dof, float(chdtrc(dof, squares)) if dof > 0 else float("nan")
 
     @property
     def unit(self) -> str:
@@ -249,7 +246,7 @@ class Fitted:
     @property
     def inclusion(self) -> dict[str, float]:
         """Return each effect's inclusion probability; 1 where no structures were averaged."""
-        return {name: float(included.mean()) for name, included in self.inclusion_masks.items()}
+        return {name: float(mask.mean()) for name, mask in self.inclusion_masks.items()}
 
     @property
     def likeliest_effects(self) -> set[str]:
@@ -278,12 +275,12 @@ class Fitted:
             return self
         effects = tuple(e for e in self.model.effects if e.name not in names)
         layout = replace(self.layout, model=replace(self.model, effects=effects))
-        in_x, in_v = self.layout.shared_indices(layout)
+        x_indices, v_indices = self.layout.shared_indices(layout)
         chosen_draws, mode = draw_rows[: CHAINS * (len(draw_rows) // CHAINS)], self.mode
-        draws, covariance = self.draws(), mode.covariance[np.ix_(in_v, in_v)]
-        x, v = draws.x[chosen_draws][:, in_x], draws.v[chosen_draws][:, in_v]
+        draws, covariance = self.draws(), mode.covariance[np.ix_(v_indices, v_indices)]
+        x, v = draws.x[chosen_draws][:, x_indices], draws.v[chosen_draws][:, v_indices]
         mode = mode._replace(
-            x=x.mean(axis=0), v=mode.v[in_v], covariance=covariance, flat=mode.flat[in_x]
+            x=x.mean(axis=0), v=mode.v[v_indices], covariance=covariance, flat=mode.flat[x_indices]
         )
         joint = Draws.of(x, v)
         return replace(self, model=layout.model, layout=layout, joint=joint, mode=mode)
@@ -309,7 +306,7 @@ class Fitted:
         """
         by_key = self.unknowns.by_key
         if name not in by_key and name not in self.unknowns.index:
-            raise InputError(f"no unknown is called {name!r}; there are: {', '.join(by_key)}")
+            raise InputError(f"no unknown is called {name!r}; the fit has: {', '.join(by_key)}")
         return self.unknowns.select(flatten(self.values), name)
 
     def log_likelihood(self, limit: int = MAX_CELLS) -> xr.Dataset:
@@ -332,13 +329,13 @@ def to_xarray(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknow
     variables: dict[str, tuple] = {}
     coordinates: dict[str, pd.Index] = {}
     for key, rows in unknowns.by_key.items():
-        first, dims = unknowns.rows[rows.start], ("chain", "draw")
-        if first.group is not None:
-            dims = (*dims, first.group)
+        unknown, dims = unknowns.rows[rows.start], ("chain", "draw")
+        if unknown.group is not None:
+            dims = (*dims, unknown.group)
             # xarray would load Dask to look at a list
-            coordinates[first.group] = pd.Index([u.member for u in unknowns.rows[rows]])
-        attrs = {"effect": first.effect} if first.block else {"kind": first.kind}
-        variables[key] = dims, unknowns.select(values, key), {"units": first.unit, **attrs}
+            coordinates[unknown.group] = pd.Index([u.member for u in unknowns.rows[rows]])
+        attrs = {"effect": unknown.effect} if unknown.block else {"kind": unknown.kind}
+        variables[key] = dims, unknowns.select(values, key), {"units": unknown.unit, **attrs}
     return xr.Dataset(variables, coords=coordinates)
 
 
@@ -455,15 +452,15 @@ def _group_by_structure(
     if not fixed_blocks:
         yield np.arange(len(draws.x)), problem, draws
         return
-    present = np.asarray(draws.x)[:, [b.start for b in fixed_blocks]] != 0
-    patterns, pattern_index = np.unique(present, axis=0, return_inverse=True)
+    is_present = np.asarray(draws.x)[:, [b.start for b in fixed_blocks]] != 0
+    patterns, pattern_index = np.unique(is_present, axis=0, return_inverse=True)
     for k, pattern in enumerate(patterns):
         absent = {b.effect.name for b, has in zip(fixed_blocks, pattern, strict=True) if not has}
         effects = tuple(_fix_known(e) for e in layout.model.effects if e.name not in absent)
         sublayout = replace(layout, model=replace(layout.model, effects=effects))
-        in_x, in_v = layout.shared_indices(sublayout)
+        x_indices, v_indices = layout.shared_indices(sublayout)
         indices = np.flatnonzero(pattern_index.reshape(-1) == k)
-        structure_draws = Vectors(draws.x[indices][:, in_x], draws.v[indices][:, in_v])
+        structure_draws = Vectors(draws.x[indices][:, x_indices], draws.v[indices][:, v_indices])
         yield indices, Problem(sublayout, problem.record), structure_draws
 
 
@@ -482,15 +479,15 @@ def _mean_and_input_sds(
     unseen member (zero at readings of members seen in the fit)."""
     if not terms:
         return problem.expected(draws.x, hyper), []
-    mean, grads = problem.expected_with_slopes(draws.x, hyper, terms)
+    mean, gradients = problem.expected_with_slopes(draws.x, hyper, terms)
     sds = list[Any]()
-    for t, slope in zip(terms, grads, strict=True):
+    for t, gradient in zip(terms, gradients, strict=True):
         prior_sd = t.prior_sd
         if t.place != "input":
             is_present = has_effect(draws.x, problem.terms, t.effect.name)
             member_sd = problem.member_sd(t, hyper, len(draws.x)) * is_present
             prior_sd = np.where(_is_unseen(problem, t), member_sd[:, None], 0.0)
-        sds.append(slope * prior_sd)
+        sds.append(gradient * prior_sd)
     return mean, sds
 
 

@@ -57,13 +57,13 @@ class Subject:
 
 
 def conflicts(subject: Subject) -> list[Claim]:
-    """Return contradictions of readings and priors, which do not depend on the residual checks."""
+    """Return claims on contradictions between readings and priors, which do not depend on the residual checks."""
     claims = [*contradicted_priors(subject), *find_widened_coefficients(subject)]
     return [*claims, *group_sds_beyond_range(subject), *implausible_curves(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
-    """Return claims of implausible deviations of group members."""
+    """Return claims on implausible deviations of group members."""
     return [*find_implausible_members(subject), *find_members_following_terms(subject)]
 
 
@@ -101,12 +101,12 @@ def find_nonconvergence(subject: Subject) -> Iterator[Claim]:
 
 
 def contradicted_priors(subject: Subject) -> Iterator[Claim]:
-    """Yield coefficients far from their prior means."""
-    return _far_from_prior(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
+    """Yield a claim for each coefficient whose posterior mean is far from its prior mean."""
+    return _check_priors(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
 
 
 def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
-    """Return coefficients whose estimates under uninformative priors are far from their prior means.
+    """Return claims on coefficients whose estimates under uninformative priors are far from their prior means.
 
     A strong prior that contradicts the readings inflates the noise instead of moving the coefficient. The biases and
     scale factors of the instrument's own effects are therefore fitted with prior sd a thousand times as large.
@@ -127,11 +127,11 @@ def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
         for u in fit.unknowns
         if u.x is not None and u.block is not None and u.effect in freed_names
     }
-    return [*_far_from_prior(subject, estimates)]
+    return [*_check_priors(subject, estimates)]
 
 
-def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
-    """Yield claims of coefficients far from their prior means; `values`: name → (value, half-width of its interval)."""
+def _check_priors(subject: Subject, values: Mapping[str, tuple[float, float]]) -> Iterator[Claim]:
+    """Yield claims on estimates far from their prior means; `values`: name → (estimate, half-width of its interval)."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
     max_coefficients, far_sd = limit(PRIOR_CODE, "coefficients"), limit(PRIOR_CODE, "sd")
     for u in subject.fit.unknowns:
@@ -140,10 +140,10 @@ def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]])
         effect, c = u.block.effect, u.block.coefficient
         if len(effect.coefficients) > max_coefficients or subject.accepts(effect.name, u.name):
             continue
-        value, width = values.get(u.name, (c.mean, 0.0))
+        value, half_width = values.get(u.name, (c.mean, 0.0))
         z = abs(value - c.mean) / c.size
-        allowance = 1 if effect.name in baseline else limit(PRIOR_CODE, "candidate_sizes")
-        if z - width / c.size > far_sd * allowance:
+        size_factor = 1 if effect.name in baseline else limit(PRIOR_CODE, "candidate_sizes")
+        if z - half_width / c.size > far_sd * size_factor:
             cure = "scale" if effect.slot.partition("_")[0] == "scale" else "zero and scale"
             numbers = {"where": value, "mean": c.mean, "size": c.size, "unit": c.unit, "away": z}
             numbers |= {"fall": 0.5 * z**2, "cure": cure if effect.kind == "constant" else "units"}
@@ -151,7 +151,7 @@ def _far_from_prior(subject: Subject, values: Mapping[str, tuple[float, float]])
 
 
 def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
-    """Yield claims of coefficients whose posterior is wider than the prior, unless a confounder is the cause."""
+    """Yield claims on coefficients whose posterior is wider than the prior, unless a confounder is the cause."""
     keys = {name for confounder in subject.fit.confounders for name in confounder.coefficients}
     confounded_names = {u.name for u in subject.fit.unknowns if u.key in keys}
     # Coefficients only: a positive unknown may be larger than expected, and then wider.
@@ -164,7 +164,7 @@ def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
 
 
 def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
-    """Yield claims of standard deviations, in the output's unit, that exceed the range of the output."""
+    """Yield a claim for each standard deviation, in the output's unit, that exceeds the range of the output."""
     fit = subject.fit
     sds = set(fit.model.noise.amplitudes)
     for effect in fit.model.effects:
@@ -175,14 +175,14 @@ def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
     sds -= {e.measure_name for e in fit.model.effects}
     span = float(np.ptp(fit.readings["output"]))
     for row in summary(fit)[1]:
-        exceeds = row["name"] in sds and row["unit"] == fit.unit and row["mean"] > span > 0
-        if exceeds and not subject.accepts(row["name"], row["effect"]):
+        is_beyond = row["name"] in sds and row["unit"] == fit.unit and row["mean"] > span > 0
+        if is_beyond and not subject.accepts(row["name"], row["effect"]):
             numbers = {"mean": row["mean"], "reach": span, "unit": fit.unit}
             yield Claim("size.beyond_output", row["name"], **numbers)
 
 
 def implausible_curves(subject: Subject) -> Iterator[Claim]:
-    """Yield claims of unknown dependences larger than all of the instrument's known effects together.
+    """Yield claims on unknown dependences larger than all of the instrument's known effects together.
 
     They indicate an input with a wrong sign or unit, which a free curve along that input fits.
     """
@@ -212,7 +212,7 @@ def rounding_claims(subject: Subject) -> Iterator[Claim]:
 
 
 def find_implausible_members(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim of each group's member with the largest deviation, if it is far beyond the plausible.
+    """Yield a claim on the member with the largest deviation in each group, if it is implausibly large.
 
     An estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
     finds. It is not a test for missing effects, which members absorb too.
@@ -234,7 +234,7 @@ def find_implausible_members(subject: Subject) -> Iterator[Claim]:
 
 
 def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
-    """Yield claims of groups whose members' deviations correlate with a term of the same slot.
+    """Yield claims on groups whose members' deviations correlate with a term of the same slot.
 
     A term has one coefficient, within and between members. With a late or noisy thermometer, the regression slope
     within members is attenuated, and the deviations absorb the slope between members: coefficient and uncertainty are
@@ -305,7 +305,7 @@ def implausible_scale(effect: Effect, contribution: float, noise: float, unit: s
 
 @run_on_one_thread
 def multimodality(fit: Fitted) -> list[Claim]:
-    """Return why the Laplace approximation of the evidence is invalid: an indefinite Hessian or a second mode.
+    """Return claims that the Laplace approximation of the evidence is invalid: an indefinite Hessian, a second mode.
 
     A second mode, with other nonlinear parameters and nearly the same evidence, is searched from the prior draws of
     highest density and along nonlinear parameters whose evidence has many maxima.
@@ -341,10 +341,7 @@ def multimodality(fit: Fitted) -> list[Claim]:
 
 
 def explain_missing_noise(fit: Fitted) -> str:
-    """Return a message if the noise estimate is below the output's precision or not finite, else "".
-
-    Without a noise estimate no check is possible.
-    """
+    """Return a message if no check is possible: noise below the output's precision or not finite; else ""."""
     output, variance = fit.readings["output"], fit.linear.variance
     noise, unit = math.sqrt(float(np.median(variance))), unit_label(fit.unit)
     if noise > np.spacing(np.max(np.abs(output))):
@@ -364,17 +361,17 @@ def explain_missing_noise(fit: Fitted) -> str:
 
 
 def outlying_groups(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim of the group with the largest leave-one-group-out error, if it is significant.
+    """Yield a claim on the group with the largest leave-one-group-out error, if it is significant.
 
     An effect missing from the model is missing in every group, and inflates the noise of the reference.
     """
     out = subject.leave_one_group_out
-    if out is None or not np.isfinite(out.by_chance).any():
+    if out is None or not np.isfinite(out.p_value).any():
         return
-    worst_index = int(np.nanargmin(out.by_chance))
+    worst_index = int(np.nanargmin(out.p_value))
     # Bonferroni correction: one test per group.
-    is_significant = out.by_chance[worst_index] * out.count < settings().holdout_p
-    if is_significant and (times := float(out.surprise[worst_index])) > limit(
+    is_significant = out.p_value[worst_index] * out.count < settings().holdout_p
+    if is_significant and (times := float(out.error_ratio[worst_index])) > limit(
         "group.surprising", "ratio"
     ):
         details = {"group": out.group.capitalize(), "member": out.members[worst_index]}
@@ -391,8 +388,8 @@ def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
 
 def stands_in_for_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
     """Return whether correlated noise is slow and large enough to represent a missing effect."""
-    white = values.get(WHITE, math.inf)
-    return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white
+    white_sd = values.get(WHITE, math.inf)
+    return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white_sd
 
 
 def find_slow_noise(subject: Subject) -> Iterator[Claim]:
@@ -417,7 +414,7 @@ def normality(subject: Subject) -> Iterator[Claim]:
 
 
 def dependence(subject: Subject) -> list[Claim]:
-    """Return a claim of the covariate on which residuals depend most; or that the readings are too few."""
+    """Return a claim on the covariate on which residuals depend most, or one that there are too few readings."""
     check = subject.check
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
@@ -429,7 +426,7 @@ def dependence(subject: Subject) -> list[Claim]:
 
 
 def find_steps_between_runs(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim of an effect of time that is constant within runs, so that a new run cannot be predicted."""
+    """Yield a claim on an effect of time that is constant within runs, so that a new run cannot be predicted."""
     fit = subject.fit
     for effect in fit.model.effects:
         if effect.kind in ("jump", "cycle") and effect.covariate == "time":

@@ -18,6 +18,7 @@ from scipy.special import fdtrc
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.parallel import run_on_one_thread
+from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
@@ -32,6 +33,7 @@ MIN_GROUP_READINGS = 5
 MAX_BLOCKS = 5  # number of blocks of neighbouring readings, left out if there are no groups
 
 
+@renamed(surprise="error_ratio", by_chance="p_value")
 @dataclass(frozen=True)
 class LeaveOneGroupOut:
     """Leave-one-group-out predictions: each group predicted from the others."""
@@ -40,9 +42,8 @@ class LeaveOneGroupOut:
     members: tuple[str, ...]  # names of the groups
     log_score: np.ndarray  # joint log predictive density of each group (g,)
     residual: np.ndarray  # of each reading, predicted from the other groups, output unit
-    # Rms of each group's whitened prediction errors over its expectation (g,): about 1, NaN for fewer than 5 readings.
-    surprise: np.ndarray
-    by_chance: np.ndarray  # p-value of the surprise (g,)
+    error_ratio: np.ndarray  # rms whitened error over its expectation (g,); NaN below 5 readings
+    p_value: np.ndarray  # of the error ratio under the model (g,)
     variance: np.ndarray  # of each reading given the other groups: noise plus expected output
 
     @property
@@ -130,7 +131,7 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         return None
     kind, members, codes = choose_groups(calibration.readings)
     mode, problem = calibration.mode, calibration.problem
-    scores, surprise, by_chance = np.full((3, len(members)), np.nan)
+    scores, error_ratio, p_value = np.full((3, len(members)), np.nan)
     residual, model_var = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
         left_out = np.flatnonzero(codes == i)
@@ -140,10 +141,10 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         scores[i], residual[left_out], model_var[left_out], squares, spectrum = fold
         if len(left_out) >= MIN_GROUP_READINGS:
             counts = len(codes) - len(left_out), len(members) - 1
-            surprise[i] = math.sqrt(squares / spectrum.sum())
-            by_chance[i] = _ratio_p_value(squares, spectrum, *counts)
+            error_ratio[i] = math.sqrt(squares / spectrum.sum())
+            p_value[i] = _ratio_p_value(squares, spectrum, *counts)
     variance = calibration.linear.variance + model_var
-    return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
+    return LeaveOneGroupOut(kind, members, scores, residual, error_ratio, p_value, variance)
 
 
 def _ratio_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
@@ -169,38 +170,38 @@ def _predict_fold(
     subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
     problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
-    fitted, predicted = (Density(p, mode.x, mode.flat, mode.v, guess=guess) for p in problems)
+    fitted, test_density = (Density(p, mode.x, mode.flat, mode.v, guess=guess) for p in problems)
     # Noise that depends on a column keeps the full fit's φ, as training may not cover the left-out range.
     kinds = np.array(problem.kinds)
     is_free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
     objective = fitted if is_free.all() else fitted.fix_others(guess, is_free)
     v[is_free] = maximise(objective, mode.v[is_free], ftol=1e-3)  # φ to 0.05 standard deviations
-    predicted_moments = _held_out_moments(fitted, predicted, v)
+    predicted_moments = _held_out_moments(fitted, test_density, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
-    larger_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
-    conservative = _held_out_moments(fitted, predicted, larger_v)
-    if predicted_moments is None or conservative is None:
+    wide_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
+    wide_moments = _held_out_moments(fitted, test_density, wide_v)
+    if predicted_moments is None or wide_moments is None:
         return None
     zeros, ones = np.zeros(len(mode.x)), np.ones(len(mode.x))
-    joint = condition(predicted_moments[1], len(left_out), Prior(zeros, ones, ones), zeros)
+    joint_normal = condition(predicted_moments[1], len(left_out), Prior(zeros, ones, ones), zeros)
     # Eigenvalues of I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: 1 plus those of Lᵀ·Aᵀ·A·L.
     spectrum = np.ones(len(left_out))
-    eigenvalues = np.sort(np.linalg.eigvalsh(conservative[1].jtj))[::-1][: len(left_out)]
+    eigenvalues = np.sort(np.linalg.eigvalsh(wide_moments[1].jtj))[::-1][: len(left_out)]
     spectrum[: len(eigenvalues)] += np.maximum(eigenvalues, 0.0)
-    score = np.nan if joint is None else joint.log_marginal
-    return score, predicted_moments[0], conservative[2], conservative[1].rtr, spectrum
+    score = np.nan if joint_normal is None else joint_normal.log_marginal
+    return score, predicted_moments[0], wide_moments[2], wide_moments[1].rtr, spectrum
 
 
 def _held_out_moments(
-    training: Density, predicted: Density, v: np.ndarray
+    training: Density, test_density: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
     """Return prediction errors of left-out readings, their Gram matrix in whitened coordinates, and model variance."""
     posterior = training.condition_at(v)[1]
     if posterior is None:
         return None
-    residuals, whitened, logdet = predicted.whiten_at(v, posterior.mean)
-    rotated = whitened[:, :-1] @ posterior.root
-    score = rotated.T @ whitened[:, -1]
-    gram = Gram(rotated.T @ rotated, score, float(whitened[:, -1] @ whitened[:, -1]), logdet)
-    linearisation = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
+    residuals, whitened, logdet = test_density.whiten_at(v, posterior.mean)
+    jacobian = whitened[:, :-1] @ posterior.root
+    score = jacobian.T @ whitened[:, -1]
+    gram = Gram(jacobian.T @ jacobian, score, float(whitened[:, -1] @ whitened[:, -1]), logdet)
+    linearisation = test_density.problem.linearise(test_density.x, test_density.problem.hyper(v))
     return residuals, gram, np.sum((linearisation.jacobian @ posterior.root) ** 2, axis=1)

@@ -52,7 +52,7 @@ def _for_netcdf(group: xr.Dataset, count: int) -> xr.Dataset:
         draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
         group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
     names = {str(n): encode_name(str(n)) for n in (*group.variables, *group.dims)}
-    return group.rename({old: new for old, new in names.items() if old != new})
+    return group.rename({name: new_name for name, new_name in names.items() if name != new_name})
 
 
 def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:

@@ -88,7 +88,7 @@ def predict(
     is_correlated = not calibration.model.noise.independent
 
     def predict_frame(part: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
-        """Return residual, standard uncertainties of the expected output and of a reading (3, n)."""
+        """Return residuals, standard uncertainties of the expected output and of a reading (3, n), output unit."""
         count, noise_of, slow = len(past), None, 0.0
         if count and is_correlated:
             continuation = part.select(np.arange(count, len(part)))
@@ -140,8 +140,10 @@ def _sensitivities(calibration: Calibration, problem: Problem, effect: Effect) -
 def simulate_replicates(
     calibration: Calibration, readings: Measurements, draws: int, seed: int
 ) -> Float[np.ndarray, "draws n"]:
-    """Simulate readings once from each draw: deviations of new runs, cells and devices from their prior; readings that
-    continue a fitted run with that run's deviation, and correlated noise independent of the fitted readings."""
+    """Simulate replicated readings from each posterior draw; deviations of new groups are drawn from their prior.
+
+    Readings that continue a fitted run have its deviation; correlated noise is independent of the fitted readings.
+    """
     calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
 
     def evaluate(part: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
@@ -157,17 +159,20 @@ def _evaluate_with_past(
     readings: Measurements,
     evaluate: Callable[[Measurements, Frame, np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "k n"]:
-    """Evaluate a function of readings, frame and rows of preceding fitted readings: readings that continue fitted runs
-    are appended to these runs, the others are new runs; return the values (k, n) at `readings`."""
+    """Evaluate a function at new readings, with the fitted readings that precede them; return its values (k, n).
+
+    Readings that continue a fitted run are appended to it; all others start new runs. `evaluate` is called with
+    (readings, frame, rows of the fitted readings).
+    """
     fitted = calibration.readings
     runs = fitted.find_continuations(readings)
     if not runs:
         return evaluate(readings, _mark_as_new(calibration.frame_of(readings)), NO_PAST)
     rows = np.sort(np.concatenate([*runs.values()]))
     codes = [fitted.records.names.index(name) for name in runs]
-    past = np.flatnonzero(np.isin(fitted.records.codes, codes))
-    record = fitted.select(past).concatenate(readings.select(rows))
-    run_values = evaluate(record, calibration.frame_of(record), past)[:, len(past) :]
+    past_rows = np.flatnonzero(np.isin(fitted.records.codes, codes))
+    record = fitted.select(past_rows).concatenate(readings.select(rows))
+    run_values = evaluate(record, calibration.frame_of(record), past_rows)[:, len(past_rows) :]
     columns = np.empty((len(run_values), len(readings)))
     columns[:, rows] = run_values
     if len(new_rows := np.setdiff1d(np.arange(len(readings)), rows)):
@@ -198,16 +203,16 @@ def _conditional_noise(
     past_x, new_x = (model.followed(calibration.frame_of(part)) for part in (fitted, readings))
 
     def conditional_moments(residuals: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        mean, slow = np.empty((len(time_new), residuals.shape[1])), np.empty(len(time_new))
+        mean, variances = np.empty((len(time_new), residuals.shape[1])), np.empty(len(time_new))
         for name, new_rows in zip(new_runs.names, new_runs.rows, strict=True):
             rows = fitted_runs.rows[fitted_runs.names.index(name)]
             covariates = None
             if past_x is not None and new_x is not None:
                 covariates = np.asarray(past_x)[rows], np.asarray(new_x)[new_rows]
-            mean[new_rows], slow[new_rows] = model.slow_part(
+            mean[new_rows], variances[new_rows] = model.slow_part(
                 parameters, time[rows], residuals[rows], white[rows], time_new[new_rows], covariates
             )
-        return mean, slow
+        return mean, variances
 
     return conditional_moments
 

@@ -65,7 +65,7 @@ class NotMeasured:
     def __str__(self) -> str:
         return f"the prior contributes more than the readings to {self.words}"
 
-    def by_readings_alone(
+    def update_by_readings(
         self, calibration: Calibration, values: Float[np.ndarray, "d g"]
     ) -> Float[np.ndarray, "d g"]:
         """Return the quantity's draws under uninformative priors of the unknowns `names`.
@@ -78,14 +78,14 @@ class NotMeasured:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in coefficients]
         present_by_draw = [calibration.inclusion_masks[u.effect] for u, _ in coefficients]
-        unknowns, has, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
-        for pattern in np.unique(has, axis=0):  # structures of a model average
-            in_pattern = np.all(has == pattern, axis=1)
-            pattern_draws = unknowns[in_pattern][:, pattern]
+        unknowns, presence, quantity = np.array(draws).T, np.array(present_by_draw).T, values.copy()
+        for pattern in np.unique(presence, axis=0):  # structures of a model average
+            has_pattern = np.all(presence == pattern, axis=1)
+            pattern_draws = unknowns[has_pattern][:, pattern]
             if not pattern.any() or len(pattern_draws) <= 2 * pattern_draws.shape[1]:
                 continue
             mean = pattern_draws.mean(axis=0)
-            centred, y = pattern_draws - mean, values[in_pattern]
+            centred, y = pattern_draws - mean, values[has_pattern]
             spectrum, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
             spectrum = np.maximum(spectrum, np.finfo(float).tiny)
             information = 1 / spectrum - 1
@@ -95,7 +95,7 @@ class NotMeasured:
             shifted_means = np.where(information > 0, means * freed_variance / spectrum, means)
             scores = shifted_means + (centred @ vectors) * np.sqrt(freed_variance / spectrum)
             slope = vectors / spectrum @ vectors.T @ centred.T @ (y - y.mean(axis=0)) / len(centred)
-            quantity[in_pattern] = y + (scores @ vectors.T - pattern_draws) @ slope
+            quantity[has_pattern] = y + (scores @ vectors.T - pattern_draws) @ slope
         return quantity
 
 
@@ -103,9 +103,9 @@ def find_not_measured(
     calibration: Calibration,
     values: Float[np.ndarray, "d g"],
     *,
-    of: str = "",
-    scatter: Float[np.ndarray, "g"] | float = 0.0,
-    rare: float = 0.0,
+    name: str = "",
+    sd: Float[np.ndarray, "g"] | float = 0.0,
+    max_inclusion: float = 0.0,
 ) -> NotMeasured | None:
     """Return the unknowns whose priors determine a quantity more than the readings do, or None.
 
@@ -114,33 +114,33 @@ def find_not_measured(
     Args:
         calibration: a fit, or an average over structures; an effect is tested on the draws that include it.
         values: draws of the quantity at several points; the point with the largest prior share decides.
-        of: the unknown's name, if the quantity is an unknown.
-        scatter: standard deviation of single readings about the quantity, at each point.
-        rare: effects up to this inclusion probability are ignored.
+        name: name of the unknown, if the quantity is an unknown.
+        sd: standard deviation of single readings about the quantity, at each point.
+        max_inclusion: effects up to this inclusion probability are ignored.
     """
-    unknown = next((u for u in calibration.unknowns if u.name == of), None)
+    unknown = next((u for u in calibration.unknowns if u.name == name), None)
     if unknown is not None and unknown.prior is not None:
         # A positive unknown is measured if its variance is halved on a linear scale (near zero) or a logarithmic one.
-        samples, prior_sd = calibration.samples(of), unknown.prior_sd
+        samples, prior_sd = calibration.samples(name), unknown.prior_sd
         linear = prior_sd is not None and 2 * samples.var() <= prior_sd**2
         v = calibration.draws().v[:, unknown.v]
         if linear or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
         prior_words = _format_unknown(unknown, samples)
-        return NotMeasured((of,), prior_words, "To measure it, take more readings", True)
+        return NotMeasured((name,), prior_words, "To measure it, take more readings", True)
     candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, is_counted = list[np.ndarray](), list[bool]()
-    total_variance = values.var(axis=0) + scatter**2
-    for u, c, in_use in _stated_priors(calibration):
-        present = calibration.inclusion_masks[u.effect]
-        if present.mean() <= rare:
+    total_variance = values.var(axis=0) + sd**2
+    for u, c, is_used in _stated_priors(calibration):
+        has_effect = calibration.inclusion_masks[u.effect]
+        if has_effect.mean() <= max_inclusion:
             continue
-        samples, quantity = calibration.samples(u.name)[present], values[present]
+        samples, quantity = calibration.samples(u.name)[has_effect], values[has_effect]
         covariance = (samples - samples.mean()) @ (quantity - quantity.mean(axis=0)) / len(samples)
-        prior_share = present.mean() * (covariance / c.size) ** 2
+        prior_share = has_effect.mean() * (covariance / c.size) ** 2
         shares.append(prior_share / np.where(total_variance > 0, total_variance, np.inf))
         candidates.append((u, samples, c.size))
-        is_counted.append(in_use or u.name == of)
+        is_counted.append(is_used or u.name == name)
     if not any(is_counted):
         return None
     share_matrix = np.array(shares)
@@ -169,7 +169,7 @@ def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "")
 def find_coefficients_not_measured(calibration: Calibration) -> set[str]:
     """Return the names of the coefficients that priors determine more than the readings."""
     names, samples = (u.name for u, *_ in _stated_priors(calibration)), calibration.samples
-    return {n for n in names if find_not_measured(calibration, samples(n)[:, None], of=n)}
+    return {n for n in names if find_not_measured(calibration, samples(n)[:, None], name=n)}
 
 
 def _stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:

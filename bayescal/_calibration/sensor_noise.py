@@ -272,7 +272,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         step=step,
         terms=sums.noises[0].terms,
         probabilities={SummedNoise(1.0, 2.0, t).in_words: p for t, p in sums.probabilities.items()},
-        figures=_figures(sums, unit, draws),
+        figures=_summarise_figures(sums, unit, draws),
         measured=measured,
         expected=median,
         low=low,
@@ -313,8 +313,8 @@ class RestNoise(NamedTuple):
 
     def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
         """Return the noise model's Allan variance at each draw (d, k), output unit squared."""
-        total = self.draws[WHITE] ** 2 + self.model.slow_variance(self.draws)
-        return self.model.allan_variance(self.draws, total, factors, step)
+        total_variance = self.draws[WHITE] ** 2 + self.model.slow_variance(self.draws)
+        return self.model.allan_variance(self.draws, total_variance, factors, step)
 
 
 class _RestRecord(NamedTuple):
@@ -323,14 +323,14 @@ class _RestRecord(NamedTuple):
     columns: Sequence[np.ndarray]  # of each run (n, r): those to integrate out, then the output
     spectrum: EvenSpectrum
     scale: float  # standard deviation from differences of neighbours, output unit
-    longest: float  # duration of the longest run, rounded up to 2ᵏ sampling intervals, s
+    max_duration: float  # duration of the longest run, rounded up to 2ᵏ sampling intervals, s
     tau: np.ndarray  # averaging times, s
     allan: np.ndarray  # Allan variances at these, output unit squared
     tone: Mapping[str, float]  # starting values of a tone; none if empty
 
     def model(self, terms: Terms) -> SummedNoise:
         scale = HalfCauchy(self.scale)
-        return SummedNoise(self.spectrum.step, self.longest, terms, scale, scale)
+        return SummedNoise(self.spectrum.step, self.max_duration, terms, scale, scale)
 
     def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
         """Return a sum's log posterior density over parameter coordinates, levels and curve integrated out."""
@@ -340,8 +340,8 @@ class _RestRecord(NamedTuple):
         def evaluate(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
             parameters = {n: p.value(v[:, i]) for i, (n, p) in enumerate(priors.items())}
             log_prior = sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
-            total = self.spectrum.log_likelihood(model, parameters) + log_prior
-            return np.where(np.isfinite(total), total, NOWHERE)
+            log_posterior = self.spectrum.log_likelihood(model, parameters) + log_prior
+            return np.where(np.isfinite(log_posterior), log_posterior, NOWHERE)
 
         return evaluate
 
@@ -360,11 +360,11 @@ class EvaluatedSums(NamedTuple):
 
 @run_on_one_thread
 def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
-    """Evaluate sums of noise terms on a channel at rest, and draw parameters of the probable sums; see `noise`."""
+    """Compute the evidence of sums of noise terms for a channel at rest; draw the parameters of the probable sums."""
     output = np.asarray(readings["output"], float)
     runs = allan.even_runs(readings)
     z, line = _find_line(output, runs)
-    count = _readings_per_mean(output, runs, z, line)
+    count = _count_readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.
     base: Terms = ()
     if count is not None and count > 1:
@@ -380,13 +380,13 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
     variance, _ = allan.allan_variances(output, runs)
-    longest = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
+    max_duration = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     tone_units = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
     line = {name: tone_units[name] * value for name, value in line.items()}
-    channel_fields = scale, longest, runs.factors * runs.step, variance, line
-    model, parameters = SummedNoise(runs.step, longest, ("walk",)), {WHITE: scale}
+    channel_fields = scale, max_duration, runs.factors * runs.step, variance, line
+    model, parameters = SummedNoise(runs.step, max_duration, ("walk",)), {WHITE: scale}
     parameters["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
-    random, average = np.random.default_rng(seed), Counter[Terms]()
+    random, weights = np.random.default_rng(seed), Counter[Terms]()
     imputations = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
     time_limit = deadline.current()
     time_limit.defer_interrupt()
@@ -409,11 +409,11 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     # The mixture over imputations of lost readings.
     imputations = imputations[-(IMPUTATIONS - 1) :]
     for *_, probabilities in imputations:
-        average.update({terms: p / len(imputations) for terms, p in probabilities.items()})
-    noises = sorted((n for run, *_ in imputations for n in run), key=lambda n: -average[n.terms])
+        weights.update({terms: p / len(imputations) for terms, p in probabilities.items()})
+    noises = sorted((n for run, *_ in imputations for n in run), key=lambda n: -weights[n.terms])
     walk_draws = np.concatenate([walk_draws for _, walk_draws, _ in imputations])
-    probable: dict[Terms, Any] = dict(average.most_common())
-    return EvaluatedSums(noises, walk_draws, probable, tuple(claims), readings, runs, count)
+    probable_sums: dict[Terms, Any] = dict(weights.most_common())
+    return EvaluatedSums(noises, walk_draws, probable_sums, tuple(claims), readings, runs, count)
 
 
 def _enumerate_sums(
@@ -469,7 +469,7 @@ def _sample_sums(
     return noises, walk_sum.draws["noise.walk"], probabilities
 
 
-def _readings_per_mean(
+def _count_readings_per_mean(
     output: Float[np.ndarray, "n"], runs: EvenRuns, z: float, line: Mapping[str, float]
 ) -> int | None:
     """Return the readings per mean at which the Allan deviation begins to fall with slope −½; None if it never does.
@@ -494,12 +494,12 @@ def _average(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measur
     """Average blocks of `count` consecutive readings; a block with more than half of them lost counts as lost."""
     blocks = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
     valid = [2 * np.sum(block >= 0, axis=1) >= count for block in blocks]
-    full = np.concatenate([block[mask] for block, mask in zip(blocks, valid, strict=True)])
-    means = readings.select(full.max(axis=1))
+    row_indices = np.concatenate([block[mask] for block, mask in zip(blocks, valid, strict=True)])
+    means = readings.select(row_indices.max(axis=1))
     for name in readings.columns:
         if readings.unit(name) is not None:
-            values = np.where(full >= 0, readings[name][full], 0.0)
-            means = means.with_column(name, values.sum(axis=1) / np.sum(full >= 0, axis=1))
+            values = np.where(row_indices >= 0, readings[name][row_indices], 0.0)
+            means = means.with_column(name, values.sum(axis=1) / np.sum(row_indices >= 0, axis=1))
     row_no = np.split(np.cumsum(np.concatenate(valid)) - 1, np.cumsum([len(t) for t in valid])[:-1])
     rows = tuple(np.where(mask, index, -1) for mask, index in zip(valid, row_no, strict=True))
     return means, EvenRuns(rows, count * runs.step)
@@ -541,8 +541,8 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     length = MIN_WINDOW
     while (count := len(run) // length) >= MIN_WINDOWS:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
-        window, parts = np.hanning(length), run[: count * length].reshape(count, length)
-        spectra = np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)) ** 2
+        window, blocks = np.hanning(length), run[: count * length].reshape(count, length)
+        spectra = np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window)) ** 2
         power = 2 * spectra.mean(axis=0) / np.sum(window**2)
         bins = np.arange(LINE_OFFSETS[-1] + 1, len(power) - LINE_OFFSETS[-1] - 1)
         low, high = (power[bins[:, None] + sign * LINE_OFFSETS].mean(axis=1) for sign in (-1, 1))
@@ -554,7 +554,7 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
             best_z, entries = float(z[k]), (amplitude, float(bins[k]) / length, float(length))
             line = dict(zip(TONE, entries, strict=True))
         length *= 2
-    if line:  # at the maximum of the whole run's spectrum within that window's width
+    if line:  # at the maximum of the full run's spectrum within that window's width
         power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
         low, high = (round((line[TONE_FREQ] + s / line[TONE_TIME]) * len(run)) for s in (-1, 1))
         line[TONE_FREQ] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
@@ -597,8 +597,8 @@ def _run_columns(
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
-    parts = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
-    return parts, scale, claims
+    run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
+    return run_columns, scale, claims
 
 
 def _impute_run(
@@ -674,13 +674,13 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
         values, lower = {n: v if n == WHITE else factor * v for n, v in amplitudes.items()}, step
         if line:
             values[TONE_FREQ] = line[TONE_FREQ]
-            values[TONE_TIME] = min(coherence * line[TONE_TIME], 0.7 * channel.longest)
+            values[TONE_TIME] = min(coherence * line[TONE_TIME], 0.7 * channel.max_duration)
         for k, share in enumerate(shares, 1):
-            time = step * (channel.longest / step) ** share
+            time = step * (channel.max_duration / step) ** share
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), curves))
             values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
-            fraction = math.log(time / lower) / math.log(channel.longest / lower)
+            fraction = math.log(time / lower) / math.log(channel.max_duration / lower)
             values[f"noise.correlated{k}.place"], lower = float(ndtri(fraction)), time
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
@@ -701,8 +701,8 @@ def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
         return float(2 * abs(bands @ np.exp(-2j * math.pi * offset * block_centres)) ** 2 / n)
 
     offset = 0.0
-    for width in (0.8, 0.1):
-        offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
+    for half_width in (0.8, 0.1):
+        offset = max(offset + half_width * np.linspace(-1, 1, 9), key=power)
     background = np.mean([power(offset + k) for k in (*LINE_OFFSETS, *-LINE_OFFSETS)])
     return math.sqrt(max(power(offset) - float(background), 0.0) / n)
 
@@ -715,7 +715,7 @@ def _draw_parameters(
     chosen, priors = v[rows], law.parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
-        is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.longest
+        is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
         if is_coherent.any():
             frequency = float(np.median(parameters[TONE_FREQ][is_coherent])) * channel.spectrum.step
             run = max(channel.columns, key=len)[:, -1]
@@ -743,18 +743,18 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
         required = FILTER_RATIO**2 * allan_variance
         # Candidate densities reach the required deviation at one averaging time each; the chosen one, with its random
         # walk, has the least excess over all times (d, densities, times).
-        white = np.maximum(np.column_stack([0 * n, required * factors]), n[:, None] ** 2)
-        required_walk = (required[:, None] - white[..., None] / factors) / walk_factor
+        white_var = np.maximum(np.column_stack([0 * n, required * factors]), n[:, None] ** 2)
+        required_walk = (required[:, None] - white_var[..., None] / factors) / walk_factor
         fitted_walk = np.square(noise.draws.get("noise.walk", 0.0))[..., None]
         walk = np.maximum(required_walk.max(axis=2), fitted_walk)
-        total = white[..., None] / factors + walk[..., None] * walk_factor
-        least = np.argmin(np.log(total / allan_variance[:, None]).sum(axis=2), axis=1)[:, None]
-        densities.append(np.sqrt(np.take_along_axis(white, least, 1)[:, 0] * step))
-        walk_draws.append(np.sqrt(np.take_along_axis(walk, least, 1)[:, 0]))
+        variance = white_var[..., None] / factors + walk[..., None] * walk_factor
+        index = np.argmin(np.log(variance / allan_variance[:, None]).sum(axis=2), axis=1)[:, None]
+        densities.append(np.sqrt(np.take_along_axis(white_var, index, 1)[:, 0] * step))
+        walk_draws.append(np.sqrt(np.take_along_axis(walk, index, 1)[:, 0]))
     return np.concatenate(densities), np.concatenate(walk_draws)
 
 
-def _figures(
+def _summarise_figures(
     sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
     """Summarise Q, N, B, K and other parameters, each over the sums with its term if these have over half the draws."""
@@ -766,8 +766,8 @@ def _figures(
         samples = [noise.draws[name] for noise in sums.noises if name in noise.draws]
         return np.concatenate(samples) if 2 * sum(map(len, samples)) > draw_count else None
 
-    white = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
-    white = white if sums.count else np.full(1, math.nan)  # not even a bound
+    white_density = np.concatenate([noise.density(sums.runs.step) for noise in sums.noises])
+    white_density = white_density if sums.count else np.full(1, math.nan)  # not even a bound
     has_minimum = 0 < np.argmin(np.median(curve, axis=0)) < curve.shape[1] - 1
     floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if has_minimum else None
     walks = pooled_draws("noise.walk")
@@ -778,7 +778,7 @@ def _figures(
     ]
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
-        ("N", density, of_density, f"{base}/Hz^0.5", white),
+        ("N", density, of_density, f"{base}/Hz^0.5", white_density),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),
         ("K", walk, of_walk, f"{base}/s^0.5", np.concatenate(bound) if walks is None else walks),
@@ -792,10 +792,10 @@ def _figures(
         rows.append(("", f"{name}, correlation time", "s", "s", time))
     is_bound = {"K": walks is None, "N": not sums.count}
     shown_rows = ((*row, is_bound.get(row[0], False)) for row in rows if row[-1] is not None)
-    return tuple(itertools.starmap(_figure, shown_rows))
+    return tuple(itertools.starmap(_summarise_figure, shown_rows))
 
 
-def _figure(
+def _summarise_figure(
     symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, is_bound: bool = False
 ) -> NoiseFigure:
     """Summarise draws in `draw_unit` as a figure in `unit` and in base units."""

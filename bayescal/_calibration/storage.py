@@ -112,7 +112,7 @@ def _read_netcdf(
         metadata = parsed_json(hdf5.attrs.get("bayescal", "{}"))
     if (schema := metadata.get("schema")) != SCHEMA:
         raise InputError(
-            f"{path.name} is no calibration of this version: its schema is {schema!r}, expected {SCHEMA!r}"
+            f"{path.name} is not a calibration of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
     groups, attributes = netcdf_groups(content, GROUPS)
     readings = _restore_readings(groups, metadata)
@@ -123,7 +123,7 @@ def _read_netcdf(
     draws = Draws(**{n: groups["draws"][n].values for n in "xv"})
     counts, expected = [draws.x.shape[-1], draws.v.shape[-1]], [layout.size, len(layout.hypers)]
     if counts != expected:
-        raise ValueError(f"its draws are of {counts} unknowns, its model has {expected}")
+        raise ValueError(f"its draws have {counts} unknowns, but its model has {expected}")
     mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
     verdict = Verdict.read(metadata["verdict"])
     log_evidence = metadata["log_evidence"]
@@ -151,8 +151,8 @@ def _restore_readings(groups: Mapping[str, Group], metadata: Mapping[str, Any]) 
         atomic_file.decode_name(n): v for n, v in variables.items() if v.dims == (ROW,) and n != ROW
     }
     sources = tuple(Source(**s) for s in metadata["sources"])
-    nominal, flags = metadata["nominal_scale"], _restore_flags(metadata["flags"], metadata)
-    scale = nominal and NominalScale(**nominal)
+    nominal_scale, flags = metadata["nominal_scale"], _restore_flags(metadata["flags"], metadata)
+    scale = nominal_scale and NominalScale(**nominal_scale)
     return Measurements.from_variables(columns, sources=sources, flags=flags, scale=scale)
 
 
@@ -179,7 +179,7 @@ def description(calibration: Fitted) -> dict[str, Any]:
     """Describe a calibration without its arrays; effects and instruments by name."""
     model, readings = calibration.model, calibration.readings
     flags = (f for f in (*readings.flags, *calibration.verdict.against) if isinstance(f, Flag))
-    listed = _instrument_effects(model.instrument)
+    known = _instrument_effects(model.instrument)
     return {
         **{name: getattr(calibration, name) for name in STORED_FIELDS},
         "instrument": model.instrument.name,
@@ -192,7 +192,7 @@ def description(calibration: Fitted) -> dict[str, Any]:
         # Formulas of typed effects, from which these are restored.
         "typed": {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)},
         # Changed prior standard deviations of catalogue effects.
-        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, listed)},
+        "sizes": {e.name: e.coefficients[0].size for e in model.effects if _is_resized(e, known)},
         # Averaged effects without coefficients, whose inclusion the draws do not show.
         "averaged": [e.name for e in model.effects if e.constant_indices and e == e.averaged],
         "fixed": dict(model.fixed),
@@ -211,10 +211,10 @@ def description(calibration: Fitted) -> dict[str, Any]:
 
 def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
     """Return whether an effect differs from the instrument's own in its prior standard deviation only."""
-    plain = catalogue.get(e.name)
-    if plain is None or e.coefficients == plain.coefficients:
+    default = catalogue.get(e.name)
+    if default is None or e.coefficients == default.coefficients:
         return bool(e.frees)
-    return replace(e, coefficients=plain.coefficients, shapes=plain.shapes) == plain
+    return replace(e, coefficients=default.coefficients, shapes=default.shapes) == default
 
 
 def _instrument_effects(instrument: Instrument) -> dict[str, Effect]:
@@ -244,7 +244,7 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
     name, fields = metadata["law"], dict[str, Any]()
     if name not in Noise.registry:
         raise InputError(
-            f"{path.name} was fitted with the noise law {name}, which is not loaded (there are: "
+            f"{path.name} was fitted with the noise law {name}, which is not loaded (loaded: "
             f"{', '.join(Noise.registry)}). {NOISE_FIX}"
         )
     for key, value in metadata.items():
@@ -258,13 +258,13 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
 
 def _restore_instrument(path: Path, metadata, readings: Measurements, instruments) -> Instrument:
     """Restore an instrument with its settings; raise InputError if it is not installed."""
-    supplied, name = {i.name: i for i in instruments}, metadata["instrument"]
-    if name not in (known_names := list(dict.fromkeys([*installed_names(), *supplied]))):
+    by_name, name = {i.name: i for i in instruments}, metadata["instrument"]
+    if name not in (known_names := list(dict.fromkeys([*installed_names(), *by_name]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
             f"{', '.join(known_names)}). Install the package that offers it"
         )
-    instrument = supplied[name] if name in supplied else installed_instrument(name)
+    instrument = by_name[name] if name in by_name else installed_instrument(name)
     if not (settings := metadata["settings"]):
         return instrument
     if instrument.tailor is None:
@@ -275,7 +275,7 @@ def _restore_instrument(path: Path, metadata, readings: Measurements, instrument
 def restore_model(path: Path, metadata, readings: Measurements, effects, instruments) -> Model:
     """Restore a file's model; raise InputError naming an instrument, effect or noise model missing or changed."""
     instrument = _restore_instrument(path, metadata, readings, instruments)
-    ranges, saved = metadata["ranges"], metadata["unknowns"]
+    ranges, saved_unknowns = metadata["ranges"], metadata["unknowns"]
     names = metadata["effects"]
     formulas = metadata["typed"].items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in formulas}
@@ -293,10 +293,10 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     model = Model(instrument, tuple(model_effects), _restore_noise(path, metadata["noise"]), ())
     for n, size in metadata["sizes"].items():
         model = model.resize(n, size)
-    for used in model.effects:
-        if saved[used.name] != (current := unknowns_of(used)):
+    for user_effect in model.effects:
+        if saved_unknowns[user_effect.name] != (current_unknowns := unknowns_of(user_effect)):
             raise InputError(
-                f"{path.name} was fitted with another definition of the effect {used.name!r}: saved "
-                f"{saved[used.name]}; given {current}. Give the saved definition: {EFFECT_FIX}"
+                f"{path.name} was fitted with another definition of the effect {user_effect.name!r}: saved "
+                f"{saved_unknowns[user_effect.name]}; given {current_unknowns}. Give the saved definition: {EFFECT_FIX}"
             )
     return replace(model, fixed=tuple(metadata["fixed"].items()))

@@ -89,8 +89,8 @@ def unknown_rows(
         if key in rows or (effects is not None and effect not in (*effects, "noise")):
             continue
         if effect in curve_effects:
-            rms, largest, covariate, worst_value = curve_range(calibration, effect)
-            extent = f"{number(rms, 2)} rms, {number(largest, 2)} at "
+            rms, extreme, covariate, worst_value = curve_range(calibration, effect)
+            extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at "
             extent += point_text(calibration, covariate, worst_value)
             rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
@@ -129,14 +129,14 @@ def point_text(calibration: Fitted, covariate: str, value: float | None) -> str:
 
 def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     """Return, by coefficient, the names of members' coefficients of large groups and of initial states."""
-    large = {}
+    members_by_coefficient = {}
     for key, rows in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[rows]
         block = members[0].block
-        initial = block is not None and block.coefficient.initial
-        if members[0].group and len(members) > (1 if initial else MAX_MEMBER_ROWS):
-            large[key] = [u.name for u in members]
-    return large
+        is_initial = block is not None and block.coefficient.initial
+        if members[0].group and len(members) > (1 if is_initial else MAX_MEMBER_ROWS):
+            members_by_coefficient[key] = [u.name for u in members]
+    return members_by_coefficient
 
 
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -195,14 +195,14 @@ def unidentified_claims(
     if layout.size == 0:
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
-    exact, weak, of_members = null_vectors(linear, with_exact)
-    for v in exact:  # combinations that change no reading, in the coefficients' units
+    exact_vectors, weak_vectors, member_vectors = null_vectors(linear, with_exact)
+    for v in exact_vectors:  # combinations that change no reading, in the coefficients' units
         vector = v * linear.sd[: len(v)]
         vector, order = null_space.scale_to_integers(vector), np.flatnonzero(vector)
         code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
         combination = _format_combination([(vector[i], names[i]) for i in order])
         claims.append(Claim(code, *(names[i] for i in order), combination=combination))
-    for v in weak:  # weakly identified directions, in prior standard deviations
+    for v in weak_vectors:  # weakly identified directions, in prior standard deviations
         v = v / np.linalg.norm(v)
         order = [i for i in np.argsort(-np.abs(v)) if v[i] ** 2 > CONCERNED_SHARE]
         order = order or [int(np.argmax(np.abs(v)))]
@@ -211,12 +211,12 @@ def unidentified_claims(
         numbers = {"combination": f"{combination}  (in prior standard deviations)"}
         code = "direction.none" if len(order) == 1 else "direction.other"
         claims.append(Claim(code, *(names[i] for i in order), **numbers))
-    if of_members:  # those of group deviations and unknown functions' coefficients
-        largest, is_single = np.max(np.abs(of_members), axis=0), is_single_coefficient(layout)
+    if member_vectors:  # those of group deviations and unknown functions' coefficients
+        largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
         traced_entries = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
         blocks = (b for b in layout.x_blocks if traced_entries[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
-        numbers = {"count": len(of_members), "combination": ", ".join(effects)}
+        numbers = {"count": len(member_vectors), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))
     return claims
 

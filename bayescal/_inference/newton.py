@@ -107,7 +107,7 @@ def fit_gaussian(
     is_group_sd: Bool[np.ndarray, "d"] | bool = False,
     exact: bool = True,
 ) -> GaussianFit:
-    """Return the Laplace approximation of a density at its mode.
+    """Return the Laplace approximation of a density at its mode, with the log evidence (log marginal likelihood).
 
     is_group_sd: coordinates flat towards zero, along which clipped eigenvalues do not count as indefinite. exact:
     compute the Hessian; otherwise take the BFGS estimate of the maximisation.

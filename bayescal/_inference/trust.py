@@ -78,7 +78,7 @@ def judge_weights(
 
 
 def judge_chains(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
-    """Return the verdict on NUTS chains by R-hat, effective sample size and divergences."""
+    """Return the verdict on the convergence of NUTS chains: R-hat, effective sample size and divergences."""
     from arviz_stats.base.array import array_stats  # half a second that only sampling needs
 
     draws = np.moveaxis(np.asarray(chains.draws), -1, 0)

@@ -160,7 +160,7 @@ def differentiate_output(
 def linearise_output(
     source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> Linearisation:
-    """Return the expected output linearised in the coefficients of `terms`; `composed` must contain derivatives."""
+    """Return the expected output and its Jacobian in the coefficients of `terms`, from `composed` with derivatives."""
     mean, derivatives = differentiate_output(source, terms, composed)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
     triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]

@@ -119,8 +119,8 @@ def residual_panel(
 ) -> None:
     """Plot residuals against one covariate in axes `ax`."""
     values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
-    body = body_temperature(calibration, entry.against)
-    values = values if body is None else body
+    body_temperatures = body_temperature(calibration, entry.against)
+    values = values if body_temperatures is None else body_temperatures
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
         rows = codes == run
@@ -137,10 +137,10 @@ def residual_panel(
         )
     ax.axhspan(-check.noise, check.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
-    if entry.log_bayes_factor > 0 and body is None:
+    if entry.log_bayes_factor > 0 and body_temperatures is None:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
     unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.against, "")
-    against = entry.against if body is None else f"lagged {entry.against}"
+    against = entry.against if body_temperatures is None else f"lagged {entry.against}"
     name = f"{against} [{unit}]" if unit == "row" else axis_label(against, unit)
     ax.set_xlabel(name)
     ax.set_ylabel(axis_label("residual", check.unit))
@@ -183,7 +183,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         ax: axes to draw in; a new figure if None.
     """
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
-    left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
+    left_out, last_step = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
     ax = open_axes(ax, 5.6, 0.75 + 1.0 * len(steps))
     # Without an effect of a run there is no second bar.
     runs = new_run_differs(steps)
@@ -210,10 +210,10 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
             change = f"   ({100 * (step['rmse_fitted'] / previous - 1):+.0f} %)".replace("-", "−")
         title = f"{i}  {format_label(step['title'])}{change}"
         ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=TEXT_BOX)
-    floor = last["noise_floor"]
+    floor = last_step["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
-    ax.set_xlabel(axis_label("rms error", last["unit"]))
+    ax.set_xlabel(axis_label("rms error", last_step["unit"]))
     handles, _ = ax.get_legend_handles_labels()
     handles.sort(key=lambda handle: handle is line)  # the floor last, as in the tables
     _legend_below(ax, handles, 2)
@@ -253,8 +253,8 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor, model with the effect against without it [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
-    otherwise = "not needed with the findings" if "finding" in kinds else "no evidence"
-    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or otherwise)) for k in kinds]
+    grey_label = "not needed with the findings" if "finding" in kinds else "no evidence"
+    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or grey_label)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
     return ax.figure

@@ -45,7 +45,7 @@ MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
 class Picture:
     """A figure of the page."""
 
-    body: Markup  # the figure as HTML
+    html: Markup
     caption: str  # text below the figure
 
 
@@ -55,12 +55,12 @@ class Pictures:
     def __init__(self) -> None:
         self.count, self.failed = 0, list[NotDrawn]()
 
-    def draw(self, make: Callable[[], Figure], caption: str) -> Picture:
+    def draw(self, plot: Callable[[], Figure], caption: str) -> Picture:
         self.count += 1
         try:
             with plots.own_style(**SVG):
                 return Picture(
-                    embed(render_svg(make()), f"f{self.count}-", caption + ALT_SUFFIX), caption
+                    embed(render_svg(plot()), f"f{self.count}-", caption + ALT_SUFFIX), caption
                 )
         except InputError:
             raise
@@ -68,15 +68,15 @@ class Pictures:
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
             return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
-    def residuals(self, calibration: Calibration, found: Check) -> list[Picture]:
+    def residuals(self, calibration: Calibration, checks: Check) -> list[Picture]:
         """Draw the residuals of the last model against each covariate, the worst first."""
 
         def panel(against: str) -> Figure:
-            figure = plots.residuals(calibration, found, against)
+            figure = plots.residuals(calibration, checks, against)
             figure.set_size_inches(4.6, 2.9)
             return figure
 
-        names = [e.against for e in found.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
+        names = [e.against for e in checks.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
         return [
             self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
         ]
@@ -105,15 +105,15 @@ def embed(svg: str, prefix: str, alt: str) -> Markup:
     Black becomes the page's text colour, fonts become the page's, ids get a prefix; external references (document type,
     metadata) and comments, which repeat the labels, are removed.
     """
-    body = svg[svg.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
-    body = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', body)
-    body = re.sub(r"(url\(|href=\")#", rf"\1#{prefix}", body)
-    body = body.replace("#000000", "currentColor")
-    body = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", body)
-    size = re.search(r'viewBox="0 0 ([\d.]+)', body)
+    markup = svg[svg.index("<svg") :]
+    markup = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", markup, flags=re.DOTALL)
+    markup = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', markup)
+    markup = re.sub(r"(url\(|href=\")#", rf"\1#{prefix}", markup)
+    markup = markup.replace("#000000", "currentColor")
+    markup = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", markup)
+    size = re.search(r'viewBox="0 0 ([\d.]+)', markup)
     width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
-    opening, content = body.split(">", 1)
+    opening, content = markup.split(">", 1)
     view = re.search(r'viewBox="[^"]*"', opening)
     head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
     return Markup(f"{head} {view[0] if view else ''}>{content}")
@@ -263,7 +263,7 @@ def _describe_missing(missing: dict[str, Any], data: Any, pictures: Pictures) ->
 def _compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """Compute the uncertainty budget at mid-range of all inputs; or return the reason why there is none."""
     if not chapter.data["verdict"]["ok"]:
-        return None, "There is no budget of a result that is not reliable."
+        return None, "There is no uncertainty budget, since the result is not reliable."
     if chapter.used.model.instrument.use is None:
         return None, NO_STIMULUS
     try:

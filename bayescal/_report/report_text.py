@@ -320,10 +320,10 @@ def _first_probability(chapter: Chapter, effect: Effect) -> float | None:
     """Return the probability that an effect, alone or in a set, is missing from the first model; None if unknown."""
     if not chapter.data["missing"]:
         return None
-    first = chapter.data["missing"][0]
-    if any(effect.family in group["effects"] for group in first["sets"]):
+    first_search = chapter.data["missing"][0]
+    if any(effect.family in group["effects"] for group in first_search["sets"]):
         return 1.0
-    probabilities = {c["effect"]: c["probability"] for c in first["candidates"]}
+    probabilities = {c["effect"]: c["probability"] for c in first_search["candidates"]}
     return probabilities.get(effect.family)
 
 
@@ -345,14 +345,14 @@ def _format_errors(chapter: Chapter) -> str:
             return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]
 
-    (where, initial_rms), (_, final) = select_error(first_step), select_error(last_step)
+    (label, initial_rms), (_, final) = select_error(first_step), select_error(last_step)
     if len(steps) == 1 or initial_rms is None or final is None:
-        return f"The rms error {where} is {number(final or last_step['rmse_fitted'], 2)} {unit}."
+        return f"The rms error {label} is {number(final or last_step['rmse_fitted'], 2)} {unit}."
     first_text, last_text = number(initial_rms, 2), number(final, 2)
     if first_text == last_text:
-        return f"The rms error {where} stayed at {last_text} {unit}."
+        return f"The rms error {label} stayed at {last_text} {unit}."
     change = "fell" if final < initial_rms else "rose"
-    return f"The rms error {where} {change} from {first_text} to {last_text} {unit}."
+    return f"The rms error {label} {change} from {first_text} to {last_text} {unit}."
 
 
 def _describe_residuals(chapter: Chapter) -> str:
@@ -369,7 +369,7 @@ def _describe_residuals(chapter: Chapter) -> str:
         return f"The residuals, {noise} rms, do not agree with the noise model."
     if not gate["ok"]:
         return f"The residuals are {noise} rms."
-    return f"The residuals, {noise} rms, look like {noise_text}."
+    return f"The residuals, {noise} rms, resemble {noise_text}."
 
 
 def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
@@ -391,10 +391,10 @@ def _list_undecided(chapter: Chapter) -> Iterator[str]:
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
-    leads = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
-    questions += [f"whether {name} is missing, too" for name in leads if name not in in_model]
-    parts = [(c, join_words(c.coefficients)) for c in confounders if not c.step]
-    questions += [f"which part of {names} is due to {c.column}" for c, names in parts]
+    lead_names = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
+    questions += [f"whether {name} is missing, too" for name in lead_names if name not in in_model]
+    confounder_names = [(c, join_words(c.coefficients)) for c in confounders if not c.step]
+    questions += [f"which part of {names} is due to {c.column}" for c, names in confounder_names]
     questions += [f"whether {c.column} was rounded or truncated" for c in confounders if c.step]
     if questions:
         yield f"Not decided: {'; '.join(dict.fromkeys(questions))}."

@@ -151,7 +151,7 @@ def versions(*further: str) -> dict[str, str]:
 
 
 def _source_data(readings: Measurements) -> dict[str, Any]:
-    """Return the files of readings and their SHA-256: a string each, or lists for several files."""
+    """Return names and SHA-256 digests of the readings files (lists for several files), and the number of rows."""
     files, sums = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
     file, sha256 = (names[0] if len(names) == 1 else names for names in (files, sums))
     return {"file": file, "sha256": sha256, "rows": len(readings)}
@@ -305,8 +305,8 @@ def read_chapter(
         if (schema := data.get("schema")) != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
     except (OSError, ValueError, AttributeError) as error:
-        why = f"{folder / RESULT} is no result of this version ({error}): calibrate again"
-        raise InputError(why) from None
+        message = f"{folder / RESULT} is no result of this version ({error}): calibrate again"
+        raise InputError(message) from None
     refuse_mixed(folder)
     user_parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
     calibration = load(folder / CALIBRATION, **user_parts)

@@ -73,7 +73,7 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     """
     if deadline.current().over:
         return
-    with drawing(PICTURE), whole_folder(folder, leaving=True) as hidden:
+    with drawing(PICTURE), whole_folder(folder, keep_results=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
         for subfolder, path in searches.items():

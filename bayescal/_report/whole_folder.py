@@ -44,7 +44,7 @@ def channel_folders(folder: Path) -> list[str]:
     try:
         names = [c["folder"] for c in read_json(file)["channels"].values()]
         if invalid := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
-            raise ValueError(f"{invalid[0]!r} is no folder in it")
+            raise ValueError(f"{invalid[0]!r} is not the name of a folder in it")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{file} cannot be read ({error}): calibrate again") from None
     return names
@@ -56,7 +56,7 @@ def is_inside(name: str) -> bool:
 
 
 @contextmanager
-def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
+def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
     """Yield a hidden folder to write to; move its files to `folder` once all are written.
 
     Unmodified results of an earlier run are removed from `folder`, other files kept. The same applies to subfolders,
@@ -64,7 +64,7 @@ def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
 
     Args:
         folder: an existing folder.
-        leaving: keep the results of the earlier run, and add the new files to its manifest.
+        keep_results: keep the results of the earlier run, and add the new files to its manifest.
 
     Raises:
         InputError: the folder cannot be written, or the disk is full; its files are unchanged.
@@ -77,7 +77,7 @@ def whole_folder(folder: Path, *, leaving: bool = False) -> Iterator[Path]:
         visible.mkdir(exist_ok=True)
         hidden.mkdir()
         yield hidden
-        _move_files(hidden, visible, leaving)
+        _move_files(hidden, visible, keep_results)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {write_advice(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place
@@ -112,7 +112,7 @@ def files_of(folder: Path) -> dict[str, str]:
         hashes = as_type(read_json(manifest)["files"], dict[str, str])
         for name in hashes:
             if not is_inside(name):
-                raise ValueError(f"it lists {name!r}, which is no file of this folder")
+                raise ValueError(f"it lists {name!r}, which is not a file of this folder")
         return hashes
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{manifest} cannot be used: {error}. {REPAIR_ADVICE}") from None

@@ -81,14 +81,14 @@ def calibrate(
         effects: user-defined effects, additional candidates.
         method: inference method of the last fit; None: `Marginal()`. Earlier steps are fitted by least squares.
         max_effects: largest number of effects to add.
-        widen_noise: False leaves the noise law as given, whatever the residuals look like.
+        widen_noise: False keeps the given noise law, whatever the distribution of the residuals.
         keep_spikes: False sets aside, and flags, single readings far from both neighbours and readings with a wrong
             value of a thermometer that the model needs. Clipped readings are set aside in any case.
         seed: seed of all random numbers.
         reference: constants of the basis functions, instead of those computed from the readings.
         time_limit: seconds for everything; the search has two thirds of the time after the first fit, and the result
             names what was left out. The first model and the most probable evaluated structure are fitted in any case,
-            which may take longer. Ctrl-C ends the search with the best so far; pressed again, without a result.
+            which may take longer. Ctrl-C ends the search with the best structure so far; pressed again, no result.
         accept_conflicts: coefficients or effects that may differ greatly from their priors; others prevent a search.
         ignore: columns to exclude as causes.
         covariates: columns that the instrument does not declare and that may be causes; None: all but other channels.
@@ -137,22 +137,22 @@ class StepwiseSearch:
         known_names = (*model.names, *model.instrument.known, *(e.name for e in effects), "noise")
         for name in self.accepted_conflicts:
             if not any(name == k or name.startswith((f"{k}[", f"{k}.")) for k in known_names):
-                has = ", ".join(model.names)
+                effect_names = ", ".join(model.names)
                 raise InputError(
-                    f"no effect or coefficient is called {name!r}; the model has {has}"
+                    f"no effect or coefficient is called {name!r}; the model has {effect_names}"
                 )
         # Without a search all effects are kept.
         candidates = model.effects if self.max_effects > 0 else ()
         self.reconsidered = tuple(e for e in candidates if self.is_reconsidered(e, model))
         model = reduce(sub, self.reconsidered, model)
         with deadline.finishing():  # whatever the time limit
-            first = self.fit_step(model, self.step_method(model))
+            step = self.fit_step(model, self.step_method(model))
         deadline.current().defer_interrupt()
         self.max_effects = max(self.max_effects, len(self.reconsidered))
-        self.reference = first.calibration.reference
-        self.steps, freed_effects = [first], self.free_contradicted(first)
-        if freed_effects or not first.failures:
-            self.list_structures(first, (*effects, *freed_effects), widen_noise)
+        self.reference = step.calibration.reference
+        self.steps, freed_effects = [step], self.free_contradicted(step)
+        if freed_effects or not step.failures:
+            self.list_structures(step, (*effects, *freed_effects), widen_noise)
 
     def is_reconsidered(self, effect: Effect, model: Model) -> bool:
         """Return whether the search evaluates an effect of the given model anew."""
@@ -163,15 +163,15 @@ class StepwiseSearch:
         baseline_effects = (*instrument.effects, *instrument.nuisances)
         catalogue_names = {*instrument.known} - {e.name for e in baseline_effects}
         is_free = (model - effect).fixed == model.fixed
-        testable_here = why_untestable(effect, readings) is None
-        return has_baseline and effect.name in catalogue_names and is_free and testable_here
+        is_testable = why_untestable(effect, readings) is None
+        return has_baseline and effect.name in catalogue_names and is_free and is_testable
 
-    def list_structures(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
+    def list_structures(self, step: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """List the structures to search beyond a fitted step."""
         self.started = time.monotonic()
-        self.steps, c = [first], first.calibration
+        self.steps, c = [step], step.calibration
         # Probabilities need a converged fit; a published calibration that fails its check is not extended by effects.
-        if not c.verdict.ok or first.check.contradicts_fixed:
+        if not c.verdict.ok or step.check.contradicts_fixed:
             self.max_effects, widen_noise = 0, False
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
         named_effects = [e for e in self.reconsidered if not e.is_placeholder]
@@ -181,16 +181,16 @@ class StepwiseSearch:
         )
         self.library = Library(structures)
 
-    def free_contradicted(self, first: Step) -> tuple[Effect, ...]:
+    def free_contradicted(self, step: Step) -> tuple[Effect, ...]:
         """Return the effects of the first model whose stated values the readings contradict, with wide priors.
 
-        None is returned where the model fails for another reason, too. Either the stated value is wrong, or it stands
-        in for a missing effect: the search compares both.
+        Nothing is returned if the model also fails for another reason. Either the stated value is wrong, or an effect
+        is missing: the search compares both.
         """
-        if any(claim.code != judgement.PRIOR_CODE for claim in first.failures):
+        if any(claim.code != judgement.PRIOR_CODE for claim in step.failures):
             return ()
-        model, distances = first.calibration.model, dict[str, float]()
-        for claim in first.failures:
+        model, distances = step.calibration.model, dict[str, float]()
+        for claim in step.failures:
             effect = claim.subjects[1]
             distances[effect] = max(claim.numbers["away"], distances.get(effect, 0.0))
         named = {name: model.effect(name) for name in distances}
@@ -200,12 +200,12 @@ class StepwiseSearch:
         return tuple(freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in named.items())
 
     def step_method(self, model: Model) -> Method | None:
-        """Return the method of all steps but the last: least squares, under heavy tails without a deadline `method`."""
+        """Return the method of all steps but the last: least squares; `method` for heavy tails without a deadline."""
         has_limit = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or has_limit else self.method
 
     def run_search(self, follow: Callable[[], None] = lambda: None) -> None:
-        """Search the structures to the end or the deadline."""
+        """Search the structures until the search is complete or the deadline has passed."""
         if self.library is not None:
             effects, structures = frozenset(e.name for e in self.reconsidered), self.structures
             start = Structure(effects) if effects and effects <= {*structures.candidates} else None
@@ -221,7 +221,7 @@ class StepwiseSearch:
 
     @property
     def chosen_structure(self) -> Structure:
-        """Return the structure to use: the median probability model, or the best one if the search ended early."""
+        """Return the selected structure: the median probability model, or the best one if the search ended early."""
         posterior = Posterior.from_structures(self.structures)
         return posterior.best if self.stopped else posterior.median_structure
 
@@ -233,7 +233,7 @@ class StepwiseSearch:
     def iterate_path(
         self, goal: Structure, start: Structure | None = None
     ) -> Iterator[tuple[Structure | None, Structure, discover.Discovery | None]]:
-        """Yield each previous structure, structure, and its missing effects up to a goal; fewer where time is short."""
+        """Yield (previous structure, structure, missing effects) for each step to a goal; fewer if time is short."""
         assert self.library is not None
         with_discovery = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
         previous, steps = None, [start or Structure(), goal]
@@ -245,9 +245,9 @@ class StepwiseSearch:
                 previous = structure
 
     def fit_path(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
-        """Fit the models on the path to the structure to use; only the best one if the search ended early."""
+        """Fit every model on the path to the selected structure; only the best one if the search ended early."""
         if self.library is None:
-            reason = f"No search was made. {' '.join(map(str, self.steps[0].failures))}"
+            reason = f"The search was not run. {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=reason)
             return SearchPath(*assess_steps(self.steps), self.holdout, None, search)
         # If the search ended early nothing more is evaluated: the best structure at its end is used.
@@ -269,66 +269,66 @@ class StepwiseSearch:
     def average_path(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Return the search path of these steps: the last one assessed, and averaged over the evaluated structures."""
-        structures, (*before, last) = self.structures, steps
+        """Return the search path of given steps, with the last one assessed and averaged over evaluated structures."""
+        structures, (*earlier, last) = self.structures, steps
         if (discovery := last.discovery) is not None:
-            if why := "" if self.stopped else self.why_incomplete(steps):
-                last = replace(last, discovery=discovery.without_completeness(why))
+            if reason := "" if self.stopped else self.why_incomplete(steps):
+                last = replace(last, discovery=discovery.without_completeness(reason))
             probabilities = {c.effect: c.probability for c in discovery.candidates}
             names = {e.name: probabilities.get(e.name) for e in self.reconsidered}
             dropped = {n: p for n, p in names.items() if n not in last.calibration.model.names}
-            listing = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
-            note = f"Effects of the given model that the search removed: {listing}."
-            last = last.with_notes([note] * bool(listing))
-        used, shares = last.calibration, ()
-        if self.max_effects > 0 and used.verdict.ok:
+            removed = ", ".join(f"{n} (probability {probability(p)})" for n, p in dropped.items())
+            note = f"Effects of the given model that the search removed: {removed}."
+            last = last.with_notes([note] * bool(removed))
+        average, shares = last.calibration, ()
+        if self.max_effects > 0 and average.verdict.ok:
             try:
-                used, shares = average_models(used, structures, goal.noise, self.seed)
+                average, shares = average_models(average, structures, goal.noise, self.seed)
             except deadline.TimeIsUp as early:
                 last = last.with_notes([f"Not averaged over structures ({early})."])
-                used = last.calibration
-            single, used = add_latent_effects(last.calibration, used, structures, goal)
+                average = last.calibration
+            single, average = add_latent_effects(last.calibration, average, structures, goal)
             last = replace(last, calibration=single)
-        is_single = last.calibration is used
-        steps, gate = assess_steps([*before, self.test_on_holdout(last, used, structures)])
-        if self.max_effects > 0 and used.verdict.ok:
+        is_single = last.calibration is average
+        steps, gate = assess_steps([*earlier, self.test_on_holdout(last, average, structures)])
+        if self.max_effects > 0 and average.verdict.ok:
             discovery = last.discovery
             complete = discovery.nothing_missing if discovery and gate.ok else None
-            *before, last = steps
-            pair = last.calibration, used
-            single, used = (add_inadequacy(c, complete, structures, goal) for c in pair)
-            steps = [*before, replace(last, calibration=single)]
+            *earlier, last = steps
+            pair = last.calibration, average
+            single, average = (add_inadequacy(c, complete, structures, goal) for c in pair)
+            steps = [*earlier, replace(last, calibration=single)]
         search = search or self.summarise_search(complete=not self.stopped, stopped=self.stopped)
         options = {"other_path": _other_path(structures), "search": search, "shares": shares}
         path = SearchPath(tuple(steps), gate, self.holdout, **options)
         if is_single:
             return path
         verdict = path.final.calibration.verdict
-        notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
+        notes = dict.fromkeys((*verdict.notes, *average.verdict.notes))
         last_verdict = {"against": verdict.against, "checked": verdict.checked}
-        return replace(path, average=used.with_verdict(**last_verdict, notes=tuple(notes)))
+        return replace(path, average=average.with_verdict(**last_verdict, notes=tuple(notes)))
 
     def test_on_holdout(self, step: Step, in_use: Calibration, structures: Structures) -> Step:
-        """Test the hold-out data against the calibration in use; return the last step with the result."""
+        """Test the calibration in use on the hold-out data; return the last step with the result of the test."""
         if self.holdout is None or step.holdout_test is None:
             return step
         candidates = step.discovery.candidates if step.discovery else ()
-        tested = (c for c in candidates if c.kind != "not testable")
-        detectable_sizes = {c.effect: c.minimum_detectable for c in tested}
+        tested_candidates = (c for c in candidates if c.kind != "not testable")
+        detectable_sizes = {c.effect: c.minimum_detectable for c in tested_candidates}
         deviations = []
         for name, effect in structures.base.instrument.known.items():
             c = effect.coefficients[0]
             if c.per != "run" or c.group_sd is None or effect.shapes or name in in_use.model.names:
                 continue
-            smallest = detectable_sizes.get(name)
-            deviations.append((effect, c.size if smallest is None else min(c.size, smallest)))
+            minimum = detectable_sizes.get(name)
+            deviations.append((effect, c.size if minimum is None else min(c.size, minimum)))
         test = HoldoutTest(in_use, self.holdout, predict(in_use, self.holdout), tuple(deviations))
         return replace(step, holdout_test=test)
 
     def fit_structure(
         self, structure: Structure, previous: Structure | None, is_last: bool = False
     ) -> Step:
-        """Fit and check a structure as the step after a previous one; the last step by the method asked for."""
+        """Fit and check a structure as the step after a previous one; the last step by the user's method."""
         evaluated = self.structures.evaluate(structure)
         model = evaluated.sized_model
         method = self.method if is_last else self.step_method(model)
@@ -341,13 +341,13 @@ class StepwiseSearch:
         return replace(step, added=added, description=description)
 
     def build_path(self, search: Search | None = None, steps: Sequence[Step] = ()) -> SearchPath:
-        """Return the search path so far, with a verdict on its last model that the search is under way."""
-        *before, last = steps or self.steps
-        steps = (*before, last.with_reasons((UNFINISHED.reason,)))
+        """Return the search path so far; the verdict on its last model says that the search is still running."""
+        *earlier, last = steps or self.steps
+        steps = (*earlier, last.with_reasons((UNFINISHED.reason,)))
         return SearchPath(steps, UNFINISHED, self.holdout, None, search or self.summarise_search())
 
     def why_incomplete(self, steps: Sequence[Step]) -> str:
-        """Return why the last model's P(complete) is not stated; empty where it may be stated."""
+        """Return the reason why P(complete) of the last model is not stated; empty if it can be stated."""
         added, last = sum(s.added is not None for s in steps), steps[-1]
         candidates = last.discovery.candidates if last.discovery else ()
         tested = any(c.probability is not None for c in candidates)
@@ -415,13 +415,13 @@ def prepare_readings(
         return used, None
     model.require(holdout)
     purpose = "effects that may be found, such as a drift" * readings.has("time")
-    on_clock = holdout.align_clock(readings.since, lambda: purpose)
-    heldout = set_aside(on_clock, keep_spikes, model.columns)
+    aligned_holdout = holdout.align_clock(readings.since, lambda: purpose)
+    heldout = set_aside(aligned_holdout, keep_spikes, model.columns)
     flag = flag_fitted_holdout(used, heldout)
-    if not flag and (continued := used.find_continuations(heldout)):
+    if not flag and (runs := used.find_continuations(heldout)):
         flag = (
-            f"{used.file}: {sum(map(len, continued.values()))} readings of the hold-out data continue its run "
-            f"{', '.join(continued)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"
+            f"{used.file}: {sum(map(len, runs.values()))} readings of the hold-out data continue its run "
+            f"{', '.join(runs)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"
         )
     return (replace(used, flags=(*used.flags, flag)) if flag else used), heldout
 
@@ -435,7 +435,7 @@ def _other_path(structures: Structures) -> OtherPath | None:
         return None
     if other.structure.effects == best.structure.effects:
         return None
-    law, change = other.problem.noise, other.log_posterior - best.log_posterior
+    law, log_ratio = other.problem.noise, other.log_posterior - best.log_posterior
     correlated = law.independent != best.problem.noise.independent
     effects = tuple(sorted(other.structure.effects))
-    return OtherPath(law.name, effects, change, law.in_words, correlated)
+    return OtherPath(law.name, effects, log_ratio, law.in_words, correlated)

@@ -53,18 +53,18 @@ class Channels(Printed):
 
     @property
     def reason(self) -> str:
-        """Return why some channels' results are not reliable, by channel; empty if all are."""
+        """Return the reasons why results are not reliable, by channel; empty if all are reliable."""
         return " ".join(f"{n}: {t.gate.reason}" for n, t in self.search_paths.items() if not t.ok)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Return the effects of all channels' last models, in the order of the models."""
-        finals = (t.final.calibration for t in self.search_paths.values())
-        return tuple(dict.fromkeys(n for c in finals for n in c.model.names))
+        calibrations = (t.final.calibration for t in self.search_paths.values())
+        return tuple(dict.fromkeys(n for c in calibrations for n in c.model.names))
 
     def _parts(self) -> list[str | ResultTable]:
-        parts = [part for table in _tables(self._rows()) for part in (table, "")][:-1]
-        parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
+        parts = [part for table in _split_table(self._rows()) for part in (table, "")][:-1]
+        parts += [_format_shared(s) for s in self.shared if s.probability > 0.5]
         searches = ((n, t.search) for n, t in self.search_paths.items() if t.search)
         parts += [f"{n}: {s.stopped}" for n, s in searches if not s.complete]
         doubtful_gates = ((n, t.gate) for n, t in self.search_paths.items() if not t.ok)
@@ -75,22 +75,22 @@ class Channels(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return columns with a row for each channel's last model: errors, and mean sizes of effects in their units."""
-        finals = [path.final for path in self.search_paths.values()]
+        last_steps = [path.final for path in self.search_paths.values()]
         return {
             "channel": list(self.search_paths),
-            "unit": [s.calibration.unit for s in finals],
+            "unit": [s.calibration.unit for s in last_steps],
             "as fitted, first model": [t.steps[0].rmse_fitted for t in self.search_paths.values()],
-            "as fitted, last": [s.rmse_fitted for s in finals],
-            "new run, last": [s.rmse for s in finals],
+            "as fitted, last": [s.rmse_fitted for s in last_steps],
+            "new run, last": [s.rmse for s in last_steps],
             "held out, first": [t.steps[0].holdout_rmse for t in self.search_paths.values()],
-            "held out, last": [s.holdout_rmse for s in finals],
-            "noise floor": [s.noise_floor for s in finals],
+            "held out, last": [s.holdout_rmse for s in last_steps],
+            "noise floor": [s.noise_floor for s in last_steps],
             **{e: [_size(t, e)[0] for t in self.search_paths.values()] for e in self.effects},
-            "noise": [s.calibration.model.noise.law for s in finals],
+            "noise": [s.calibration.model.noise.law for s in last_steps],
         }
 
     def _rows(self) -> list[list[str]]:
-        """Return the printed rows, with a column for each channel; the first row is the head."""
+        """Return the printed rows, with a column for each channel; the first row is the header."""
         paths, columns = self.search_paths.values(), self._columns()
         new_run_differs = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)
         has_holdout = any(p.holdout is not None for p in paths)
@@ -104,13 +104,13 @@ class Channels(Printed):
         return [*rows, ["noise", *columns["noise"]]]
 
 
-def _tables(rows: Sequence[Sequence[str]]) -> Iterator[ResultTable]:
-    """Yield tables of as many channels as fit the page, each with the rows' names; the first row is the head."""
+def _split_table(rows: Sequence[Sequence[str]]) -> Iterator[ResultTable]:
+    """Split a table into tables of as many channels as fit the page, each with the row names and the header row."""
     name_width, *widths = (2 + max(map(len, column)) for column in zip(*rows, strict=True))
     count = max(1, (WIDTH + 2 - name_width) // max(widths))
     for i in range(1, len(rows[0]), count):
-        head, *body = ([row[0], *row[i : i + count]] for row in rows)
-        yield plain_table(head, body)
+        header, *body_rows = ([row[0], *row[i : i + count]] for row in rows)
+        yield plain_table(header, body_rows)
 
 
 def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
@@ -124,14 +124,14 @@ def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
     return float(draws.mean()), float(draws.std())
 
 
-def _shared_text(s: SharedShape) -> str:
+def _format_shared(s: SharedShape) -> str:
     """Format the result for an effect whose shape the channels share, in one line."""
-    (middle, low, high), unit = s.posterior, unit_label(s.shape.unit)
+    (median, low, high), unit = s.posterior, unit_label(s.shape.unit)
     strong_names = [n for n in s.log_ratios if s.log_bayes_factor(n) > settings().strong_evidence]
     channel_text = ", ".join(strong_names) or "none alone"
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
-        f"{number(middle)} {unit} (95 %: {number(low)} to {number(high)}), shown by {channel_text}"
+        f"{number(median)} {unit} (95 %: {number(low)} to {number(high)}), shown by {channel_text}"
     )
 
 
@@ -157,7 +157,7 @@ def calibrate_channels(
 
     Each channel has its own effects, coefficients and noise. A shape parameter that the instrument declares shared (the
     time constant of a lag, the time of a step) is common to the unit: given it, channels are independent, and the
-    evidence of each is a prior of the others. If the unit has such an effect, a share of its channels shows it.
+    evidence of each is a prior of the others. If the unit has such an effect, a fraction of its channels has it.
 
     Args:
         models: first model of each channel, by name.
@@ -238,7 +238,7 @@ class _Channel:
     def update_prior(self, priors: Mapping[str, CavityPrior]) -> bool:
         """Update the prior from the other channels where it changes the posterior; return whether it does.
 
-        Where the probability of an effect changes the channel is searched again; where only a shape changes the most
+        If the probability of an effect changes, the channel is searched again; if only a shape changes, the most
         probable structures are evaluated again.
 
         Raises:
@@ -259,32 +259,32 @@ class _Channel:
         ranges = {n: p[1:] for n, p in self.prior_from_others.items() if n not in changed}
         new_prior = {n: CavityPrior(p.log_odds, *ranges.get(n, p[1:])) for n, p in priors.items()}
         earlier = {**old.previous_round, **old.visited}
-        new = replace(self._set_priors(new_prior, changed), previous_round=earlier)
+        structures = replace(self._set_priors(new_prior, changed), previous_round=earlier)
 
         def prior_change(s: Structure) -> float:
-            return new.log_prior(s) - old.log_prior(s)
+            return structures.log_prior(s) - old.log_prior(s)
 
-        def correct_fit(w: EvaluatedStructure, change: float = 0.0) -> EvaluatedStructure:
+        def correct_fit(w: EvaluatedStructure, log_change: float = 0.0) -> EvaluatedStructure:
             log_prior = w.log_prior + prior_change(w.structure)
-            return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + change)
+            return replace(w, log_prior=log_prior, log_evidence=w.log_evidence + log_change)
 
         unchanged_fits = (w for s, w in old.visited.items() if s.effects.isdisjoint(changed))
-        new.visited.update({w.structure: correct_fit(w) for w in unchanged_fits})
-        leaders, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
-        for fit in reversed(leaders[:BEAM_STRUCTURES]):
+        structures.visited.update({w.structure: correct_fit(w) for w in unchanged_fits})
+        fits, changes = sorted(old.visited.values(), key=lambda w: -w.log_posterior), {}
+        for fit in reversed(fits[:BEAM_STRUCTURES]):
             deadline.current().ask()
-            current = new.evaluate(fit.structure)
+            current = structures.evaluate(fit.structure)
             changes[fit.structure.effects & changed] = current.log_evidence - fit.log_evidence
-        new.evaluate(Structure())
+        structures.evaluate(Structure())
         # Log posteriors of the previous round, corrected by two changes: of the prior odds, and of the log evidence, as
         # in the most probable structure that has exactly these of the effects with a new range.
         for s, fit in earlier.items():
             earlier[s] = correct_fit(fit, changes.get(s.effects & changed, 0.0))
-            new.store_score(s, earlier[s].log_posterior)
+            structures.store_score(s, earlier[s].log_posterior)
         for s in old.scores.keys() - earlier.keys():
-            change = prior_change(s) + changes.get(s.effects & changed, 0.0)
-            new.store_score(s, old.scores[s] + change)
-        search = replace(self.search, library=Library(new))
+            log_change = prior_change(s) + changes.get(s.effects & changed, 0.0)
+            structures.store_score(s, old.scores[s] + log_change)
+        search = replace(self.search, library=Library(structures))
         if needs_search:
             search.run_search()
             if search.stopped:
@@ -294,15 +294,15 @@ class _Channel:
         return True
 
     def _set_priors(self, priors: Mapping[str, CavityPrior], shapes: Collection[str]) -> Structures:
-        """Return the channel's structures under new priors, none evaluated; only `shapes` have a new range."""
-        before = self.search.structures
-        candidates = dict(before.candidates)
+        """Return the channel's structures with new prior odds of effects and new ranges of `shapes`, not evaluated."""
+        base = self.search.structures
+        candidates = dict(base.candidates)
         for name in shapes:
             # The cavity range, from the other channels alone, is the next prior: a channel's own evidence counts once.
-            range_ = {self.shared[name].name: (priors[name].low, priors[name].high)}
-            candidates[name] = candidates[name].with_ranges(range_)
+            shape_range = {self.shared[name].name: (priors[name].low, priors[name].high)}
+            candidates[name] = candidates[name].with_ranges(shape_range)
         odds = {n: prior.log_odds for n, prior in priors.items()}
-        return replace(before, candidates=candidates, stated_log_odds=odds, visited={}, scores={})
+        return replace(base, candidates=candidates, stated_log_odds=odds, visited={}, scores={})
 
     def evaluate_shapes(self) -> None:
         """Compute the channel's evidence on each shared shape from its evaluated structures."""
@@ -320,8 +320,8 @@ class _Unit:
         self.shapes = {n: shape for c in channels for n, shape in c.shared.items()}
         # A uniform share has the mean ½: a unit has an effect twice as probably as one of its channels shows it.
         priors = (pair for c in channels for pair in c.prior_from_others.items())
-        single = sorted((n, 2 * expit(prior.log_odds)) for n, prior in priors)
-        self.prior = {n: min(float(p), 0.5) for n, p in single}
+        effect_priors = sorted((n, 2 * expit(prior.log_odds)) for n, prior in priors)
+        self.prior = {n: min(float(p), 0.5) for n, p in effect_priors}
 
     def combine_evidence(self) -> dict[str, SharedShape]:
         """Return the combined evidence of the channels searched on each shared shape, by effect."""

@@ -79,11 +79,11 @@ class Candidate:
 
 def select_forms(structures: Structures, points: Scores) -> Scores:
     """Return, by family, the scores of the form with the highest log Bayes factor."""
-    best: dict[str, Sequence[ScoredPoint]] = {}
+    forms: dict[str, Sequence[ScoredPoint]] = {}
     for name, scores in points.items():
         family = structures.family(name)
-        best[family] = max(best.get(family, scores), scores, key=mean_log_bayes_factor)
-    return best
+        forms[family] = max(forms.get(family, scores), scores, key=mean_log_bayes_factor)
+    return forms
 
 
 def summarise_candidate(
@@ -96,10 +96,10 @@ def summarise_candidate(
 ) -> Candidate:
     """Summarise the evidence on a family in its most probable form, by its scores and, if there is one, by a fit."""
     structures = library.structures
-    scored_form, has_forms = points[0].effect if points else form, len(structures.forms[name]) > 1
+    scored_form, has_forms = points[0].name if points else form, len(structures.forms[name]) > 1
     effect = structures.candidates[scored_form]
-    labels = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
-    candidate = Candidate(effect=name, form=form if has_forms else "", **labels)
+    fields = {"unit": effect.coefficients[0].unit, "role": effect.role, "frees": effect.frees}
+    candidate = Candidate(effect=name, form=form if has_forms else "", **fields)
     if points:
         best_point, total = points[0], float(np.trace(points[0].gram))
         candidate = replace(
@@ -122,11 +122,11 @@ def summarise_candidate(
 
 
 def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) -> tuple[Claim, ...]:
-    """Return claims on candidates whose plausible contribution is far off the scale of these readings' noise."""
+    """Return claims on candidates whose plausible contribution differs from the noise by orders of magnitude."""
     structures, claims = library.structures, []
     noise = math.sqrt(float(np.median(structures.linearise(fit).variance)))
     for top, *_ in points.values():
-        effect = structures.candidates[top.effect]
+        effect = structures.candidates[top.name]
         maximum = float(np.max(np.abs(top.scorer.columns(top.scorer.linear, [top.point])[:, 0])))
         contribution = maximum * effect.coefficients[0].size
         claims += implausible_scale(effect, contribution, noise, structures.base.instrument.unit)
@@ -146,14 +146,14 @@ def _measure_fitted_size(effect, fit: EvaluatedStructure) -> dict:
         return {"size": amplitude[0], "size_sd": amplitude[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
     _, conditional = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
-    # The uncertainty is conditional on φ̂ (noise and shapes held), as in a score.
-    first = term.x_slice.start
-    sd = 0.0 if conditional is None else math.sqrt(conditional.covariance[first, first])
-    return {"size": float(mode.x[first]), "size_sd": sd, "shape": shapes}
+    # The uncertainty is conditional on φ̂ (fixed noise and shapes), as in a score.
+    first_index = term.x_slice.start
+    sd = 0.0 if conditional is None else math.sqrt(conditional.covariance[first_index, first_index])
+    return {"size": float(mode.x[first_index]), "size_sd": sd, "shape": shapes}
 
 
 def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:
-    """Return posterior mean and variance of the first coefficient, spread or amplitude by score, over the grid."""
+    """Return posterior mean and variance of the first coefficient, group sd or amplitude, from scores over the grid."""
     log_factors = np.array([p.log_bayes_factor for p in points])
     # Law of total variance over the grid: variance of the points' means plus mean of their variances.
     weights = np.exp(log_factors - logsumexp(log_factors))
@@ -163,11 +163,11 @@ def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float
 
 
 def _size_at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
-    effect = library.structures.candidates[point.effect]
+    effect = library.structures.candidates[point.name]
     if effect.measure:
         return point.prior_scale.shapes[effect.measure], 0.0
     sd, (u, information) = point.prior_scale.sd, point.standardised
-    if library.is_grouped(point.effect):
+    if library.is_grouped(point.name):
         return _group_spread(information, u, float(sd[0]), effect.coefficients[0].size)
     # Posterior of standard normal coefficients with information K and score u: mean (I + K)⁻¹u, covariance (I + K)⁻¹.
     inverse = np.linalg.inv(np.eye(len(sd)) + information)
@@ -191,7 +191,7 @@ def _group_spread(
 
 
 def _marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return score and information of a group's members, or marginal ones of the first coefficient, prior sd units."""
+    """Return score and information, in prior sd, of a group's members, or marginal ones of the first coefficient."""
     score, information = point.standardised
     if is_group or len(score) == 1:
         return score, information
@@ -214,15 +214,15 @@ def _z_score(point: ScoredPoint, is_group: bool) -> float:
 
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
-    """Return the size that would be found with 80 % power under its prior odds; None if no size would be."""
-    probability, is_group = settings().found_probability, library.is_grouped(point.effect)
+    """Return the size that would be found with 80 % power under its prior odds; None if there is none."""
+    probability, is_group = settings().found_probability, library.is_grouped(point.name)
     structures = library.structures
-    forms = structures.forms[structures.family(point.effect)]  # each form would be a finding
+    forms = structures.forms[structures.family(point.name)]  # each form would be a finding
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
     nats = math.log(probability / (1 - probability)) - odds
     _, information = _marginal_score(point, is_group)
     if is_group:
-        measure = library.structures.candidates[point.effect].measure
+        measure = library.structures.candidates[point.name].measure
         amplitude = point.prior_scale.shapes[measure] if measure else float(point.prior_scale.sd[0])
         return _detectable_amplitude(information, amplitude, nats)
     i = float(information[0, 0])
@@ -239,10 +239,10 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float
     values = np.maximum(np.linalg.eigvalsh(information), 0.0)
     if values.max(initial=0.0) <= 1e-12:
         return None
-    normal = np.random.default_rng(0).standard_normal((400, len(values)))
+    normal_draws = np.random.default_rng(0).standard_normal((400, len(values)))
     for factor in np.geomspace(0.01, 1e4, 120):
         # The score along each axis has variance λ + λ²·factor² in units of the amplitude.
-        square = normal**2 * (values + values**2 * factor**2)
+        square = normal_draws**2 * (values + values**2 * factor**2)
         ratio = values * factor**2
         log_factor = 0.5 * square * factor**2 / (1 + ratio) - 0.5 * np.log1p(ratio)
         if np.mean(log_factor.sum(axis=1) >= nats) >= settings().power:

@@ -34,7 +34,7 @@ KINDS = ("candidate", "baseline")
 
 
 class Recovery(NamedTuple):
-    """One unknown as simulated and as estimated, in its unit, and its largest contribution, in the output unit."""
+    """True and estimated value of one unknown, in its unit, and its largest contribution, in the output unit."""
 
     name: str
     kind: str  # "baseline", or "candidate": fitted with the baseline
@@ -78,9 +78,9 @@ class InstrumentCheck(Printed):
         )
         tables = [ResultTable(columns, self.data()["rows"], fold=24)] if self.rows else []
         messages = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
-        error_count = f"{len(self.errors)} error(s)" if self.errors else "no error"
+        error_text = f"{len(self.errors)} error(s)" if self.errors else "no error"
         summary = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
-        return [*tables, *messages, f"{summary}: {error_count}"]
+        return [*tables, *messages, f"{summary}: {error_text}"]
 
     def _brief(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
@@ -143,7 +143,7 @@ def _fit_simulated(
     readings: Measurements,
     seed: int,
 ) -> None:
-    """Simulate coefficients at their means plus and minus one plausible size, alternately; draw group members; fit."""
+    """Simulate readings, coefficients alternately at mean ± plausible size, group members at random, and fit them."""
     model.require(readings)
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)

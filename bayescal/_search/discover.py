@@ -53,7 +53,7 @@ from bayescal._search.walk import explore
 SEARCH_TIME_SHARE = 2 / 3
 UNSTATED = "not stated, as the search was ended early"
 LOG_BF = "log BF: log Bayes factor of the model with the effect against without it"
-MAX_RIVALS = 4  # effects to be told apart by an experiment
+MAX_RIVALS = 4  # effects to be distinguished by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
 
 
@@ -198,7 +198,7 @@ def discover(
         effects: user-defined effects, additional candidates.
         max_effects: largest number of missing effects.
         widen_noise: whether other noise laws than the model's are evaluated.
-        time_limit: limit on the whole call, s; the search then ends with the best so far, as it does at Ctrl-C.
+        time_limit: limit on the call, s; the search then ends with the best structure so far, as it does at Ctrl-C.
         ignore: columns to exclude as causes.
         covariates: undeclared columns that may be causes; None for all but other output channels.
 
@@ -217,16 +217,16 @@ def discover(
             stopped = explore(library, max_effects)
         discovery = find_missing(library, Structure(), untestable, stopped)
         latent_model = structures.with_wide_priors(model, discovery.latent)
-        target = Posterior.from_structures(structures).median_structure
+        selected = Posterior.from_structures(structures).median_structure
 
         def average(method: Method | None, seed: Any) -> Calibration:
-            evaluated, reference = structures.evaluate(target), calibration.reference
+            evaluated, reference = structures.evaluate(selected), calibration.reference
             options = {"seed": seed, "reference": reference, "start": evaluated.phi}
             fitted = fit(evaluated.sized_model, readings, method, **options)
-            averaged, _ = average_models(fitted, structures, target.noise, fitted.seed)
-            _, with_latent = add_latent_effects(fitted, averaged, structures, target)
-            complete = find_missing(library, target, untestable, stopped).nothing_missing
-            return add_inadequacy(with_latent, complete, structures, target)
+            averaged, _ = average_models(fitted, structures, selected.noise, fitted.seed)
+            _, with_latent = add_latent_effects(fitted, averaged, structures, selected)
+            complete = find_missing(library, selected, untestable, stopped).nothing_missing
+            return add_inadequacy(with_latent, complete, structures, selected)
 
         best = (*(latent_model.effect(n) for n in discovery.latent), *discovery.best)
         return replace(discovery, best=best, _average=average)
@@ -367,12 +367,12 @@ def summarise_discovery(
             probability=posterior.probability_of_names(name) or (0.0 if scores else None),
             indistinguishable_from=tuple(sorted(confounded_names)),
         )
-        effect = structures.candidates[scores[0].effect] if scores else None
+        effect = structures.candidates[scores[0].name] if scores else None
         tested.append(classify_candidate(candidate, name in findings_by_name, effect))
     ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     final = posterior.best if stopped else posterior.median_structure
     added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model
-    best = [model.effect(name) for name in structures.candidates if name in added_names]
+    best_effects = [model.effect(name) for name in structures.candidates if name in added_names]
     is_stated = scored and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_finding = list(findings[0].effects) if findings else []
@@ -390,7 +390,7 @@ def summarise_discovery(
         equivalent=list_equivalence_claims(structures, evaluated.structure),
         findings=findings,
         candidates=(*ranked, *untestable),
-        best=tuple(best),
+        best=tuple(best_effects),
         rivals=tuple(structures.candidates[posterior.most_probable_form(n)] for n in rivals),
         noise=tuple(sorted(law_rows, key=lambda law: -law.probability)),
         stopped=stopped,
@@ -448,8 +448,8 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("unit", "unit", unit_label, left=True),
         TableColumn("remark", "kind", lambda kind: REMARKS.get(kind, kind or "")),
     )
-    tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
-    return ResultTable(columns, tested, fold=29)
+    tested_candidates = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
+    return ResultTable(columns, tested_candidates, fold=29)
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:

@@ -47,9 +47,9 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     slot, word = effect.slot, identifier(covariate)[:40]
     known_effects = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known_effects} else ""
-    measured = strip_rate(covariate)
-    column = python_string(measured)
-    value = f"r[{column}]" if measured == covariate else f"r.rate({column})"
+    base_column = strip_rate(covariate)
+    column = python_string(base_column)
+    value = f"r[{column}]" if base_column == covariate else f"r.rate({column})"
     if covariate == "elapsed":
         value, column = "r.elapsed", '"time"'
     label, slot, unit = map(python_string, (f"{slot}.{word}", slot, calibration.unit))
@@ -68,7 +68,7 @@ effect = bc.Effect({label}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.
 
 
 def _find_closest_formula(x: np.ndarray, curve: np.ndarray) -> tuple[str, str]:
-    """Return the formula that a curve over x, −½ … ½, resembles most, in words, and its basis as Python code."""
+    """Return the formula closest to a curve over x (−½ to ½), in words, and its basis as Python code."""
     forms = [("a line", "x", x), ("a parabola", "x**2", x**2), ("a cubic", "x**3", x**3)]
     for w in WIDTHS:
         basis = f"bc.xp.exp(-(x + 0.5) / {w:g})"

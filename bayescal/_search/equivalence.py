@@ -55,15 +55,15 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     structures = replace(structures, noise_floor=min(floor, _residual_sd(structures)))
     linear, columns = _whiten_candidates(structures)
     latent_names, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
-    for name, whitened in columns.items():
-        if not is_undecided(whitened.without_groups, whitened.without_model):
-            separable[name] = whitened.without_model
-        elif widened_names := _list_widened(linear, RMS_SCALE_FACTOR * whitened.white):
+    for name, candidate in columns.items():
+        if not is_undecided(candidate.without_groups, candidate.without_model):
+            separable[name] = candidate.without_model
+        elif widened_names := _list_widened(linear, RMS_SCALE_FACTOR * candidate.columns):
             latent_names[name] = widened_names
     if separable:  # the triangle of a QR has the products of all columns, in few rows
         ends = np.cumsum([c.shape[1] for c in separable.values()])[:-1]
-        triangle = np.linalg.qr(np.column_stack([*separable.values()]), mode="r")
-        separable = dict(zip(separable, np.split(triangle, ends, axis=1), strict=True))
+        r_factor = np.linalg.qr(np.column_stack([*separable.values()]), mode="r")
+        separable = dict(zip(separable, np.split(r_factor, ends, axis=1), strict=True))
     return replace(structures, spans=Spans(separable, latent_names))
 
 
@@ -85,7 +85,7 @@ def _residual_sd(structures: Structures) -> float:
 class _CandidateColumns(NamedTuple):
     """Whitened columns of an effect at its plausible size, on all readings and, projected, on a subset."""
 
-    white: Array
+    columns: Array
     without_groups: Array  # group deviations counted as noise
     without_model: Array  # candidate columns with all columns of the model projected out
 
@@ -99,11 +99,11 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
         is_random[t.x_slice] = t.group_sd_name is not None or t.effect.weights is not None
     # A subset of many readings, each with the weight of `stride` readings.
     stride = -(-linear.size // MAX_READINGS)
-    whitened = math.sqrt(stride) * linear.white_nuisance[::stride]
-    flat_scale = FLAT_NORM / np.maximum(np.linalg.norm(whitened, axis=0), 1 / FLAT_NORM)
-    whitened = whitened * np.where(linear.weight == 0, flat_scale, 1.0)
-    whiten_groups = _group_whitener(whitened[:, is_random])
-    whiten_model = _group_whitener(whiten_groups(whitened[:, ~is_random]))
+    white_nuisances = math.sqrt(stride) * linear.white_nuisance[::stride]
+    flat_scale = FLAT_NORM / np.maximum(np.linalg.norm(white_nuisances, axis=0), 1 / FLAT_NORM)
+    white_nuisances = white_nuisances * np.where(linear.weight == 0, flat_scale, 1.0)
+    whiten_groups = _group_whitener(white_nuisances[:, is_random])
+    whiten_model = _group_whitener(whiten_groups(white_nuisances[:, ~is_random]))
     library, by_name = Library(structures), dict[str, _CandidateColumns]()
     for name, (point, *others) in library.points.items():
         effect = structures.candidates[name]
@@ -112,8 +112,8 @@ def _whiten_candidates(structures: Structures) -> tuple[LinearModel, dict[str, _
             columns = library.columns(linear, [point], {}) * library.prior_scales[name][0].sd
             whitened_columns = linear.whiten(columns)
             without_groups = whiten_groups(math.sqrt(stride) * whitened_columns[::stride])
-            parts = whitened_columns, without_groups, whiten_model(without_groups)
-            by_name[name] = _CandidateColumns(*parts)
+            whitened_parts = whitened_columns, without_groups, whiten_model(without_groups)
+            by_name[name] = _CandidateColumns(*whitened_parts)
     return linear, by_name
 
 
@@ -140,7 +140,7 @@ def find_equivalents(spans: Spans) -> list[Equivalent]:
         for others in itertools.combinations([n for n in spans.left if n != name], count):
             subsets, members = itertools.combinations(others, count - 1), (name, *others)
             is_spanned = spans.is_spanned(name, others)
-            if not is_spanned or any(spans.is_spanned(name, f) for f in subsets):
+            if not is_spanned or any(spans.is_spanned(name, subset) for subset in subsets):
                 continue
             if not any({*members} <= {*equivalent.effects} for equivalent in sets):
                 sets.append(Equivalent(members))
@@ -172,7 +172,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     if structures.experiments:
         return structures.experiments
     instrument, sets = structures.base.instrument, find_equivalents(structures.spans)
-    best: dict[Equivalent, dict[str, Any]] = {equivalent: {"cure": "none"} for equivalent in sets}
+    result: dict[Equivalent, dict[str, Any]] = {equivalent: {"cure": "none"} for equivalent in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
         stride = -(-len(readings) // MAX_EXPERIMENT_READINGS)
@@ -189,10 +189,10 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
                 first, *others = (columns[n].without_model for n in equivalent.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
                 information = information_nats(beyond(first, span))
-                if information > best[equivalent].get("nats", UNDECIDED_NATS):
-                    best[equivalent] = {"cure": "test", "experiment": name, "nats": information}
-    structures.experiments.update(best)
-    return best
+                if information > result[equivalent].get("nats", UNDECIDED_NATS):
+                    result[equivalent] = {"cure": "test", "experiment": name, "nats": information}
+    structures.experiments.update(result)
+    return result
 
 
 def _acts_in_use(structures: Structures, name: str) -> bool:

@@ -37,13 +37,13 @@ def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
 
 
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
-    last, first = steps[-1], steps[0].calibration.model
-    fields: dict[str, Any] = {n: getattr(last, n) for n in ("check", "leave_one_group_out")}
-    fields |= {"mode_claims": last.multimodality, "remedy": _choose_remedy(last)}
-    subject = judgement.Subject(last.calibration, **fields, first_model=first)
+    last_step, first_model = steps[-1], steps[0].calibration.model
+    fields: dict[str, Any] = {n: getattr(last_step, n) for n in ("check", "leave_one_group_out")}
+    fields |= {"mode_claims": last_step.multimodality, "remedy": _choose_remedy(last_step)}
+    subject = judgement.Subject(last_step.calibration, **fields, first_model=first_model)
     replaced_claims = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
     return [
-        *(*last.outlying_groups, *judgement.residual_claims(subject)),
+        *(*last_step.outlying_groups, *judgement.residual_claims(subject)),
         *(*undecided_claims(steps), *equivalent_claims(steps, "doubt")),
         *(*judgement.thermometer_anomalies(subject), *replaced_claims, *worsened_claims(steps)),
         *(
@@ -56,18 +56,18 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
 
 def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Run the acceptance checks of the last step; return the steps, its verdict completed, and the outcome."""
-    last, outcome = steps[-1], assess_last(steps)
-    notes = [*list_profile_claims(last.calibration)]
-    if last.calibration.verdict.ok:
+    last_step, outcome = steps[-1], assess_last(steps)
+    notes = [*list_profile_claims(last_step.calibration)]
+    if last_step.calibration.verdict.ok:
         measured_terms = (term for term in _compare_terms(steps) if term.is_measured)
         notes += [term.claim for term in measured_terms if term.is_confounded]
     notes += [*thermometer_claims(steps), *equivalent_claims(steps, "note")]
     notes += find_two_levels(steps)
     if notes:
-        last = last.with_notes(notes)
-    if last.calibration.verdict.ok:
-        last = last.with_reasons(outcome.claims)
-    return (*steps[:-1], last), outcome
+        last_step = last_step.with_notes(notes)
+    if last_step.calibration.verdict.ok:
+        last_step = last_step.with_reasons(outcome.claims)
+    return (*steps[:-1], last_step), outcome
 
 
 def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
@@ -124,11 +124,11 @@ def find_two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
 
 
 def _choose_remedy(step: Step) -> dict[str, str]:
-    """Return the remedy for structured residuals: the leads, or nothing."""
+    """Return the remedy for structured residuals: test the leads, or none if there are no leads."""
     candidates = step.discovery.candidates if step.discovery else ()
     if leads := [c for c in candidates if c.kind == "lead"]:
-        named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
-        return {"cure": "lead", "named": named, "lead": leads[0].effect}
+        lead_names = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
+        return {"cure": "lead", "named": lead_names, "lead": leads[0].effect}
     return {"cure": "nothing"}
 
 
@@ -180,13 +180,13 @@ def unlike_run_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     has_run_effect = any(c.group_sd and not c.initial for c in coefficients)
     if not has_run_effect and judgement.is_between_runs_only(left_out.residual, deviations):
         # Prediction from the mean of the n − 1 other runs has n/(n − 1) times the distance from the mean of all.
-        distance = float(np.ptp(means)) * (1 - 1 / left_out.count)
-        sizes = {"apart": distance, "within": float(np.sqrt(np.mean(deviations**2)))}
+        range_of_means = float(np.ptp(means)) * (1 - 1 / left_out.count)
+        sizes = {"apart": range_of_means, "within": float(np.sqrt(np.mean(deviations**2)))}
         yield Claim("runs.unlike", **sizes, unit=calibration.unit)
 
 
 def find_better_left_out(last: Step, previous: Sequence[Step]) -> Step | None:
-    """Return the step of least leave-one-group-out error, if better than the last step beyond chance; else None.
+    """Return the step with the smallest leave-one-group-out error, if significantly better than the last; else None.
 
     Two criteria must hold. The error, with the weights of the last model, is smaller by more than a twentieth. The
     predictive density of all groups is higher beyond chance: if the last model is right, another model's density is k
@@ -195,7 +195,7 @@ def find_better_left_out(last: Step, previous: Sequence[Step]) -> Step | None:
     if (left_out := last.leave_one_group_out) is None:
         return None
     pairs = ((s.leave_one_group_out, s) for s in previous)
-    scored_steps = [(before.error(left_out.variance), s) for before, s in pairs if before]
+    scored_steps = [(o.error(left_out.variance), s) for o, s in pairs if o]
     error, best = min(scored_steps, key=lambda pair: pair[0], default=(math.inf, last))
     if left_out.error(left_out.variance) <= WORSE_RATIO * error or best.leave_one_group_out is None:
         return None
@@ -205,7 +205,7 @@ def find_better_left_out(last: Step, previous: Sequence[Step]) -> Step | None:
 
 
 def find_better_holdout(last: Step, previous: Sequence[Step]) -> Step | None:
-    """Return the earlier step of least hold-out error, if the last step is significantly worse in a paired test."""
+    """Return the earlier step with the smallest hold-out error, if the last is significantly worse in a paired test."""
     scored_steps = [(s.holdout_rmse, s) for s in previous if s.holdout_rmse is not None]
     if last.holdout_rmse is None or not scored_steps:
         return None
@@ -223,11 +223,11 @@ def contradicted_claims(steps: Sequence[Step]) -> Iterator[Claim]:
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:
         return
-    departure = test.contradiction
-    if departure.p < settings().holdout_p and departure.ratio > WORSE_RATIO:
-        before = f", {departure.coefficient} before all" if departure.coefficient else ""
-        details = {"error": float(error), "other": float(error / departure.ratio), "p": departure.p}
+    result = test.contradiction
+    if result.p < settings().holdout_p and result.ratio > WORSE_RATIO:
+        coefficient = f", {result.coefficient} before all" if result.coefficient else ""
+        details = {"error": float(error), "other": float(error / result.ratio), "p": result.p}
         unit = steps[-1].calibration.unit
-        yield Claim("holdout.contradicts", **details, before=before, unit=unit)
-    elif departure.scatter > limit("holdout.scatters", "ratio"):
-        yield Claim("holdout.scatters", scatter=departure.scatter)
+        yield Claim("holdout.contradicts", **details, before=coefficient, unit=unit)
+    elif result.scatter > limit("holdout.scatters", "ratio"):
+        yield Claim("holdout.scatters", scatter=result.scatter)

@@ -53,7 +53,7 @@ class PriorScale(NamedTuple):
 class GridPoint(NamedTuple):
     """One candidate at one point of its shapes."""
 
-    effect: str
+    name: str  # of the candidate
     shapes: dict[str, float]  # values of the shapes, in their units
     start: dict[str, float]  # coordinates of the shapes, by full name
     block: slice  # indices of its columns among those of all points
@@ -72,7 +72,7 @@ class Library:
     grids: Mapping[str, Float[np.ndarray, "points shapes"]] = field(default_factory=dict)
     points: dict[str, list[GridPoint]] = field(default_factory=dict)  # grid of each candidate
     prior_scales: dict[str, list[PriorScale]] = field(default_factory=dict)  # of each candidate
-    width: int = 0  # number of columns
+    n_columns: int = 0  # of all candidates at all points
     # candidates that vary within means, scored by all readings
     unaveraged: frozenset[str] = frozenset()
     _means: Means | None = None
@@ -89,9 +89,9 @@ class Library:
             grid = _shape_values(effect, self.grids[name]) if self.grids else _default_grid(effect)
             self.points[name] = []
             for i, (shapes, start) in enumerate(grid):
-                block = slice(self.width, self.width + sum(widths))
+                block = slice(self.n_columns, self.n_columns + sum(widths))
                 self.points[name].append(GridPoint(name, shapes, start, block, i))
-                self.width += sum(widths)
+                self.n_columns += sum(widths)
 
     def is_grouped(self, name: str) -> bool:
         """Return whether a candidate's size is that of many coefficients: their standard deviation, or an amplitude."""
@@ -112,7 +112,7 @@ class Library:
         return self._means.linear_model(linear)
 
     def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all grid points in blocks whose columns fit in memory; candidates scored by all readings separately."""
+        """Yield all grid points in blocks whose columns fit in memory; separately those scored on all readings."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):
@@ -125,12 +125,12 @@ class Library:
     def columns(
         self, linear: LinearModel, points: Iterable[GridPoint], corrections: Corrections
     ) -> Float[np.ndarray, "n k"]:
-        """Return the columns ∂μ/∂θ of some points, output unit per reported unit, by the slopes of a linear model.
+        """Return the columns ∂μ/∂θ at given grid points, output unit per reported unit, by a linear model's gradients.
 
         A basis that depends on a corrected column, such as a body's temperature, is computed from the corrected values.
         """
         parts, size = [], linear.problem.record.size
-        for name, candidate_points in itertools.groupby(points, lambda p: p.effect):
+        for name, candidate_points in itertools.groupby(points, lambda p: p.name):
             deadline.current().ask()
             columns = self._columns_at(linear, name, list(candidate_points), corrections)
             parts.append(columns.reshape(-1, size))
@@ -152,7 +152,7 @@ class Library:
             is_same = entry[0] is record and entry[1] == needed
             if is_same and np.array_equal(entry[2], by_slot):
                 return entry[3][[p.index for p in points]]
-        is_small = self.width * record.size <= MAX_CACHED_NUMBERS
+        is_small = self.n_columns * record.size <= MAX_CACHED_NUMBERS
         needed_points = self.points[name] if is_small else points
         shape_values = np.transpose([[*p.shapes.values()] for p in needed_points])
         spec = ColumnSpec.from_effect(effect).with_corrections([*needed])

@@ -39,7 +39,7 @@ class Experiment:
     """One feasible campaign."""
 
     name: str  # description
-    # (truth, rival) → expected log Bayes factor for the truth
+    # (true effect, rival effect) → expected log Bayes factor for the true one
     expected: dict[tuple[str, str], float]
     readings: Measurements = field(repr=False)  # planned readings; their outputs are not used
 
@@ -50,7 +50,7 @@ class Experiment:
 
     @property
     def hardest_pair(self) -> tuple[str, str]:
-        """Return the truth and the rival with the smallest expected log Bayes factor."""
+        """Return the pair (true effect, rival effect) with the smallest expected log Bayes factor."""
         return min(self.expected, key=lambda pair: self.expected[pair])
 
 
@@ -103,11 +103,11 @@ def next_experiment(
     candidates = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
     if len(candidates) < 2:
         raise ModelError(f"next_experiment needs two effects or more, not {len(candidates)}")
-    plans = experiments
-    if plans is None:
+    records = experiments
+    if records is None:
         listed = instrument.experiments
-        plans = {n: Measurements.from_arrays(instrument, **record()) for n, record in listed}
-    if not plans:
+        records = {n: Measurements.from_arrays(instrument, **record()) for n, record in listed}
+    if not records:
         raise ModelError(
             f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
             "next_experiment(calibration, effects, {'slower': readings, …})"
@@ -119,7 +119,7 @@ def next_experiment(
         fits = {e.name: fit(model + e, fitted_readings, method, **options) for e in candidates}
     with stage("predicting each experiment"):
         campaigns = list[Experiment]()
-        for name, readings in plans.items():
+        for name, readings in records.items():
             predictions = {n: predict_campaign(c, readings) for n, c in fits.items()}
             pairs = permutations(fits, 2)
             factors = {pair: divergence(*(predictions[n] for n in pair)) for pair in pairs}
@@ -140,10 +140,10 @@ def divergence(truth: CampaignPrediction, rival: CampaignPrediction) -> float:
     # ½·(tr Σ₂⁻¹Σ₁ + dᵀΣ₂⁻¹d − n + log|Σ₂|/|Σ₁|) by Cholesky factors: W = L₂⁻¹L₁ has the trace as its sum of squares
     # and half of −log|Σ₂|/|Σ₁| as the logarithms of its diagonal.
     cholesky = np.linalg.cholesky(rival.covariance)
-    whitened = np.linalg.solve(cholesky, np.linalg.cholesky(truth.covariance))
+    factor = np.linalg.solve(cholesky, np.linalg.cholesky(truth.covariance))
     difference = np.linalg.solve(cholesky, rival.mean - truth.mean)
-    logs = np.sum(np.log(np.abs(np.diag(whitened))))  # both factors are triangular: so is W
-    return float(0.5 * (np.sum(whitened**2) + difference @ difference - difference.size) - logs)
+    logs = np.sum(np.log(np.abs(np.diag(factor))))  # both factors are triangular: so is W
+    return float(0.5 * (np.sum(factor**2) + difference @ difference - difference.size) - logs)
 
 
 @run_on_one_thread
@@ -151,15 +151,15 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     """Predict the readings of a campaign by a fitted model, at most `MAX_READINGS`, evenly spread.
 
     Expected outputs are computed from posterior draws, for new group members; noise and the deviations of new members
-    in closed form, as the rank of a covariance from draws alone would be their number.
+    in closed form, since a covariance matrix from draws alone has at most their number as rank.
     """
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MAX_READINGS)))
     frame = build_frame(readings, calibration.reference)
     # Group members of a planned campaign are new ones: their deviations become covariance between their readings.
     codes = {group: np.asarray(code) for group, code in frame.codes.items()}
-    planned = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
-    problem = calibration.problem_on(planned)
+    design = replace(frame, codes={group: np.full_like(code, -1) for group, code in codes.items()})
+    problem = calibration.problem_on(design)
     record, (x, v) = problem.record, calibration.draws(POSTERIOR_DRAWS)
     means = problem.expected(x, problem.hyper(v.T))
     centred = means - means.mean(axis=0)

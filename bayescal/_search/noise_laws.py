@@ -37,12 +37,12 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     heavy-tailed noise; and scatter that depends on a column.
     """
     # Coefficients of single readings act as noise: with these, or with fixed noise, no other law is evaluated.
-    per_reading = any(c.per == READING for e in model.effects for c in e.coefficients)
+    has_reading_effects = any(c.per == READING for e in model.effects for c in e.coefficients)
     is_fixed = any(name in model.noise.parameters() for name, _ in model.fixed)
-    if per_reading or is_fixed or frame.size < MIN_READINGS or not model.noise.first:
+    if has_reading_effects or is_fixed or frame.size < MIN_READINGS or not model.noise.first:
         return {}
     scale = model.noise.parameters()[WHITE]
-    laws = [law for offer in OFFERS for law in offer(scale, frame)]
+    laws = [law for offer_laws in OFFERS for law in offer_laws(scale, frame)]
     laws = [law for law in laws if not law.refines or settings().finer_noise]
     return {law.name: law for law in (*laws, *model.instrument.noise_laws)}
 

@@ -48,7 +48,7 @@ class Posterior:
         evaluated = {s: w for s, w in evaluated.items() if not structures.is_special_case(s)}
         fitted = {s: w.log_posterior for s, w in evaluated.items()}
         highest = max(total for s, total in fitted.items() if required <= s.effects)
-        # A log posterior by score may not exceed all fitted ones: the structure would have been fitted.
+        # A log posterior from a score may not exceed all fitted ones: the structure would have been fitted.
         scored = structures.scores.items()
         totals = {s: min(t, highest) for s, t in scored if not structures.is_special_case(s)}
         totals |= fitted
@@ -78,11 +78,11 @@ class Posterior:
     @property
     def best(self) -> Structure:
         """Return the most probable structure that was fitted."""
-        # A structure evaluated by score alone has no mode and cannot be used.
+        # A structure evaluated only by its score has no mode and cannot be used.
         return next(s for s in self.structures if s in self.evaluated)
 
     def completeness(self, unseen: Iterable[str] = ()) -> float:
-        """Return the probability, over noise laws, that no effect except the condition's and `unseen` ones is missing.
+        """Return the probability, over noise laws, that no effect is missing except `unseen` and the condition's.
 
         A structure is incomplete where an unnamed effect, given, added or of the noise, is not negligible.
         """
@@ -126,10 +126,10 @@ class Posterior:
         families = self.space.families(names)
         family, *others = families
         single_shares = (shares.get(family, 0.0) for shares in self.family_shares)
-        parts = np.array(self._has_any(families) if others else [*single_shares], dtype=float)
+        name_shares = np.array(self._has_any(families) if others else [*single_shares], dtype=float)
         if not any(self.space.candidates[n].unnamed for n in names if n in self.space.candidates):
-            parts = np.where(self.has_unnamed, NAME_PROBABILITY, 1.0) * parts
-        return float(min(1.0, self.probability @ parts))
+            name_shares = np.where(self.has_unnamed, NAME_PROBABILITY, 1.0) * name_shares
+        return float(min(1.0, self.probability @ name_shares))
 
     @cached_property
     def _form_probability(self) -> dict[str, float]:
@@ -138,9 +138,9 @@ class Posterior:
 
     def most_probable_form(self, name: str) -> str:
         """Return the most probable form of a family; the family's name if no structure has any."""
-        mass = self._form_probability
-        forms = [n for n in mass if self.space.family(n) == name]
-        return max(forms, key=mass.__getitem__, default=name)
+        probabilities = self._form_probability
+        forms = [n for n in probabilities if self.space.family(n) == name]
+        return max(forms, key=probabilities.__getitem__, default=name)
 
     def _sum_probability(self, selected: Sequence[bool] | np.ndarray) -> float:
         return float(min(1.0, self.probability[np.array(selected, dtype=bool)].sum()))
@@ -173,14 +173,14 @@ class Posterior:
         """Return the most probable effect of structures that have none of the members."""
         # Other effects of the best structure and of the condition are no substitutes.
         best, condition = map(self.space.families, (self.best.effects, self.condition))
-        excluded, sets = (best - {members[0]}) | condition, self.reported_families
-        others = [s - excluded if s.isdisjoint(members) else frozenset() for s in sets]
-        mass = _sum_by_name(others, self.probability)
-        return max(mass, key=mass.__getitem__, default=None)
+        excluded_families, sets = (best - {members[0]}) | condition, self.reported_families
+        others = [s - excluded_families if s.isdisjoint(members) else frozenset() for s in sets]
+        probabilities = _sum_by_name(others, self.probability)
+        return max(probabilities, key=probabilities.__getitem__, default=None)
 
     @property
     def median_structure(self) -> Structure:
-        """Return the structure to use: the median probability model, its effects chosen one after another.
+        """Return the median probability model, with effects selected one after another.
 
         An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. Of each
         finding without a chosen effect that of the most probable structure is added. The noise law is that of the most
@@ -210,11 +210,11 @@ class Posterior:
 
 def _sum_by_name(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[str, float]:
     """Return, for each name, the total probability of the sets that it is in."""
-    mass = dict[str, float]()
+    sums = dict[str, float]()
     for names, p in zip(sets, probability, strict=True):
         for name in names:
-            mass[name] = mass.get(name, 0.0) + float(p)
-    return mass
+            sums[name] = sums.get(name, 0.0) + float(p)
+    return sums
 
 
 @dataclass(frozen=True)

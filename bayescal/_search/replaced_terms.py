@@ -1,7 +1,7 @@
 """Terms of the first model that added effects replace: collinearity and change of their coefficients.
 
 If a thermometer is wrong and temperature has the same profile in every run, an unknown function of the time within a
-run explains the whole effect of temperature, and predicts hold-out data of that profile. The coefficient of temperature
+run explains the full effect of temperature, and predicts hold-out data of that profile. The coefficient of temperature
 is then nearly zero, with a small standard uncertainty, and the residuals do not show the error.
 
 So each term of the first model is compared in the first and the last model, by two measures: its tolerance, the share
@@ -44,9 +44,9 @@ class TermComparison(NamedTuple):
         """Return whether the last model's coefficient still measures the term.
 
         A named effect is a cause of its own and may rightly correct the coefficient: it replaces the term if it halved
-        the coefficient, or left it next to no tolerance, and shifted it beyond chance, which grows with 1/√tolerance.
+        the coefficient, or left it hardly any tolerance, and shifted it significantly (chance grows with 1/√tolerance).
         An unnamed effect is a description, no cause: if collinear with the term it may describe the term itself, and if
-        it shifts the coefficient beyond chance, the readings cannot tell which of both values is right.
+        it shifts the coefficient significantly, the readings cannot tell which of the two values is right.
         """
         # Estimates with and without further columns of zero effect differ by chance by √(1/tolerance − 1) former
         # standard uncertainties (J. Hausman, Econometrica 46 (1978) 1251): below 1/√tolerance.
@@ -103,9 +103,9 @@ def _list_own_columns(effect: Effect) -> set[str]:
 
 
 def _compare_term(
-    term: Effect, added: Sequence[Effect], before: Calibration, after: Calibration
+    term: Effect, added: Sequence[Effect], first_fit: Calibration, last_fit: Calibration
 ) -> TermComparison:
-    first, last = before.linear, after.linear
+    first, last = first_fit.linear, last_fit.linear
     is_term = np.array([owner == term.name for owner in last.owners])
     is_added = np.isin(last.owners, [e.name for e in added])
     others = np.isin(last.owners, first.owners) & ~is_term
@@ -119,8 +119,8 @@ def _compare_term(
     first_mean, last_mean = float(first.z[i] * first.sd[i]), float(last.z[j] * last.sd[j])
     ratio = abs(last_mean) / abs(first_mean) if first_mean else np.inf
     shift = abs(last_mean - first_mean) / first.uncertainty(i)
-    runs = len(after.readings.records.rows) if after.readings.has("time") else 1
-    suggestion = suggest_run(after, term.varies)
+    runs = len(last_fit.readings.records.rows) if last_fit.readings.has("time") else 1
+    suggestion = suggest_run(last_fit, term.varies)
     return TermComparison(term, tuple(added), tolerance, shift, ratio, runs, suggestion)
 
 
@@ -130,8 +130,8 @@ def has_repeated_profile(readings: Measurements, column: str) -> bool:
         return False
     if len(readings.records.rows) < 2:
         return False
-    clock, values_of = readings["time"], readings[column]
-    profiles = ((clock[r] - clock[r[0]], values_of[r]) for r in readings.records.in_time)
+    times, values_of = readings["time"], readings[column]
+    profiles = ((times[r] - times[r[0]], values_of[r]) for r in readings.records.in_time)
     ((first, first_values), *others), correlation = profiles, limit("profile.one", "correlation")
     for time, values in others:
         is_inside = time <= first[-1]

@@ -1,6 +1,6 @@
 """Log Bayes factors of all single additions and pairs, in closed form, by the linear model at a structure's mode.
 
-The log Bayes factor by score orders the moves of a search; a fit then gives the evidence.
+The log Bayes factor from the score ranks the moves of a search; a fit then gives the evidence.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class ScoredPoint:
     score: Float[np.ndarray, "k"]  # at coefficients zero, nuisances integrated out
 
     @property
-    def effect(self) -> str:
-        return self.point.effect
+    def name(self) -> str:
+        return self.point.name
 
     @property
     def start(self) -> dict[str, float]:
@@ -49,7 +49,7 @@ class ScoredPoint:
     @property
     def gram(self) -> Float[np.ndarray, "k k"]:
         """Return the Gram matrix of the candidate's whitened columns at this point."""
-        return self.scorer.gram[self.effect][self.point.index]
+        return self.scorer.gram[self.name][self.point.index]
 
     @cached_property
     def information(self) -> Float[np.ndarray, "k k"]:
@@ -81,44 +81,44 @@ class Scorer:
         self.library, self.fit = library, fit
         self.linear = linear = library.structures.linearise(fit)
         self.linear_means = library.average_rows(linear)
-        whitened = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
+        whitened_by_rows = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
         for rows in {linear, self.linear_means}:
-            stacked = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
-            whitened[rows] = stacked[:, :-1], stacked[:, -1]
+            whitened_columns = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
+            whitened_by_rows[rows] = whitened_columns[:, :-1], whitened_columns[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
-        nuisance, _ = whitened[linear]
+        nuisance, _ = whitened_by_rows[linear]
         self.inner = nuisance.T @ nuisance
-        self.cross = np.empty((nuisance.shape[1], library.width))
-        self.scores = np.empty(library.width)
+        self.cross = np.empty((nuisance.shape[1], library.n_columns))
+        self.scores = np.empty(library.n_columns)
         gram: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.iterate_blocks(self.linear_means.size):
             rows, first = self.linear_for(points), points[0].block.start
-            nuisance, residual = whitened[rows]
-            white = rows.decorrelate(self.columns(rows, points))
+            nuisance, residual = whitened_by_rows[rows]
+            candidate_columns = rows.decorrelate(self.columns(rows, points))
             block = slice(first, points[-1].block.stop)
-            self.cross[:, block] = nuisance.T @ white
-            self.scores[block] = white.T @ residual
+            self.cross[:, block] = nuisance.T @ candidate_columns
+            self.scores[block] = candidate_columns.T @ residual
             for p in points:
-                columns = white[:, p.block.start - first : p.block.stop - first]
-                gram[p.effect].append(columns.T @ columns)
+                columns = candidate_columns[:, p.block.start - first : p.block.stop - first]
+                gram[p.name].append(columns.T @ columns)
         self.gram = {name: np.stack(matrices) for name, matrices in gram.items()}
-        self.log_volume = 0.0
-        self.log_volume = self.reduced_model().log_volume
+        self.half_logdet = 0.0
+        self.half_logdet = self.reduced_model().half_logdet
 
     def linear_for(self, points: Sequence[GridPoint]) -> LinearModel:
         """Return the linear model that scores these points: on means, unless a candidate varies within them."""
-        varies_within_means = any(p.effect in self.library.unaveraged for p in points)
+        varies_within_means = any(p.name in self.library.unaveraged for p in points)
         return self.linear if varies_within_means else self.linear_means
 
     def columns(self, rows: LinearModel, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
-        """Return the columns of candidates at some points, on the rows of a linear model."""
+        """Return the basis columns of candidates at given grid points, on the rows of a linear model."""
         return self.library.columns(rows, points, self.fit.column_corrections)
 
     def reduced_model(self, *names: str) -> ReducedModel:
-        """Return the linear model without some of the structure's effects, φ held."""
+        """Return the linear model without some of the structure's effects, at fixed φ."""
         linear, dropped_names = self.linear, {*names}
         is_kept = np.array([owner not in dropped_names for owner in linear.owners], dtype=bool)
-        # z: the dropped coefficients (shapes have no effect without them). With z at its prior mean and all else held,
+        # z: the dropped coefficients (shapes have no effect without them). With z at its prior mean, all else fixed,
         # r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and the score of the
         # kept nuisances is AᵀA·z alone.
         is_in_x = np.arange(is_kept.size) < linear.problem.size
@@ -136,7 +136,7 @@ class Scorer:
             projection=projection,
             scores=self.scores + self.cross.T @ z - projection.T @ kept_score,
             rss=sum_of_squares - float(kept_score @ kept_score),
-            log_volume=float(np.sum(np.log(np.diag(chol)))),
+            half_logdet=float(np.sum(np.log(np.diag(chol)))),
         )
 
 
@@ -147,7 +147,7 @@ class ReducedModel(NamedTuple):
     projection: Float[np.ndarray, "q P"]  # L⁻¹Aᵀ of all columns, L·Lᵀ = AᵀA + W of the nuisances
     scores: Float[np.ndarray, "P"]  # score of each column
     rss: float  # residual sum of squares
-    log_volume: float  # log determinant of L
+    half_logdet: float  # log determinant of L, half that of AᵀA + W
 
     @run_on_one_thread
     def score_candidates(self, names: Sequence[str]) -> dict[str, list[ScoredPoint]]:
@@ -158,13 +158,13 @@ class ReducedModel(NamedTuple):
             # Most candidates have one column: their points are scored in one array, without a matrix for each.
             is_single = points[0].block.stop - points[0].block.start == 1
             factors = self._score_columns(name) if is_single else self._score_blocks(name)
-            means, best = np.logaddexp.reduce(factors, axis=1), np.argmax(factors, axis=1)
+            means, best_scales = np.logaddexp.reduce(factors, axis=1), np.argmax(factors, axis=1)
             scales = self.scorer.library.prior_scales[name]
             scored_points = by_name[name] = list[ScoredPoint]()
             for i in np.argsort(-means, kind="stable"):
-                p, scale = points[i], scales[best[i]]
-                parts = self.projection[:, p.block], self.scores[p.block]
-                scored_points.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *parts))
+                p, scale = points[i], scales[best_scales[i]]
+                terms = self.projection[:, p.block], self.scores[p.block]
+                scored_points.append(ScoredPoint(p, float(means[i]), scale, self.scorer, *terms))
         return by_name
 
     def _score_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
@@ -194,35 +194,35 @@ class ReducedModel(NamedTuple):
 
     @property
     def drop_log_bayes_factor(self) -> float:
-        """Return the log Bayes factor of the reduced structure against the whole one."""
+        """Return the log Bayes factor of the reduced structure against the full structure."""
         return float(self._log_bayes_factor(0.0, 0.0))
 
     def log_bayes_factor(
         self, score: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
     ) -> Float[np.ndarray, "*b"]:
-        """Return the log Bayes factor of the reduced structure plus some columns against the whole structure.
+        """Return the log Bayes factor of the reduced structure plus given columns against the full structure.
 
-        The columns' coefficients are standard normal; the noise variance is at its maximum of the likelihood.
+        The columns' coefficients have standard normal priors; the noise variance has its maximum-likelihood value.
         """
         return self._log_bayes_factor(*explained_sum_of_squares(score, information))
 
-    def _log_bayes_factor(self, log_volume: Any, explained: Any) -> Any:
-        """Compute the log Bayes factor from the log volume and the explained sum of squares of some columns."""
+    def _log_bayes_factor(self, half_logdet: Any, explained: Any) -> Any:
+        """Compute the log Bayes factor from half the log determinant and the explained sum of squares of columns."""
         # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
         rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
-        return self.volume_change - log_volume - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
+        return self.logdet_change - half_logdet - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
 
     @property
-    def volume_change(self) -> float:
-        """Return the change of log volume by the dropped effects, part of every log Bayes factor."""
-        return self.scorer.log_volume - self.log_volume
+    def logdet_change(self) -> float:
+        """Return the part of every log Bayes factor due to the determinant: the change by the dropped effects."""
+        return self.scorer.half_logdet - self.half_logdet
 
     @run_on_one_thread
     def score_pairs(self, scores: Scores) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Return log Bayes factors of pairs of candidates of two families, the highest first."""
         points = [p for scored in scores.values() for p in scored[:POINTS_IN_PAIRS]]
         family = self.scorer.library.structures.family
-        families = [family(p.effect) for p in points]
+        families = [family(p.name) for p in points]
         indices = itertools.combinations(range(len(points)), 2)
         index_pairs = [(i, j) for i, j in indices if families[i] != families[j]]
         if not index_pairs:
@@ -247,5 +247,5 @@ class ReducedModel(NamedTuple):
 
 
 def mean_log_bayes_factor(points: Sequence[ScoredPoint]) -> float:
-    """Return a candidate's log Bayes factor by score, averaged over its grid."""
+    """Return a candidate's log Bayes factor from its scores, averaged over its grid."""
     return float(np.logaddexp.reduce([p.log_bayes_factor for p in points]) - math.log(len(points)))

@@ -64,7 +64,7 @@ class Step:
 
     @cached_property
     def multimodality(self) -> tuple[Claim, ...]:
-        """Return claims that a Gaussian about the mode does not describe the posterior; mostly empty."""
+        """Return claims that the posterior is not Gaussian about the mode or has several modes; usually empty."""
         return tuple(multimodality(self.calibration))
 
     @property
@@ -157,29 +157,29 @@ class SearchPath(Printed):
 
     @property
     def ending(self) -> str:
-        """Return why the search ended: time, the bound on effects, or no further effect probable enough."""
+        """Return the reason why the search ended: time, the bound on effects, or no further effect probable enough."""
         search, discovery = self.search, self.final.discovery
         if search is None or not (search.complete or search.stopped):
             return ""
         if discovery is None:
             is_reliable = self.steps[0].calibration.verdict.ok
-            why = "no effect may be added" if is_reliable else "the fit is not reliable"
-            return search.stopped or f"No search was made: {why}."
+            reason = "no effect may be added" if is_reliable else "the fit is not reliable"
+            return search.stopped or f"The search was not run: {reason}."
         lines = [search.stopped] if search.stopped else []
         added, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
         if not lines and added >= allowed > 0:
             lines.append(f"The search added its maximum of {allowed} effects (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}
-        tested = {n: p for n, p in probabilities.items() if p is not None}
-        name = max(tested, key=tested.__getitem__, default="")
+        tested_effects = {n: p for n, p in probabilities.items() if p is not None}
+        name = max(tested_effects, key=tested_effects.__getitem__, default="")
         level = settings().found_probability
         if not name:
             lines += [] if lines else ["These readings can test no further candidate."]
-        elif tested[name] >= level:
-            lines.append(f"Still missing: {name}, probability {probability(tested[name])}.")
+        elif tested_effects[name] >= level:
+            lines.append(f"Still missing: {name}, probability {probability(tested_effects[name])}.")
         else:
-            best_text = f"{name}, {probability(tested[name])}"
+            best_text = f"{name}, {probability(tested_effects[name])}"
             lines.append(f"No further effect reaches probability {level:g} (highest: {best_text}).")
         return " ".join(lines)
 
@@ -213,17 +213,17 @@ class SearchPath(Printed):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """Return each step as plain data: its errors, log evidence, and P(complete)."""
-        step_rows = [step.row(before) for before, step in pairwise([None, *self.steps])]
+        step_rows = [step.row(previous) for previous, step in pairwise([None, *self.steps])]
         return [{"number": i, **row} for i, row in enumerate(step_rows)]
 
     @property
     def added(self) -> dict[str, float | None]:
         """Return effects added to the first model, by name with their probability (in any form) or None."""
-        first, last = self.steps[0], self.final.calibration.model
-        names, discovery = set(first.calibration.model.names), first.discovery
+        first_model, model = self.steps[0], self.final.calibration.model
+        names, discovery = set(first_model.calibration.model.names), first_model.discovery
         names |= {*self.final.discovery.latent} if self.final.discovery else set()
         by_family = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
-        return {e.name: by_family.get(e.family_name) for e in last.effects if e.name not in names}
+        return {e.name: by_family.get(e.family_name) for e in model.effects if e.name not in names}
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)

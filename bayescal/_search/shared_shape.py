@@ -1,7 +1,7 @@
 """Combined evidence of the channels of a unit on a shape that they share, such as the lag of their body.
 
-If the unit has the effect, a share of its channels shows it; the share has a uniform prior. Given shape and share,
-channels are independent: their evidence multiplies, and that of the others gives a channel's cavity prior.
+If the unit has the effect, a fraction of its channels has it, with a uniform prior. Given shape and fraction, channels
+are independent: their likelihoods multiply, and the evidence of all others is a channel's cavity prior.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class ShapeEvidence(NamedTuple):
         np.ndarray, "k"
     ]  # log Bayes factor of the effect, its shape at v, against none
 
-    def update(self, others: CavityPrior, shape: Shape) -> ChannelPosterior:
+    def update(self, prior: CavityPrior, shape: Shape) -> ChannelPosterior:
         """Return the channel's posterior of the effect under a cavity prior."""
-        low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
+        low, high = (shape.prior.coordinate(limit) for limit in (prior.low, prior.high))
         centre, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
         v = _distinct(np.concatenate([self.v, centre + sd * FINE_GRID_SD]))
         # Cavity prior mass times the channel's own ratio, on a grid refined where the prior lies.
@@ -60,13 +60,13 @@ class ShapeEvidence(NamedTuple):
         weight = np.exp(log_joint - log_ratio)
         mean = float(weight @ v)
         sd_post = math.sqrt(float(weight @ (v - mean) ** 2))
-        return ChannelPosterior(float(expit(others.log_odds + log_ratio)), mean, sd_post)
+        return ChannelPosterior(float(expit(prior.log_odds + log_ratio)), mean, sd_post)
 
 
 class ChannelPosterior(NamedTuple):
     """Posterior of an effect in one channel."""
 
-    probability: float  # that the channel shows it
+    probability: float  # that the channel has the effect
     v: float  # mean and standard deviation of its shape's coordinate
     sd: float
 
@@ -101,16 +101,16 @@ class SharedShape:
         log_ratios = {name: np.interp(v, e.v, e.log_ratio) for name, e in evidence.items()}
         return cls(effect, shape, v, prior, log_ratios)
 
-    def _joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
-        """Return the log joint probability of share, shape and some channels' readings, if the unit has the effect."""
-        # A channel shows the effect with probability s: likelihood ratio (1 − s) + s·ratio(v), independent given v, s.
+    def _log_joint(self, names: Iterable[str]) -> Float[np.ndarray, "shares k"]:
+        """Return the log of P(effect, fraction, shape, readings of given channels) / P(readings | no effect)."""
+        # A channel has the effect with probability s: likelihood ratio (1 − s) + s·ratio(v), independent given v, s.
         logs = (np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + self.log_ratios[n]) for n in names)
         return log_mass(self.v) - math.log(SHARES.size) + sum(logs) + math.log(self.prior)
 
     def cavity_prior(self, channel: str) -> CavityPrior:
         """Return the prior of the effect in one channel given the evidence of all others."""
-        joint = self._joint(n for n in self.log_ratios if n != channel)
-        with_effect, without_effect = joint + np.log(SHARES), joint + np.log1p(-SHARES)
+        log_joint = self._log_joint(n for n in self.log_ratios if n != channel)
+        with_effect, without_effect = log_joint + np.log(SHARES), log_joint + np.log1p(-SHARES)
         # The channel shows the effect with probability s if the unit has it, and never if not.
         log_without = np.logaddexp.reduce(without_effect, axis=None)
         log_odds = np.logaddexp.reduce(with_effect, axis=None)
@@ -120,39 +120,39 @@ class SharedShape:
 
     def log_bayes_factor(self, channel: str) -> float:
         """Return the log Bayes factor of the effect in one channel, averaged over the cavity prior of its shape."""
-        joint = self._joint(n for n in self.log_ratios if n != channel)
-        mass = np.logaddexp.reduce(joint + np.log(SHARES), axis=0)
+        log_joint = self._log_joint(n for n in self.log_ratios if n != channel)
+        mass = np.logaddexp.reduce(log_joint + np.log(SHARES), axis=0)
         log_mean = np.logaddexp.reduce(mass + self.log_ratios[channel])
         return float(log_mean - np.logaddexp.reduce(mass))
 
     @property
     def probability(self) -> float:
         """Return the probability that the unit has the effect."""
-        log_with_effect = float(np.logaddexp.reduce(self._joint(self.log_ratios), axis=None))
+        log_with_effect = float(np.logaddexp.reduce(self._log_joint(self.log_ratios), axis=None))
         return math.exp(log_with_effect - np.logaddexp(log_with_effect, math.log1p(-self.prior)))
 
     @property
     def posterior(self) -> tuple[float, float, float]:
         """Return the shape's posterior median and central 95 % interval, in its unit, if the unit has the effect."""
-        return self._range(self._joint(self.log_ratios))
+        return self._range(self._log_joint(self.log_ratios))
 
-    def _range(self, joint: Float[np.ndarray, "shares k"]) -> tuple[float, float, float]:
+    def _range(self, log_joint: Float[np.ndarray, "shares k"]) -> tuple[float, float, float]:
         # The share is summed out: what remains is the shape's own posterior on the grid.
-        weight = np.exp(joint - joint.max()).sum(axis=0)
+        weight = np.exp(log_joint - log_joint.max()).sum(axis=0)
         weight /= weight.sum()
         mean = float(weight @ self.v)
         # One grid point may have all the mass: the grid resolves no smaller standard deviation.
         sd = max(math.sqrt(float(weight @ (self.v - mean) ** 2)), MIN_SD)
         value = self.shape.prior.value
-        low, middle, high = (float(value(mean + s * CENTRAL_95 * sd)) for s in (-1, 0, 1))
-        return middle, low, high
+        low, median, high = (float(value(mean + s * CENTRAL_95 * sd)) for s in (-1, 0, 1))
+        return median, low, high
 
 
 def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> np.ndarray:
     """Return the log prior mass at each grid point under a normal prior."""
     # The grid is uneven: each point stands for half the distance to both its neighbours.
-    width = np.gradient(v)
-    log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(width)
+    spacing = np.gradient(v)
+    log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(spacing)
     return log_density - np.logaddexp.reduce(log_density)
 
 
@@ -165,7 +165,7 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
     fits = (w for w in refits.values() if math.isfinite(w.log_posterior))
     evaluated = sorted(fits, key=lambda w: -w.log_posterior)
     with_effect = [w for w in evaluated if name in w.structure.effects][:MAX_STRUCTURES]
-    without = [w for w in evaluated if name not in w.structure.effects][:MAX_STRUCTURES]
+    without_effect = [w for w in evaluated if name not in w.structure.effects][:MAX_STRUCTURES]
     v = _shape_coordinates(shape, local_shape, with_effect[:1], f"{name}.{shape.name}")
     u = np.array([local_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
     library = Library(structures, {name: u[:, None]})
@@ -178,11 +178,11 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
         factors = _score_shape(library, fit, name) if is_near else np.zeros(len(v))
         log_posterior = fit.log_posterior - structures.log_odds[name]
         log_with_effect.append(log_posterior + factors - np.logaddexp.reduce(factors + log_mass(u)))
-    for fit in without if name in library.points else ():
+    for fit in without_effect if name in library.points else ():
         allowed = name not in structures.excluded_candidates(fit.structure)
         if allowed and fit.structure.with_effects(name) not in refits:
             log_with_effect.append(fit.log_posterior + _score_shape(library, fit, name))
-    log_without = np.logaddexp.reduce([w.log_posterior for w in without])
+    log_without = np.logaddexp.reduce([w.log_posterior for w in without_effect])
     return ShapeEvidence(v, np.logaddexp.reduce(log_with_effect, axis=0) - log_without)
 
 
@@ -210,9 +210,9 @@ def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 
 
 def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[np.ndarray, "k"]:
-    """Return an effect's log Bayes factor by score at each point of its grid, up to a constant.
+    """Return an effect's log Bayes factor, up to a constant, from its score at each grid point of its shape.
 
-    An effect that corrects a column has no score: its log density along the shape is used instead, all else of φ fixed.
+    An effect that corrects a column has no score: its log density over the shape is used instead, other φ fixed.
     """
     if name not in library.points:
         shape = library.structures.candidates[name].column_shapes[0]
@@ -224,7 +224,7 @@ def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[
 def _log_density_along(
     fit: EvaluatedStructure, name: str, values: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
-    """Return the log density of φ without the shape's prior, at values of an effect's one shape, others of φ fixed."""
+    """Return the log density of φ, without the prior of an effect's single shape, at values of it; other φ fixed."""
     effect_shape = fit.model.effect(name).column_shapes[0]
     coordinates = np.array([effect_shape.prior.coordinate(float(value)) for value in values])
     index = fit.problem.layout.index_in_phi[f"{name}.{effect_shape.name}"]

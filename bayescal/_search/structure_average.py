@@ -57,21 +57,21 @@ def add_inadequacy(
 ) -> Calibration:
     """Return a calibration with the uncertainty of model inadequacy and of undetected deviations of new runs.
 
-    With the probability that the model is complete the expected output has the variance of the draws, else
-    `INCOMPLETE_FACTOR`² times as much (model inadequacy: M. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
-    New runs have the deviations that the few fitted runs cannot exclude.
+    If the model is complete, the expected output has the variance of the draws; if not, `INCOMPLETE_FACTOR`² times as
+    much (model inadequacy: M. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). New runs have the deviations
+    that the few fitted runs cannot exclude.
 
     Args:
-        calibration: of one structure, or averaged over several.
-        complete: probability that the model is complete; None where it is unknown, or the model failed a check.
-        structures, structure: the structures over its first model, and the most probable of them.
+        calibration: a calibration of one structure, or averaged over several.
+        complete: probability that the model is complete; None if it is unknown, or the model failed a check.
+        structures, structure: the structures over the first model, and the most probable of them.
     """
     p_complete = complete or 0.0
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
-    why = "unknown" if complete is None else f"{complete:.2f}"
+    value = "unknown" if complete is None else f"{complete:.2f}"
     note = (
-        f"Form of the model: the probability that it is complete is {why}; for this the standard uncertainty of the "
-        f"expected output is multiplied by {factor:.2f}, those of the coefficients are not."
+        f"Model form: the probability that the model is complete is {value}; the standard uncertainty of the expected "
+        f"output is therefore multiplied by {factor:.2f}; those of the coefficients are not."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _run_spreads(calibration, structures, structure)
@@ -83,7 +83,7 @@ def _run_spreads(
 ) -> dict[str, float]:
     """Return the rms between-run standard deviation of each between-run effect that some draws lack, by name.
 
-    It is from the posterior with the effect added, under a log-uniform prior.
+    It is estimated from the posterior with the effect added, under a log-uniform prior.
     """
     spreads, names = dict[str, float](), {*structure.effects, *structures.candidates_for(structure)}
     names &= calibration.model.instrument.known.keys()  # others cannot be looked up by name
@@ -113,7 +113,7 @@ def average_models(
     last_effects = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
-    random, parts, models = np.random.default_rng(seed), [], []
+    random, draws_by_structure, models = np.random.default_rng(seed), [], []
     with stage("averaging over structures"):
         for share in shares:
             deadline.current().ask()
@@ -122,13 +122,13 @@ def average_models(
                 # The last structure was sampled already: take from its draws, without repetition if there are enough.
                 x, v = last.draws()
                 indices = random.choice(len(x), count, replace=count > len(x))
-                parts.append(_draws_by_name(last.layout, x[indices], v[indices]))
+                draws_by_structure.append(_draws_by_name(last.layout, x[indices], v[indices]))
                 models.append(last.model)
                 continue
             fit = structures.evaluate(Structure(frozenset(share.effects), noise))
-            parts.append(_draw_structure(fit, count, share.probability, seed))
+            draws_by_structure.append(_draw_structure(fit, count, share.probability, seed))
             models.append(fit.sized_model)
-    mixture = _combine_draws(last, _union_model(structures, models), models, parts)
+    mixture = _combine_draws(last, _union_model(structures, models), models, draws_by_structure)
     texts = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
     note = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(texts)}."
     mixture = mixture.with_verdict(notes=(*last.verdict.notes, note))
@@ -154,17 +154,17 @@ def add_latent_effects(
     is_latent, covariance = np.isin(linear.owners, [*latent]), linear.root @ linear.root.T
     latent_covariance = covariance[np.ix_(is_latent, is_latent)]
     # Regression coefficients of each unknown on the latent effects: its shift per unit.
-    shifts = np.linalg.solve(latent_covariance, covariance[is_latent]) * linear.sd
-    by_name = {b.name: shifts[:, b.start : b.start + b.size] for b in layout.x_blocks}
+    regression = np.linalg.solve(latent_covariance, covariance[is_latent]) * linear.sd
+    by_name = {b.name: regression[:, b.start : b.start + b.size] for b in layout.x_blocks}
     hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.nonlinear_phi))
-    by_name |= {name: shifts[:, column] for name, column in hypers}
+    by_name |= {name: regression[:, column] for name, column in hypers}
 
     def add_latent(calibration: Calibration) -> Calibration:
         extended = _extend_model(calibration, structures.with_wide_priors(calibration.model, names))
         x, v = (a.copy() for a in extended.draws())
         random = np.random.default_rng([extended.seed, 4])
-        root = np.linalg.cholesky(latent_covariance)
-        values = random.standard_normal((len(x), len(root))) @ root.T + linear.z[is_latent]
+        cholesky = np.linalg.cholesky(latent_covariance)
+        values = random.standard_normal((len(x), len(cholesky))) @ cholesky.T + linear.z[is_latent]
         inclusion = calibration.inclusion_masks
         for name in spanning:
             values *= inclusion[name][:, None]
@@ -172,8 +172,8 @@ def add_latent_effects(
             values *= ~inclusion[name][:, None]
         for b in extended.layout.x_blocks:
             if b.name in by_name:
-                included = 1.0 if b.effect.name in latent else inclusion[b.effect.name][:, None]
-                x[:, b.start : b.start + b.size] += included * (values @ by_name[b.name])
+                mask = 1.0 if b.effect.name in latent else inclusion[b.effect.name][:, None]
+                x[:, b.start : b.start + b.size] += mask * (values @ by_name[b.name])
         for name in by_name.keys() & extended.layout.index_in_phi:
             v[:, extended.layout.index_in_phi[name]] += values @ by_name[name]
         mode = _average_mode(calibration, extended.layout, x, v)
@@ -191,20 +191,20 @@ def _extend_model(calibration: Calibration, model: Model) -> Calibration:
 
 def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     """Return the sets of effects in the average with their weights, which sum to one, the most probable first."""
-    posterior, mass = Posterior.from_structures(structures), dict[frozenset[str], float]()
+    posterior, probabilities = Posterior.from_structures(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.evaluated:
             # Sum over noise laws: all coefficients are drawn under the last model's law.
-            mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
+            probabilities[s.effects] = probabilities.get(s.effects, 0.0) + float(probability)
     excluded = structures.excluded_candidates(Structure(noise=noise))
     findings = [frozenset(f.effects) for f in posterior.findings]
-    shares, covered_mass, mass_sum = dict[frozenset[str], float](), 0.0, sum(mass.values())
-    for effects, part in sorted(mass.items(), key=lambda m: -m[1]):
+    shares, covered_mass, mass_sum = dict[frozenset[str], float](), 0.0, sum(probabilities.values())
+    for effects, part in sorted(probabilities.items(), key=lambda m: -m[1]):
         families = posterior.space.families(effects)
         is_credible = covered_mass < settings().found_probability
         is_likely = is_credible and part >= settings().averaged_probability
-        holds_all = not any(f.isdisjoint(families) for f in findings)
-        if is_likely and effects.isdisjoint(excluded) and holds_all:
+        has_all_findings = not any(f.isdisjoint(families) for f in findings)
+        if is_likely and effects.isdisjoint(excluded) and has_all_findings:
             shares[effects] = part
         covered_mass += part / mass_sum
     averaged = sum(shares.values())
@@ -221,7 +221,7 @@ def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, see
 
 
 def _draws_by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
-    """Return draws by name of the unknown, in their units, also of coefficients held in units of their spread."""
+    """Return draws by name of the unknown, in their units, also of coefficients stored in units of their group sd."""
     unknowns = Unknowns.of(layout)
     values = unknowns.values(x, v)
     return {key: unknowns.select(values, key) for key in unknowns.by_key}
@@ -232,11 +232,11 @@ def _union_model(structures: Structures, models: Sequence[Model]) -> Model:
     by_name: dict[str, Effect] = {}
     for model in models:
         for effect in model.effects:
-            always = all(effect.name in m.names for m in models)
-            by_name.setdefault(effect.name, effect if always else effect.averaged)
+            is_in_all = all(effect.name in m.names for m in models)
+            by_name.setdefault(effect.name, effect if is_in_all else effect.averaged)
     # In the catalogue's order, so that the result does not depend on the order in which effects were found.
-    places = {n: i for i, n in enumerate([*structures.base.names, *structures.candidates])}
-    effects = sorted(by_name.values(), key=lambda e: places.get(e.name, len(places)))
+    positions = {n: i for i, n in enumerate([*structures.base.names, *structures.candidates])}
+    effects = sorted(by_name.values(), key=lambda e: positions.get(e.name, len(positions)))
     return Model(models[0].instrument, tuple(effects), models[0].noise, models[0].fixed)
 
 
@@ -289,13 +289,13 @@ def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
     blocks = last.layout.x_blocks
     scales = {b.name: last.mode.flat[b.start : b.start + b.size] for b in blocks}
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
-    middle = np.median(v, axis=0)
+    medians = np.median(v, axis=0)
     # Absent spreads have the coordinate −30, which must not count in its variance.
-    around = np.where(v > 0.5 * ZERO_SD_COORDINATE, v, middle)
-    covariance = np.atleast_2d(np.cov(around.T)) if v.shape[1] else np.zeros((0, 0))
+    coordinates = np.where(v > 0.5 * ZERO_SD_COORDINATE, v, medians)
+    covariance = np.atleast_2d(np.cov(coordinates.T)) if v.shape[1] else np.zeros((0, 0))
     return last.mode._replace(
         x=x.mean(axis=0),
-        v=np.where(middle > 0.5 * ZERO_SD_COORDINATE, middle, ZERO_SD_COORDINATE),
+        v=np.where(medians > 0.5 * ZERO_SD_COORDINATE, medians, ZERO_SD_COORDINATE),
         covariance=covariance + 1e-9 * np.eye(v.shape[1]),
         flat=np.concatenate([np.zeros(0), *flat]),
     )

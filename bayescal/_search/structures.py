@@ -58,7 +58,7 @@ XTOL_SD = 0.03  # standard deviations to which a mode is found: its log evidence
 
 @dataclass(frozen=True)
 class Structure:
-    """A set of added effects, and the name of a noise law; "" for the law of the model given."""
+    """A set of added effects, and the name of a noise law; "" for the noise law of the given model."""
 
     effects: frozenset[str] = frozenset()
     noise: str = ""
@@ -136,13 +136,13 @@ class Structures:
     noise_laws: Mapping[str, Noise]  # further noise laws to evaluate, by name
     stated_log_odds: Mapping[str, float] = field(default_factory=dict)  # given for some candidates
     noise_floor: float = 0.0  # noise that no model removes, output unit
-    spans: Spans = field(default_factory=Spans)  # candidates that these readings cannot tell apart
+    spans: Spans = field(default_factory=Spans)  # candidates that these readings cannot separate
     # structures evaluated with other prior ranges of shapes: fits start at their modes
     previous_round: Mapping[Structure, EvaluatedStructure] = field(default_factory=dict)
     # whether forms without a score, and other noise laws, are evaluated near the best structure only
     near_best_only: bool = False
     visited: dict[Structure, EvaluatedStructure] = field(default_factory=dict)
-    scores: dict[Structure, float] = field(default_factory=dict)  # log posteriors by score
+    scores: dict[Structure, float] = field(default_factory=dict)  # log posteriors from scores
     experiments: dict[Any, Any] = field(default_factory=dict)  # that separate equivalent effects
 
     @cached_property
@@ -179,12 +179,12 @@ class Structures:
         return frozenset(map(self.family, names))
 
     def corrects_column(self, name: str) -> bool:
-        """Return whether a candidate corrects a column that effects depend on (a body's temperature): without score."""
+        """Return whether a candidate corrects a column that effects depend on; it then cannot be scored."""
         return self.candidates[name].slot not in self.record.slots
 
     @cached_property
     def unscored_candidates(self) -> tuple[str, ...]:
-        """Return the candidates of families without a score in any form (a body's temperature)."""
+        """Return the candidates of families none of whose forms can be scored, such as the temperature of a body."""
         families = (f for f in self.forms.values() if all(map(self.corrects_column, f)))
         return tuple(name for forms in families for name in forms)
 
@@ -272,7 +272,7 @@ class Structures:
 
     @cached_property
     def on_means(self) -> Structures | None:
-        """Return the structures over block means of a long record, on which forms are compared; None of a short one."""
+        """Return the structures over block means, on which forms are compared; None if the record is short."""
         if (count := self.record.size // FORM_ROWS) < 2:
             return None
         record = Means.from_record(self.record, count).record
@@ -283,9 +283,9 @@ class Structures:
         if self.on_means is None:
             return math.inf
         law = self.noise_law(neighbour).refines or neighbour.noise  # the plainer law has a spectrum
-        before = self.on_means.evaluate(fit.structure.with_noise(law), fit)
-        after = self.on_means.evaluate(neighbour.with_noise(law), before)
-        return after.log_posterior - before.log_posterior
+        current_fit = self.on_means.evaluate(fit.structure.with_noise(law), fit)
+        neighbour_fit = self.on_means.evaluate(neighbour.with_noise(law), current_fit)
+        return neighbour_fit.log_posterior - current_fit.log_posterior
 
     @cached_property
     def linearise(self) -> Callable[[EvaluatedStructure], LinearModel]:
@@ -295,15 +295,15 @@ class Structures:
     @cached_property
     def fit_law(self) -> Callable[[EvaluatedStructure, str], ResidualFit]:
         """Fit a noise law, by name, to a structure's residuals; cached."""
-        laws, latest = {"": self.base.noise, **self.noise_laws}, dict[str, ResidualFit]()
+        laws, fits = {"": self.base.noise, **self.noise_laws}, dict[str, ResidualFit]()
 
         @cache
         def fit_law(fit: EvaluatedStructure, name: str) -> ResidualFit:
             deadline.current().ask()
-            # Residuals of two structures are much alike: the climb from the other's maximum is shorter.
-            previous = latest.get(name, NO_FIT)
-            latest[name] = fit_to_residuals(laws[name], self.linearise(fit).at_rest, previous)
-            return latest[name]
+            # Residuals of two structures are similar: the search from the other's maximum takes fewer steps.
+            previous = fits.get(name, NO_FIT)
+            fits[name] = fit_to_residuals(laws[name], self.linearise(fit).at_rest, previous)
+            return fits[name]
 
         return fit_law
 
@@ -311,8 +311,8 @@ class Structures:
         problem = self._bind_structure(structure, neighbour)
         log_prior = self.log_prior(structure)
         # A structure that far behind needs no exact evidence.
-        least = self.best.log_posterior - COARSE_NATS if self.visited else -math.inf
-        coarse_below = least - log_prior
+        min_log_posterior = self.best.log_posterior - COARSE_NATS if self.visited else -math.inf
+        coarse_below = min_log_posterior - log_prior
         if neighbour is None:
             first_mode = find_mode(problem, xtol=XTOL_SD, coarse_below=coarse_below)
         else:
@@ -322,7 +322,7 @@ class Structures:
             x, curvature = problem.map_x(source, mode.x), None
             if self.record.nodes(problem.noise) is None:
                 # The neighbour's mode is exact if it was not found coarsely.
-                is_exact = mode.log_density > least - neighbour.log_prior
+                is_exact = mode.log_density > min_log_posterior - neighbour.log_prior
                 curvature = map_hessian(problem, source, mode, is_exact)
             options: dict[str, Any] = {"coarse_below": coarse_below, "guess": curvature}
             first_mode = find_mode(problem, points, x, XTOL_SD, **options)
@@ -357,27 +357,27 @@ class Structures:
         return cache(self._find_substantial)
 
     def _find_substantial(self, fit: EvaluatedStructure) -> frozenset[str]:
-        substantial = set[str]()
+        substantial_names = set[str]()
         for name in self.unnamed_effects(fit.structure):
             linear = self.linearise(fit)
             is_own = np.array([owner == name for owner in linear.owners])
-            white = linear.whiten(linear.contribution(name)[:, None])[:, 0]
-            residual = linear.deflate(white, ~is_own)
+            contribution = linear.whiten(linear.contribution(name)[:, None])[:, 0]
+            residual = linear.deflate(contribution, ~is_own)
             ratio = math.sqrt(float(residual @ residual) / linear.size)
-            if ratio > MAX_UNNAMED_RMS or self._shifts_coefficients(linear, is_own, white):
-                substantial.add(name)
-        return frozenset(substantial)
+            if ratio > MAX_UNNAMED_RMS or self._shifts_coefficients(linear, is_own, contribution):
+                substantial_names.add(name)
+        return frozenset(substantial_names)
 
     def _shifts_coefficients(
         self, linear: LinearModel, is_own: np.ndarray, white: Float[np.ndarray, "n"]
     ) -> bool:
         """Return whether a named effect's coefficient would shift beyond its uncertainty without a contribution."""
-        others = np.flatnonzero(~is_own)
-        columns = linear.white_nuisance[:, others]
-        inner = columns.T @ columns + np.diag(linear.weight[others])
+        other_indices = np.flatnonzero(~is_own)
+        columns = linear.white_nuisance[:, other_indices]
+        inner = columns.T @ columns + np.diag(linear.weight[other_indices])
         # Ridge regression of the contribution c on the other columns: (AᵀA + W)⁻¹Aᵀc, prior standard deviations.
         shift, solution = np.zeros(len(is_own)), np.linalg.lstsq(inner, columns.T @ white, 1e-12)[0]
-        shift[others] = solution * linear.sd[others]
+        shift[other_indices] = solution * linear.sd[other_indices]
         single = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
         ungrouped = (t.x_slice.start for t in single if t.effect.weights is None)
         return any(abs(shift[i]) > linear.uncertainty(i) for i in ungrouped)
@@ -390,19 +390,19 @@ class Structures:
         vars(self).pop("on_means", None)
         memory.trim()
 
-    def store_score(self, structure: Structure, total: float) -> None:
-        """Store the log posterior of a structure by score, the highest if called again; a fit takes its place."""
-        if math.isfinite(total):
-            self.scores[structure] = max(total, self.scores.get(structure, -math.inf))
+    def store_score(self, structure: Structure, log_posterior: float) -> None:
+        """Store the log posterior of a structure from its score; keep the highest if called again."""
+        if math.isfinite(log_posterior):
+            self.scores[structure] = max(log_posterior, self.scores.get(structure, -math.inf))
 
     def log_posterior(self, structure: Structure) -> float:
-        """Return the log posterior of a structure by its fit, else by score; −∞ if it has neither."""
+        """Return the log posterior of a structure: from its fit, or else from its score; −∞ if it has neither."""
         fit = self.visited.get(structure)
         return self.scores.get(structure, -math.inf) if fit is None else fit.log_posterior
 
     @property
     def window_nats(self) -> float:
-        """Return the nats of log posterior behind the best up to which a neighbour is fitted."""
+        """Return the largest deficit of log posterior, nats, with which a neighbour of the best is fitted."""
         return OCCAM_WINDOW_NATS / 2 if self.near_best_only else OCCAM_WINDOW_NATS
 
     def is_in_window(self, log_posterior: float, nats: float = OCCAM_WINDOW_NATS) -> bool:
@@ -415,7 +415,7 @@ class Structures:
 
 
 def transfer_coordinates(problem: Problem, source: Problem, mode: Mode) -> dict[str, float]:
-    """Return the φ̂ of a source problem by name, in coordinates of a problem's priors."""
+    """Return the mode φ̂ of a source problem by name, in the coordinates of a target problem's priors."""
     coordinates, source_index = {}, source.layout.index_in_phi
     for hyper in problem.hypers:
         if (j := source_index.get(hyper.name)) is not None:
@@ -426,7 +426,7 @@ def transfer_coordinates(problem: Problem, source: Problem, mode: Mode) -> dict[
 
 
 def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> HessianGuess | None:
-    """Return the curvature at the mode of a source problem, in the coordinates that both problems have."""
+    """Map the Hessian at the mode of a source problem to a target problem, in the coordinates that they share."""
     if not np.all(np.isfinite(mode.covariance)):
         return None
     names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in problem.hypers}
@@ -449,14 +449,14 @@ def starting_points(
     """Return starting coordinates: the neighbour's (`transfer_coordinates`), given starts, and others along shapes."""
     names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in neighbour.hypers}
     base = {n: coordinates.get(n, 0.0) for n in names}
-    inside = ({n: v for n, v in start.items() if n in names} for start in starts)
-    points = [base, *({**base, **start} for start in inside)]
+    known_starts = ({n: v for n, v in start.items() if n in names} for start in starts)
+    points = [base, *({**base, **start} for start in known_starts)]
     for h in problem.hypers:
         # Shapes are tried to either side; a new spread or noise parameter below and above its scale.
         offsets: tuple[float, ...] = ()
         if h.kind == "shape" and h.name in coordinates:
-            same = h.prior == priors[h.name]
-            offsets = (base[h.name] - 1.0, base[h.name] + 1.0) if same else (0.0,)
+            has_same_prior = h.prior == priors[h.name]
+            offsets = (base[h.name] - 1.0, base[h.name] + 1.0) if has_same_prior else (0.0,)
         elif h.kind in ("group_sd", "noise") and h.name not in coordinates:
             offsets = (-1.5, 1.0)
         points += [{**base, h.name: v} for v in offsets]
@@ -464,7 +464,7 @@ def starting_points(
 
 
 def has_prior_scale(effect: Effect) -> bool:
-    """Return whether an effect's size is the standard deviation of a prior, not learned."""
+    """Return whether an effect has a prior scale: coefficients with a stated, informative prior."""
     scaled = (c for c in effect.coefficients if c.group_sd is None and not (c.flat or c.known))
     return not effect.is_placeholder and any(True for _ in scaled)
 
@@ -474,7 +474,7 @@ def average_over_scales(
 ) -> tuple[Problem, Mode, float]:
     """Average a structure's log evidence over prior scales; return its problem and mode at the most probable ones, too.
 
-    One effect's prior scale is varied at a time, the others' held at their most probable.
+    One effect's prior scale is varied at a time, the others fixed at their most probable values.
 
     Args:
         problem, mode: the structure's problem at starting prior scales, and its mode.
@@ -486,9 +486,9 @@ def average_over_scales(
     if scales is None:
         return problem, mode, -math.inf
     factors = scales.most_probable_factors()
-    change = scales.evidence_change(factors)
-    if mode.log_density + change < coarse_below:
-        log_evidence = mode.log_evidence + change
+    log_change = scales.evidence_change(factors)
+    if mode.log_density + log_change < coarse_below:
+        log_evidence = mode.log_evidence + log_change
     else:
         if factors != initial:
             problem = Problem(problem.layout, problem.record, dict(factors))
@@ -497,13 +497,13 @@ def average_over_scales(
             scales = ScaleEvidence.from_mode(problem, mode, factors)
             if scales is None:
                 return problem, mode, -math.inf
-            change = scales.evidence_change(factors)
+            log_change = scales.evidence_change(factors)
         log_evidence = mode.log_evidence
     # Sum over the scales of one effect, the others at their most probable, as if ratios of evidence multiplied. They
     # do where effects do not overlap; where effects overlap, one of them mostly sets the scale of the other.
     for name in factors:
-        changes = [*scales.changes_along(name, factors).values()]
-        log_evidence += float(np.logaddexp.reduce(changes)) - change
+        log_changes = [*scales.changes_along(name, factors).values()]
+        log_evidence += float(np.logaddexp.reduce(log_changes)) - log_change
     return problem, mode, log_evidence
 
 
@@ -536,12 +536,12 @@ class ScaleEvidence(NamedTuple):
         for t in problem.in_x:
             if t.effect.name in initial and t.group_sd_name is None:
                 owner[t.x_slice] = names.index(t.effect.name)
-        sized = np.flatnonzero(owner >= 0)
-        root = gaussian.root_of_z[sized]
-        return cls(dict(initial), owner[sized], gaussian.z[sized], root @ root.T)
+        scaled_indices = np.flatnonzero(owner >= 0)
+        root = gaussian.root_of_z[scaled_indices]
+        return cls(dict(initial), owner[scaled_indices], gaussian.z[scaled_indices], root @ root.T)
 
     def evidence_change(self, factors: Mapping[str, float]) -> float:
-        """Return the change of log evidence at some scale factors against the initial ones, without their priors."""
+        """Return the change of log evidence from the initial scale factors to given ones, without their priors."""
         if not self.initial:
             return 0.0
         ratio = np.array([factors[n] / f for n, f in self.initial.items()])[self.owner]
@@ -552,7 +552,7 @@ class ScaleEvidence(NamedTuple):
         return -float(np.sum(np.log(ratio))) - 0.5 * (volume + float(squares))
 
     def changes_along(self, name: str, factors: Mapping[str, float]) -> dict[float, float]:
-        """Return the change of log evidence plus log prior for each scale factor of one effect, the others held."""
+        """Return the change of log evidence plus log prior for each scale factor of an effect, other effects fixed."""
         scales = ((f, self.evidence_change({**factors, name: f})) for f in SIZE_FACTORS)
         return {f: change + math.log(SIZE_FACTORS[f]) for f, change in scales}
 
@@ -560,10 +560,10 @@ class ScaleEvidence(NamedTuple):
         """Return the most probable scale factors, by coordinate ascent: two sweeps, since effects may overlap."""
         factors = dict(self.initial)
         for _ in range(2):
-            before = dict(factors)
+            previous = dict(factors)
             for name in factors:
                 changes = self.changes_along(name, factors)
                 factors[name] = max(changes, key=changes.__getitem__)
-            if factors == before:
+            if factors == previous:
                 break
         return factors

@@ -48,9 +48,9 @@ class AddedPose:
 
     def __str__(self) -> str:
         pairs = zip(AXES, self.direction, strict=True)
-        parts = [f"{'−' if d < 0 else ''}{axis}" for axis, d in pairs if d]
-        words = ("along ", "at 45° between ", "along the diagonal of ")[len(parts) - 1]
-        text = words + (" and " if len(parts) == 2 else ", ").join(parts)
+        axes = [f"{'−' if d < 0 else ''}{axis}" for axis, d in pairs if d]
+        relation = ("along ", "at 45° between ", "along the diagonal of ")[len(axes) - 1]
+        text = relation + (" and " if len(axes) == 2 else ", ").join(axes)
         text = text if self.rate is None else f"{self.rate:g} about the axis {text}"
         return text if self.temperature is None else f"{text}, at {self.temperature:.4g} °C"
 
@@ -157,15 +157,15 @@ def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tup
     it adds nearly as much information.
     """
     k = columns.shape[2]
-    information, chosen = np.zeros((k, k)), list[int]()
+    information, chosen_indices = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
         open_columns = columns @ vectors[:, weights < DETERMINED_INFORMATION]  # not determined yet
         inner = open_columns @ open_columns.transpose(0, 2, 1)
         log_volumes = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
-        log_volumes[chosen] = 0.0
+        log_volumes[chosen_indices] = 0.0
         if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
-            return chosen, open_columns.shape[2]
+            return chosen_indices, open_columns.shape[2]
         near_best = np.flatnonzero(log_volumes > SIMPLER_SHARE * log_volumes.max()).tolist()
-        chosen.append(min(near_best, key=lambda i: (effort[i], i)))
-        information = information + columns[chosen[-1]].T @ columns[chosen[-1]]
+        chosen_indices.append(min(near_best, key=lambda i: (effort[i], i)))
+        information = information + columns[chosen_indices[-1]].T @ columns[chosen_indices[-1]]

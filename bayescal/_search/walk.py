@@ -43,7 +43,7 @@ def explore(
     start: Structure | None = None,
     follow: Callable[[], None] = lambda: None,
 ) -> str:
-    """Search until the end or the deadline, and return why the search ended early; empty where it was completed.
+    """Search until it is complete or the deadline has passed; return the reason if it ended early, else "".
 
     The structure without added effects is evaluated in any case; `follow` is called once a second, and at the end.
     """
@@ -65,7 +65,7 @@ def explore(
         if len(structures.visited) == 1:
             reason = NOT_BEGUN.format(stop)
         if limit.interrupted:
-            tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
+            tell("interrupted: fitting the best model so far; Ctrl-C again ends without a result")
     follow()
     library.cached_columns.clear()
     structures.clear_cache()
@@ -77,22 +77,22 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
 
     Args:
         library: the candidates; its structures keep the evaluated ones.
-        max_effects: most effects to add.
-        start: structure evaluated last, from which the search continues if it is probable; it changes nothing before.
+        max_effects: largest number of effects to add.
+        start: structure evaluated last, from which the search continues if it is probable; it has no effect before.
     """
     structures = library.structures
-    root = structures.evaluate(Structure())
+    start_fit = structures.evaluate(Structure())
     # Named effects first: a curve or correlated noise would hide a second. Then all: swaps replace early polynomials.
-    offered = structures.candidates.items()
-    named_effects = frozenset(n for n, e in offered if not (e.is_placeholder and e.unnamed))
-    named = Scope(max_effects, named_effects, ("",))
-    full = Scope(max_effects, frozenset(structures.candidates))
-    expanded: dict[Scope, set[Structure]] = {named: set(), full: set()}
+    candidates = structures.candidates.items()
+    named_effects = frozenset(n for n, e in candidates if not (e.is_placeholder and e.unnamed))
+    named_scope = Scope(max_effects, named_effects, ("",))
+    full_scope = Scope(max_effects, frozenset(structures.candidates))
+    expanded: dict[Scope, set[Structure]] = {named_scope: set(), full_scope: set()}
     make_scorer = lru_cache(BEAM_STRUCTURES)(partial(Scorer, library))  # shared by both scopes
-    for scope, final_start in ((named, None), (full, None), (full, start)):
+    for scope, final_start in ((named_scope, None), (full_scope, None), (full_scope, start)):
         # Under a correlated law the base shows an effect that slow residuals would otherwise hide.
-        for noise in () if scope is named else correlated_laws(structures):
-            yield structures.evaluate(Structure(noise=noise), root)
+        for noise in () if scope is named_scope else correlated_laws(structures):
+            yield structures.evaluate(Structure(noise=noise), start_fit)
         if final_start:
             # Add the effects one by one: fitted all at once, their shapes may end at a lower maximum.
             yield from map(structures.evaluate, find_path(library, final_start))
@@ -104,15 +104,15 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
                 previous = [*expanded[scope]] if structures.near_best_only else []
                 expanded[scope].add(structure)
                 families, noise = structures.families(structure.effects), structure.noise
-                of_law = (s for s in previous if s.noise == noise)
-                if similar := [s for s in of_law if structures.families(s.effects) == families]:
-                    yield from _repeat_move(structures, current, similar[0])
+                same_law = (s for s in previous if s.noise == noise)
+                if matches := [s for s in same_law if structures.families(s.effects) == families]:
+                    yield from _repeat_move(structures, current, matches[0])
                 else:
                     yield from _evaluate_neighbours(library, current, scope, make_scorer)
                 continue
-            if scope is named:
+            if scope is named_scope:
                 # Forms without a score come last, as finer ones do.
-                fits = (w for w in structures.visited.values() if named.contains(w.structure))
+                fits = (w for w in structures.visited.values() if named_scope.contains(w.structure))
                 yield from _try_forms(structures, max(fits, key=lambda w: w.log_posterior))
             else:
                 yield from _try_forms(structures, structures.best, last=True)
@@ -124,7 +124,7 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
 
 @run_on_one_thread
 def find_path(library: Library, goal: Structure, start: Structure | None = None) -> list[Structure]:
-    """Return a path from one structure to a larger one: each step has the highest log posterior, fitted or by score."""
+    """Return the path from one structure to a larger one; each step has the highest log posterior, fitted or scored."""
     structures, steps, fit = library.structures, [start or Structure()], None
     while True:
         deadline.current().ask()
@@ -132,42 +132,42 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
         fit = structures.evaluate(current, fit)
         if current == goal:
             return steps
-        names, totals = sorted(goal.effects - current.effects), dict[Structure, float]()
+        names, log_posteriors = sorted(goal.effects - current.effects), dict[Structure, float]()
         has_scores = names and math.isfinite(fit.log_posterior)
         reduced = Scorer(library, fit).reduced_model() if has_scores else None
         for name in names:
             neighbour = current.with_effects(name)
             if reduced is None or neighbour in structures.visited or name not in library.points:
-                totals[neighbour] = structures.evaluate(neighbour, fit).log_posterior
+                log_posteriors[neighbour] = structures.evaluate(neighbour, fit).log_posterior
             else:
                 # The score stands for the fit: it decides only the order in which steps are shown.
                 factor = mean_log_bayes_factor(reduced.score_candidates([name])[name])
-                totals[neighbour] = fit.log_posterior + structures.log_odds[name] + factor
+                log_posteriors[neighbour] = fit.log_posterior + structures.log_odds[name] + factor
         if current.noise != goal.noise:
             neighbour = current.with_noise(goal.noise)
-            totals[neighbour] = structures.evaluate(neighbour, fit).log_posterior
-        steps.append(max(totals, key=totals.__getitem__))
+            log_posteriors[neighbour] = structures.evaluate(neighbour, fit).log_posterior
+        steps.append(max(log_posteriors, key=log_posteriors.__getitem__))
 
 
 def _next_in_beam(
     structures: Structures, expanded: set[Structure], scope: Scope
 ) -> EvaluatedStructure | None:
-    """Return the most probable structure of the beam in a scope that was not expanded yet; None if there is none.
+    """Return the most probable structure of the beam, in a scope, that is not expanded yet; None if there is none.
 
     The beam also has the best structure under each noise law, which is several changes away from the best under
     another law.
     """
     fits = [w for w in structures.visited.values() if scope.contains(w.structure)]
-    ordered = sorted(fits, key=lambda w: -w.log_posterior)
-    best_by_law = {w.structure.noise: w for w in reversed(ordered)}
-    for i, w in enumerate(ordered):
+    ranked_fits = sorted(fits, key=lambda w: -w.log_posterior)
+    best_by_law = {w.structure.noise: w for w in reversed(ranked_fits)}
+    for i, w in enumerate(ranked_fits):
         # Outside of Occam's window a structure has no part of the probabilities that are printed.
-        if not w.is_in_window_of(ordered[0]):
+        if not w.is_in_window_of(ranked_fits[0]):
             return None
-        in_beam = i < BEAM_STRUCTURES or best_by_law[w.structure.noise] is w
+        is_in_beam = i < BEAM_STRUCTURES or best_by_law[w.structure.noise] is w
         if structures.near_best_only:
-            in_beam = i < BEAM_STRUCTURES and w.structure.noise == ordered[0].structure.noise
-        if in_beam and w.structure not in expanded:
+            is_in_beam = i < BEAM_STRUCTURES and w.structure.noise == ranked_fits[0].structure.noise
+        if is_in_beam and w.structure not in expanded:
             return w
     return None
 
@@ -197,7 +197,7 @@ class Move(NamedTuple):
 def _evaluate_neighbours(
     library: Library, fit: EvaluatedStructure, scope: Scope, make_scorer: Callable[..., Scorer]
 ) -> Evaluations:
-    """Evaluate the neighbours of a structure that may come near the best; store the scores of the others."""
+    """Evaluate the neighbours of a structure that may be nearly as probable as the best; store the others' scores."""
     structures, structure = library.structures, fit.structure
     # Evaluate the same effects under each law: else the search would have to find them anew under each.
     for law in filter(scope.has_law, ("", *correlated_laws(structures))):
@@ -226,10 +226,10 @@ def _evaluate_neighbours(
     for move in (*moves, *noise_moves):
         structures.store_score(move.structure, move.log_posterior)
     # A fit under another law tells little more than its score, unless it is to be used.
-    least, best = fit.log_posterior, structures.best
+    min_log_posterior, best = fit.log_posterior, structures.best
     if structures.near_best_only:
-        least = best.log_posterior - structures.window_nats * (fit is best)
-    moves += [move for move in noise_moves if move.log_posterior > least]
+        min_log_posterior = best.log_posterior - structures.window_nats * (fit is best)
+    moves += [move for move in noise_moves if move.log_posterior > min_log_posterior]
     # The first ones are fitted whatever their scores, which are too low where noise and shapes lack an effect.
     moves.sort(key=lambda move: -move.log_posterior)
     for i, move in enumerate(moves[: FITTED_NEIGHBOURS[1]]):
@@ -249,8 +249,8 @@ def _evaluate_neighbours(
 def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStructure) -> bool:
     """Return whether to fit a neighbour of a structure: False where it is known to be improbable without a fit.
 
-    Under a law without a table a fit passes over the readings a hundred times, while the evidence of an effect depends
-    little on a law's finer form: the change of the log evidence is taken from the law that it refines. Of many devices
+    Under a law without a table, a fit passes over the readings a hundred times, while the evidence of an effect depends
+    little on a law's finer form: the change of the log evidence is taken from the law that it refines. For many devices
     it is taken from another form of the same effects.
     """
     law, current = structures.noise_law(neighbour), fit.structure
@@ -266,15 +266,15 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
         return True
     if structures.record.nodes(law) is not None:
         return True
-    changed = structures.evaluate(neighbour.with_noise(law.refines), fit)
-    plain = structures.evaluate(current.with_noise(law.refines), fit)
-    log_posterior = fit.log_posterior + changed.log_posterior - plain.log_posterior
+    changed_fit = structures.evaluate(neighbour.with_noise(law.refines), fit)
+    plain_fit = structures.evaluate(current.with_noise(law.refines), fit)
+    log_posterior = fit.log_posterior + changed_fit.log_posterior - plain_fit.log_posterior
     structures.store_score(neighbour, log_posterior)
     return structures.is_in_window(log_posterior)
 
 
 def _past_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
-    """Return the change of log posterior by the same move with other forms of the effects; None if never evaluated."""
+    """Return the change of log posterior in the same move with other forms of the effects; None if never evaluated."""
     added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
     own_families = structures.families(current.effects)
     adds_form = added and structures.families(neighbour.effects) == own_families
@@ -293,20 +293,20 @@ def _known_changes(
     for s, fit in structures.visited.items():
         if removed <= s.effects and not added & s.effects:
             neighbour = Structure(s.effects - removed | added, s.noise if noise is None else noise)
-            if (swapped := structures.visited.get(neighbour)) is not None:
-                change = swapped.log_posterior - fit.log_posterior
+            if (swapped_fit := structures.visited.get(neighbour)) is not None:
+                change = swapped_fit.log_posterior - fit.log_posterior
                 if math.isfinite(change):
                     yield s, change
 
 
 def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
-    """Repeat the moves that led near the best structure from `other`, which has other forms of the same effects."""
+    """Repeat the moves from `other`, a structure with other forms of the same effects, that led near the best one."""
     effects, others = fit.structure.effects, other.effects
     for s, known_fit in [*structures.visited.items()]:
         is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
         if is_near and others - effects <= s.effects and len(s.effects ^ others) == 1:
-            changed = s.effects - (others - effects) | (effects - others)
-            yield structures.evaluate(Structure(changed, s.noise), fit)
+            changed_effects = s.effects - (others - effects) | (effects - others)
+            yield structures.evaluate(Structure(changed_effects, s.noise), fit)
 
 
 def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = False) -> Evaluations:
@@ -332,11 +332,11 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
             pairs = () if last else _known_changes(means or structures, frozenset({name}), added)
             changes = [c for s, c in pairs if structures.noise_law(s).independent == independent]
             change = max(changes) if changes else structures.change_on_means(neighbour, fit)
-            expected = fit.log_posterior + change
+            expected_log_posterior = fit.log_posterior + change
             if neighbour not in structures.visited and not structures.is_in_window(
-                expected, *window
+                expected_log_posterior, *window
             ):
-                structures.store_score(neighbour, expected)
+                structures.store_score(neighbour, expected_log_posterior)
             elif means is not None or _needs_fit(structures, neighbour, fit):
                 # Begin its shapes where those of the same name are in the form to be replaced.
                 index = fit.problem.layout.index_in_phi
@@ -351,7 +351,7 @@ def correlated_laws(structures: Structures) -> list[str]:
 
 
 def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, None, bool]:
-    """Evaluate finer noise laws with the best structure's effects and with fewer; return whether any was left to do.
+    """Evaluate finer noise laws with the best structure's effects and with fewer; return whether there were any.
 
     A finer law may explain without an effect what that effect explains under plain noise.
     """
@@ -383,17 +383,17 @@ def _propose_finer(
     """
     structure, laws = fit.structure, structures.noise_laws
     current = structures.noise_law(structure)
-    plain = structures.visited.get(structure.with_noise(""))
+    plain_fit = structures.visited.get(structure.with_noise(""))
     family = current.refines or current.name
-    finer = [n for n, law in laws.items() if law.refines == family and n != current.name]
-    finer = [n for n in finer if allowed is None or n in allowed]
-    is_correlated = plain is None or fit.log_posterior > plain.log_posterior
+    finer_names = [n for n, law in laws.items() if law.refines == family and n != current.name]
+    finer_names = [n for n in finer_names if allowed is None or n in allowed]
+    is_correlated = plain_fit is None or fit.log_posterior > plain_fit.log_posterior
     is_correlated = is_correlated and not current.independent
-    if not (is_correlated and finer and math.isfinite(fit.log_posterior)):
+    if not (is_correlated and finer_names and math.isfinite(fit.log_posterior)):
         return
     # Evidence of both laws on the residuals alone: the coefficients' posterior volumes are nearly equal.
     evidence = structures.fit_law(fit, structure.noise)
-    for name in finer:
+    for name in finer_names:
         law_fit = structures.fit_law(fit, name)
         change = law_fit.log_evidence - evidence.log_evidence
         change += log_prior(laws, name) - log_prior(laws, current.name)
@@ -416,7 +416,7 @@ def _propose_noise_laws(structures: Structures, fit: EvaluatedStructure) -> Iter
 
 
 def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
-    """Yield additions of one effect and of pairs, drops and swaps, with their log posteriors by score."""
+    """Yield additions of one effect and of pairs, drops and swaps, with their log posteriors from scores."""
     structures, fit = scorer.library.structures, scorer.fit
     structure, log_odds, total = fit.structure, structures.log_odds, fit.log_posterior
     names = [n for n in scorer.library.points if n in scope.effects]
@@ -430,9 +430,9 @@ def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
         if free_slots > 1:
             named = {n: p for n, p in scores.items() if not structures.candidates[n].is_placeholder}
             for factor, a, b in reduced.score_pairs(named)[:FITTED_PAIRS]:
-                both = total + factor + log_odds[a.effect] + log_odds[b.effect]
-                pair, start = structure.with_effects(a.effect, b.effect), {**a.start, **b.start}
-                yield Move(pair, both, (start,))
+                pair_total = total + factor + log_odds[a.name] + log_odds[b.name]
+                pair, start = structure.with_effects(a.name, b.name), {**a.start, **b.start}
+                yield Move(pair, pair_total, (start,))
     # Drops and swaps begin at the model without the effect; a drop has no log determinant of new columns.
     for name in sorted(n for n in structure.effects if n in scorer.library.points):
         smaller, reduced = structure.without_effects(name), scorer.reduced_model(name)
@@ -443,6 +443,6 @@ def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
             yield _make_addition(swapped, total + log_odds[other] - log_odds[name], points)
 
 
-def _make_addition(structure: Structure, total: float, points: list[ScoredPoint]) -> Move:
+def _make_addition(structure: Structure, log_posterior: float, points: list[ScoredPoint]) -> Move:
     starts = tuple(point.start for point in points[:MAX_STARTS])
-    return Move(structure, total + mean_log_bayes_factor(points), starts)
+    return Move(structure, log_posterior + mean_log_bayes_factor(points), starts)

@@ -31,9 +31,9 @@ Modes = tuple[tuple[Any, Any], ...]  # exponential modes: (time constant over τ
 
 
 class Body(NamedTuple):
-    """Thermal response of a body: a sum of exponential modes, with shapes in addition to τ.
+    """Thermal response of a body: step response 1 − Σ wₖ·exp(−t/(mₖ·τ)), Σ wₖ = 1, with shapes in addition to τ.
 
-    The weights sum to one; τ is the delay behind a steady ramp. `general`: the body of which this is a special case.
+    τ is the delay behind a steady ramp. `general`: the body of which this is a special case.
     """
 
     modes: Callable[..., Modes]

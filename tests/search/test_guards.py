@@ -121,8 +121,8 @@ def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
         residual=np.full(3, np.nan),  # of no reading
         group="run",
         count=3,
-        surprise=np.ones(3),
-        by_chance=np.ones(3),
+        error_ratio=np.ones(3),
+        p_value=np.ones(3),
         log_score=np.full(3, log_score),
     )
 

@@ -98,4 +98,4 @@ def test_a_description_that_moves_a_coefficient_beyond_chance_leaves_it_unmeasur
 def test_runs_that_are_alike_surprise_none_of_the_others() -> None:
     for seed in (6, 7):
         found = left_out(fits(still_sensor.simulate(seed=seed))[0])
-        assert np.all((found.surprise > 0.7) & (found.surprise < 1.4))
+        assert np.all((found.error_ratio > 0.7) & (found.error_ratio < 1.4))

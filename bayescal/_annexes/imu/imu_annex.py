@@ -177,7 +177,7 @@ def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
     outcomes = [ws.draw_safely(ws.draw_search, trails, folder)]
 
     def draw_reports() -> None:
-        with ws.drawing(REPORT), ws.whole_folder(folder, leaving=True) as staging:
+        with ws.drawing(REPORT), ws.whole_folder(folder, keep_results=True) as staging:
             for subfolder, chapters in {**trails, "": [*trails.values()]}.items():
                 (staging / subfolder).mkdir(exist_ok=True)
                 outcomes.append(ws.draw_safely(bc.report, chapters, staging / subfolder / REPORT))

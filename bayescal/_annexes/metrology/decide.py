@@ -87,11 +87,11 @@ def recalibration(
     after = find_first_below(probability, stated)
     change = quantity.draw(HORIZON if after is None else after).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
-    if unmeasured := ws.find_not_measured(calibration, change, rare=1 - stated):
+    if unmeasured := ws.find_not_measured(calibration, change, max_inclusion=1 - stated):
 
         def likelihood_probability(later: float) -> float:
             draws = quantity.draw(later)
-            values = unmeasured.by_readings_alone(calibration, draws.values)
+            values = unmeasured.update_by_readings(calibration, draws.values)
             return replace(draws, values=values).probability(limits)
 
         if after is not None or find_first_below(likelihood_probability, stated) is not None:
@@ -462,9 +462,9 @@ def _decide_limit(
         return UNDECIDED, NOT_RELIABLE.format(reason.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
-    options = {"of": quantity.limit.quantity, "scatter": draws.scatter, "rare": false_accept}
+    options = {"name": quantity.limit.quantity, "sd": draws.scatter, "max_inclusion": false_accept}
     if unmeasured := ws.find_not_measured(calibration, draws.values, **options):
-        values, risk = unmeasured.by_readings_alone(calibration, draws.values), false_accept
+        values, risk = unmeasured.update_by_readings(calibration, draws.values), false_accept
         p2 = replace(draws, values=values).probability(limits)  # with the likelihood alone
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
         if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):

@@ -56,7 +56,7 @@ class ErrorPane(Pane):
         """Show the tree of states, and the picture of the path to the current one."""
         states, current = self.session.states, state.number
         steps = [states[n].step.errors() for n in path_to(states, current)]
-        self.picture.object = str(ws.Pictures().error(steps).body)
+        self.picture.object = str(ws.Pictures().error(steps).html)
         self.rows.head, self.rows.rows = step_rows(states, current)
 
     def busy(self, busy: bool) -> None:
