@@ -60,7 +60,7 @@ class ColumnTable:
                         products_by_block[other].products.pop(number, None)
 
     def remove_fit(self, numbers: Sequence[int]) -> None:
-        """Subtract the least-squares fit of some blocks from the residual; only the first call has an effect."""
+        """Subtract a least-squares fit of the given blocks from the residual; only the first call has an effect."""
         if self._is_fitted:
             return
         self._is_fitted = True
@@ -77,7 +77,7 @@ class ColumnTable:
             self.fitted_coefficients[i], coefficients = coefficients[:width], coefficients[width:]
 
     def products(self, nodes: SingleNode, numbers: Sequence[int]) -> Products:
-        """Return the inner products of the columns of some blocks, concatenated in their order."""
+        """Return the inner products of all columns of the given blocks, concatenated in their order."""
         blocks = self._products.setdefault(nodes, {})
         for i in numbers:
             if i not in blocks:

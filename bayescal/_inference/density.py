@@ -126,8 +126,8 @@ class Density(NumericDensity):
         if not self.problem.noise.gaussian:
             return Gram(*(part[0] for part in self._compute_laplace_grams(v[None])))
         line = self._linearise_at(v, hyper)
-        white, logdet = self._get_whitening(line, hyper).whiten(self._stack_residual_table(line))
-        return Gram.split(white.T @ white, logdet)
+        whitened, logdet = self._get_whitening(line, hyper).whiten(self._stack_residual_table(line))
+        return Gram.split(whitened.T @ whitened, logdet)
 
     def _stack_residual_table(self, line: Linearisation) -> Float[np.ndarray, "n q"]:
         return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
@@ -203,7 +203,7 @@ class Density(NumericDensity):
             return array if len(rows) == len(array) else array[rows]
 
         def evaluate(rows: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
-            """Return −2·log density, its derivatives, EM weights, standardised x and log|Σ| at some φ."""
+            """Return −2·log density, its derivatives, EM weights, standardised x and log|Σ| at given φ."""
             r = select(residual, rows) - (select(jacobian, rows) @ shift[:, :, None])[:, :, 0]
             phi = {name: np.broadcast_to(v, (len(vs),))[rows] for name, v in hyper.items()}
             variance = input_variance[rows] if np.ndim(input_variance) else input_variance
@@ -276,11 +276,11 @@ class Density(NumericDensity):
         """Return the log density at the coordinates v of φ; −1e300 (`NOWHERE`) if undefined."""
         if self.tabulated is None:
             return super().value(v)
-        evaluated = self.evaluate(v)
-        return NOWHERE if evaluated is None else evaluated.log_density
+        local_model = self.evaluate(v)
+        return NOWHERE if local_model is None else local_model.log_density
 
     def condition_at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
-        """Return the log density at φ, and the conditional posterior of x given φ; None if undefined."""
+        """Return the log density at φ and the conditional posterior of x given φ, None if undefined."""
         problem = self.problem
         if self.tabulated is not None:
             result = self.tabulated.evaluate(v, self.flat_scales, False)

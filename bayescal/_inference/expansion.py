@@ -201,9 +201,9 @@ class Expansions:
                 expansions.append(box)
         uncovered = np.flatnonzero(index < 0)
         # Duplicates removed: the factors of `ListedColumns` would count a coordinate twice.
-        places, inverse = np.unique(v[uncovered], axis=0, return_inverse=True)
-        for start in range(0, len(places), LIST_SIZE):
-            group = places[start : start + LIST_SIZE]
+        points, inverse = np.unique(v[uncovered], axis=0, return_inverse=True)
+        for start in range(0, len(points), LIST_SIZE):
+            group = points[start : start + LIST_SIZE]
             index[uncovered[(inverse >= start) & (inverse < start + LIST_SIZE)]] = len(expansions)
             expansions.append(ListedColumns(np.moveaxis(self._columns(group), 0, 2), group))
         return expansions, index
@@ -241,14 +241,14 @@ class Expansions:
             nodes = computed[:NODES].reshape(NODES, -1)
             exact_values = computed[NODES:].reshape(len(_TEST_POINTS), -1)
             coefficients = values_to_coefficients(NODES) @ nodes
-            largest = np.max(np.abs(nodes), initial=1e-300)
+            max_value = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(
                 np.abs(chebvander(_TEST_POINTS, NODES) @ coefficients - exact_values), initial=0.0
             )
-            if error <= TOLERANCE * largest:
+            if error <= TOLERANCE * max_value:
                 self._level = halvings
                 magnitudes = np.max(np.abs(coefficients), axis=1, initial=0.0)
-                orders = np.flatnonzero((magnitudes > TERM_TOLERANCE * largest) | (_ORDERS == 0))
+                orders = np.flatnonzero((magnitudes > TERM_TOLERANCE * max_value) | (_ORDERS == 0))
                 terms = coefficients[orders].reshape(-1, *computed.shape[1:])
                 return Expansion(np.moveaxis(terms, 0, 2), v, half, orders)
         self._failures += 1

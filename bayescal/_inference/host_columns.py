@@ -56,7 +56,7 @@ class HostColumns:
         shapes: Mapping[str, Float[np.ndarray, "s"]],
         shifts: Mapping[str, Float[np.ndarray, "*s n"]],
     ) -> Float[np.ndarray, "s n k"]:
-        """Evaluate a basis at several values of the shapes; shifts are (s, n), or (n,) for all."""
+        """Evaluate a basis at s values of the shapes; column shifts are (s, n), or (n,) for all values."""
         lengths = [len(v) for v in shapes.values()]
         lengths += [len(shift) for shift in shifts.values() if shift.ndim > 1]
         size = max(lengths, default=1)

@@ -130,7 +130,7 @@ def _maximise_marginal(
     coarse_below: float,
     guess: HessianGuess | None,
 ) -> _Peak:
-    """Maximise the marginal density of φ from the best of some starting points.
+    """Maximise the marginal density of φ from the most probable of given starting points.
 
     Each round maximises the density linearised about x̂(φ); the step is shortened until the density relinearised at the
     new x̂ increases.
@@ -255,7 +255,7 @@ def fit_at_mode(
 ) -> Mode:
     """Return the Laplace approximation of φ at its mode, and the Laplace evidence.
 
-    change: of φ in the last round, standard deviations. exact: compute the Hessian instead of a BFGS estimate.
+    change: last step of φ, standard deviations. exact: compute the Hessian instead of a BFGS estimate.
     """
     x = density.x if x is None else x
     is_group_sd = np.array([kind == "group_sd" for kind in density.problem.kinds], dtype=bool)

@@ -252,16 +252,16 @@ class _Refinement:
         weight = np.diag(prior.weight)
 
         def evaluate(point: np.ndarray) -> tuple[float, QR]:
-            unwhitened, extra = self.table(point, v)
-            white = self.whiten(v, extra, unwhitened[:, -1])
-            table = white(unwhitened)
+            raw_table, extra = self.table(point, v)
+            whitening = self.whiten(v, extra, raw_table[:, -1])
+            table = whitening(raw_table)
             # The prior as pseudo-observations: for the step of z = (θ − m)/s, [A·S; W]·step = [r; −z].
             z = prior.weight * (point - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             rows = np.column_stack([weight, -z])
             stacked = np.concatenate([table * np.append(prior.sd, 1.0), rows])
             if not np.all(np.isfinite(stacked)):
                 return math.inf, qr(np.zeros_like(stacked))
-            offset_squares = white.excess if isinstance(white, SdWhitening) else 0.0
+            offset_squares = whitening.excess if isinstance(whitening, SdWhitening) else 0.0
             return float(stacked[:, -1] @ stacked[:, -1]) + offset_squares, qr(stacked)
 
         cost, factor = evaluate(theta)
@@ -321,11 +321,11 @@ class _Refinement:
                 variance = float(self.problem.noise.shared_variance(self.problem.hyper(v)))
                 if not variance > np.finfo(float).tiny:
                     return undefined_result
-                white = reduced / math.sqrt(variance)
+                whitened = reduced / math.sqrt(variance)
             else:
-                white = self.whiten(v, extra, table[:, -1])(reduced)
-            offset, prior_rhs = prior.offset_from(theta, np.sum(white[:, :-1] ** 2, axis=0))
-            a, r = white[:, :-1], white[:, -1]
+                whitened = self.whiten(v, extra, table[:, -1])(reduced)
+            offset, prior_rhs = prior.offset_from(theta, np.sum(whitened[:, :-1] ** 2, axis=0))
+            a, r = whitened[:, :-1], whitened[:, -1]
             scaled = np.column_stack([a * prior.sd, r - a @ offset])
             rows = np.column_stack([np.diag(prior.weight), prior_rhs])
             qr_factor = qr(np.concatenate([scaled, rows]))
@@ -388,12 +388,12 @@ class _Refinement:
 
 
 @compiled
-def _run_optimistix(layout, frame, readings, v, prior, start, scale, places):
+def _run_optimistix(layout, frame, readings, v, prior, start, scale, shape_indices):
     """Return the step (q,), in units of `scale`, from `start` to the minimum of squared residuals and prior."""
     import optimistix as optx  # a sixth of a second that only this needs
 
     (y, is_reading), noise, size = readings, layout.model.noise, layout.size
-    shape_index = jnp.asarray(places, dtype=int)
+    shape_index = jnp.asarray(shape_indices, dtype=int)
 
     def residuals(z: Any, _: Any) -> Any:
         theta = start + scale * z

@@ -86,7 +86,7 @@ class LinearModel:
         return self.whiten(self.nuisance)
 
     def contribution(self, name: str) -> Float[np.ndarray, "n"]:
-        """Return an effect's contribution to the expected output relative to its prior means, output unit (n,)."""
+        """Return an effect's contribution to the expected output, relative to that at prior means, output unit (n,)."""
         is_of_effect = np.array([owner == name for owner in self.owners])
         indices = np.flatnonzero(is_of_effect[: self.problem.size])
         return self.nuisance[:, indices] @ self.z[indices]
@@ -94,8 +94,8 @@ class LinearModel:
     @cached_property
     def _decomposition(self) -> tuple[np.ndarray, np.ndarray]:
         """Return R with R·Rᵀ the pseudo-inverse of AᵀA + W, A the whitened nuisances, W the weights; and A·R."""
-        white = self.white_nuisance
-        precision = white.T @ white + np.diag(self.weight)
+        whitened = self.white_nuisance
+        precision = whitened.T @ whitened + np.diag(self.weight)
         # Scaled to a unit diagonal, so that `RANK_TOLERANCE` is independent of units.
         norms = np.sqrt(np.diag(precision))
         norms = np.where(norms > 0, norms, 1.0)
@@ -103,7 +103,7 @@ class LinearModel:
         is_identified = eigenvalues > RANK_TOLERANCE * eigenvalues[-1:]
         root = np.where(is_identified, 1 / np.sqrt(np.where(is_identified, eigenvalues, 1.0)), 0.0)
         root = vectors * root / norms[:, None]
-        return root, white @ root
+        return root, whitened @ root
 
     @property
     def root(self) -> Float[np.ndarray, "q q"]:
@@ -147,8 +147,8 @@ class LinearModel:
         self, columns: Float[np.ndarray, "n k"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
         """Return CᵀΣ⁻¹r and CᵀΣ⁻¹C of columns C and conditional residuals r, without projecting nuisances out."""
-        white = self.whiten(np.column_stack([columns, self.conditional_residuals]))
-        return white[:, :-1].T @ white[:, -1], white[:, :-1].T @ white[:, :-1]
+        table = self.whiten(np.column_stack([columns, self.conditional_residuals]))
+        return table[:, :-1].T @ table[:, -1], table[:, :-1].T @ table[:, :-1]
 
     @cached_property
     def variance(self) -> Float[np.ndarray, "n"]:
@@ -159,8 +159,8 @@ class LinearModel:
     @cached_property
     def rss(self) -> float:
         """Return the whitened residual sum of squares plus the prior's penalty Σ z² (proper priors only)."""
-        white = self.decorrelate(self.residual[:, None])
-        return float(np.sum(white**2)) + float(self.weight @ self.z**2)
+        whitened = self.decorrelate(self.residual[:, None])
+        return float(np.sum(whitened**2)) + float(self.weight @ self.z**2)
 
     def project_on_nuisance(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
         """Return P = Gᵀ·C of whitened columns C: their information given the nuisances is CᵀC − PᵀP."""
@@ -179,10 +179,10 @@ class LinearModel:
 
         V = Σ + J·D·Jᵀ: all nuisances are integrated out under their priors, hyper-parameters fixed at their estimates.
         """
-        white = self.whiten(columns)
-        projection = self.project_on_nuisance(white)
+        table = self.whiten(columns)
+        projection = self.project_on_nuisance(table)
         # V⁻¹r is Σ⁻¹ times the residuals at the fit.
-        return white.T @ self.white_conditional, white.T @ white - projection.T @ projection
+        return table.T @ self.white_conditional, table.T @ table - projection.T @ projection
 
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:

@@ -119,7 +119,7 @@ class Marginal(Method):
             yield from self._sample_until_reliable(problem, mode, seed, is_student_t=True)
 
     def _resample_draws(self, layout, weighted: _SmoothedDraws, notes, seed, why: str) -> Outcome:
-        """Resample draws by their weights; `why`: the reason for accepting unreliable ones, such as a deadline."""
+        """Resample draws by their weights; `why`: reason to accept unreliable weights, such as a deadline."""
         draws, weights, k_hat = weighted.draws, weighted.weights, weighted.k_hat
         ess, reasons = effective_size(weights), ()
         limit = weighted.limit

@@ -70,7 +70,7 @@ class Means:
         return np.where(total > 0, 1 - between / np.where(total > 0, total, 1.0), 0.0)
 
     def linear_model(self, line: LinearModel) -> LinearModel:
-        """Return the linear model of the block means, linearised about the mode of the readings' model."""
+        """Return the linear model of block means, from a model of all readings linearised about its mode."""
         problem, whiten = line.problem, line.whiten
         if isinstance(whiten, SdWhitening):
             precision = 1 / whiten.sd**2

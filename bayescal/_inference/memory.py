@@ -1,4 +1,4 @@
-"""Return of freed memory to the operating system."""
+"""Return freed memory to the operating system."""
 
 from __future__ import annotations
 

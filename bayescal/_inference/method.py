@@ -32,7 +32,7 @@ class Verdict:
         r_hat: largest R-hat; None for independent draws.
         divergences: number of divergent transitions of NUTS.
         against: failed acceptance checks of `calibrate`, reasons why a converged fit must not be used.
-        checked: whether these checks were made.
+        checked: whether the acceptance checks were run.
     """
 
     ok: bool

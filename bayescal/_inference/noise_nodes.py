@@ -224,8 +224,8 @@ class DCTNodes(SingleNode):
                 eigenvalues, vectors = np.linalg.eigh(r @ core @ r.T)
                 roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + eigenvalues)[:, None] - 1
             scale, base, root_factor = roots[n]
-            white = scale * dct(columns[run], axis=0, norm="ortho")
-            parts.append(white + base @ (root_factor * (base.T @ white)))
+            whitened = scale * dct(columns[run], axis=0, norm="ortho")
+            parts.append(whitened + base @ (root_factor * (base.T @ whitened)))
         return np.concatenate(parts)
 
 

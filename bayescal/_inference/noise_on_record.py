@@ -44,8 +44,8 @@ class Whitening(NamedTuple):
 
     def whiten(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """Return the whitened table L⁻¹·table, rows in the order of the readings, and log|Σ|."""
-        ((white, logdet),) = _whiten_all([(self, table)])
-        return _unsort_rows(self.law, self.record, white), logdet
+        ((whitened, logdet),) = _whiten_all([(self, table)])
+        return _unsort_rows(self.law, self.record, whitened), logdet
 
 
 class SdWhitening(NamedTuple):
@@ -133,27 +133,27 @@ def whitened_grams(
     Laws with several Kalman states are evaluated in small batches of tables.
     """
     for _, group in groupby(pairs, lambda pair: _pad_width(pair[1])):
-        for white, table in (members := iter(group)):
-            if isinstance(white, SdWhitening):
-                whitened, logdet = white.whiten(table)
+        for whitening, table in (members := iter(group)):
+            if isinstance(whitening, SdWhitening):
+                whitened, logdet = whitening.whiten(table)
                 yield whitened.T @ whitened, logdet
                 continue
-            part: list[Any] = [(white, table)]
-            if white.law.several_states and BATCH_DRAWS * table.size <= MAX_BATCH_ELEMENTS:
+            part: list[Any] = [(whitening, table)]
+            if whitening.law.several_states and BATCH_DRAWS * table.size <= MAX_BATCH_ELEMENTS:
                 part += islice(members, BATCH_DRAWS - 1)
             yield from ((whitened.T @ whitened, logdet) for whitened, logdet in _whiten_all(part))
 
 
 def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
     """Yield each whitened table, rows in time order for a correlated law, and log|Σ|; tables of one padded width."""
-    (white, first), record = part[0], part[0][0].record
+    (whitening, first), record = part[0], part[0][0].record
     # Batches of one or of `BATCH_DRAWS`: two programs to compile.
     padding = BATCH_DRAWS - len(part) if len(part) > 1 else 0
-    law, pairs = white.law, part + part[-1:] * padding
+    law, pairs = whitening.law, part + part[-1:] * padding
     is_shared = all(table is first for _, table in part)
     tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_shared else pairs)]
     extras = [np.asarray(w.extra, float) for w, _ in pairs]
-    if np.ndim(white.extra):
+    if np.ndim(whitening.extra):
         extras = [record.pad(_sort_by_time(law, record, extra, 0)) for extra in extras]
     values = {n: np.array([float(w.values[n]) for w, _ in pairs]) for n in law.parameters()}
     args = tables[0] if is_shared else np.stack(tables), np.stack(extras), values
@@ -304,7 +304,7 @@ def normal_scores(
 def _run_batches(
     run, law: Noise, record: Record, hyper: Batch, *arrays, shared: tuple = (), keys: tuple = ()
 ) -> Float[np.ndarray, "b n"]:
-    """Run a compiled function over draws in batches; the last batch is padded with its last draw."""
+    """Run a compiled function on batches of draws; the last batch is padded with its last draw."""
     names = list(law.parameters())
     arrays_given = [a for a in arrays if a is not None]
     count = max([*(np.size(hyper[n]) for n in names), *map(len, arrays_given), 1])

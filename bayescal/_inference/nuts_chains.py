@@ -43,7 +43,7 @@ class Plan(NamedTuple):
     dense: bool = True
 
     def kernel(self, *model: Any, **options: Any) -> Any:
-        """Build NumPyro's NUTS kernel of a program or a `potential_fn`."""
+        """Build NumPyro's NUTS kernel for a program or a potential (negative log density)."""
         import numpyro.infer as infer  # half a second that only chains need
 
         return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.95, **options)

@@ -209,7 +209,7 @@ class Problem:
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
-        """Return the Jacobian of φ-independent terms, zero for the others, and the indices of the others in x."""
+        """Return the Jacobian of φ-independent terms (other columns zero), and the indices in x of φ-dependent ones."""
         indices = np.arange(self.size)
         dynamic = np.concatenate(
             [indices[:0], *(indices[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
@@ -293,7 +293,7 @@ def differentiate(f: Callable[[np.ndarray], Any], point: np.ndarray, step: Any) 
 
 
 def overwrite(values: np.ndarray, indices: list[int], v: np.ndarray) -> np.ndarray:
-    """Return a copy of v with other values at some indices."""
+    """Return a copy of v with the entries at `indices` replaced by `values`."""
     changed = v.copy()
     changed[indices] = values
     return changed

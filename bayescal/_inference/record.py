@@ -237,8 +237,8 @@ class Record:
         slopes = {n: self._respond({n: np.full(self.size, 1j)}, shifts).imag for n in self.slots}
         for name, shift in shifts.items():
             h = self._choose_difference_step(name)
-            up, down = (self._respond(slots, {**shifts, name: shift + s}) for s in (h, -h))
-            slopes[name] = (up - down) / (2 * h)
+            upper, lower = (self._respond(slots, {**shifts, name: shift + s}) for s in (h, -h))
+            slopes[name] = (upper - lower) / (2 * h)
         return self._respond(slots, shifts), slopes
 
     def _choose_difference_step(self, column: str) -> float:
@@ -344,8 +344,8 @@ class Record:
         for name, shift in shifts.items():
             h = self._choose_difference_step(name)
             ends = ({**shifts, name: shift + s} for s in (h, -h))
-            up, down = (self.columns_of_draws(effect, values, end) for end in ends)
-            slopes[name] = (up - down) / (2 * h)
+            upper, lower = (self.columns_of_draws(effect, values, end) for end in ends)
+            slopes[name] = (upper - lower) / (2 * h)
         return self.columns_of_draws(effect, values, shifts), slopes
 
     def _run_batches(self, program, argument: Any, slots: Arrays, shifts: Arrays) -> Any:

@@ -1,1 +1,1 @@
-"""Models: priors, coefficients, effects, noise laws, instruments, and their one composition."""
+"""Models: priors, coefficients, effects, noise laws, instruments, and the composition of their expected output."""

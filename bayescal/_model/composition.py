@@ -100,7 +100,7 @@ def compose(
     hyper: Hyper,
     with_grad: bool = False,
 ) -> ResponseArguments:
-    """Sum the terms of each slot; with_grad: differentiate basis columns with respect to column corrections too.
+    """Sum the terms of each slot; with_grad: also differentiate basis columns with respect to corrected columns.
 
     Bases of effects that correct a column are evaluated on the recorded columns, all others on corrected ones.
     """
@@ -231,7 +231,7 @@ class TracedColumns:
         return find_response_columns(self.instrument, self.frame)
 
     def matrix(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
-        """Evaluate a basis as a matrix of columns."""
+        """Evaluate an effect's basis function as a matrix of columns (n, k)."""
         return evaluate_basis(*basis, frame, shapes)
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:

@@ -253,7 +253,7 @@ class Effect:
 
     @property
     def family_name(self) -> str:
-        """Return the name shown in a search report: the family's if the effect is one of its forms."""
+        """Return the name to print in a search report: the family's name if the effect is one of its forms."""
         return self.family or self.name
 
     @property
@@ -336,7 +336,7 @@ class Effect:
 
     @property
     def measure_name(self) -> str:
-        """Return the full name of the amplitude parameter; empty if the first coefficient is the amplitude."""
+        """Return the full name of the amplitude parameter; "" if the first coefficient is the amplitude."""
         return f"{self.name}.{self.measure}" if self.measure else ""
 
     @property

@@ -129,7 +129,7 @@ class Frame:
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
     def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
-        """Return the lag T̃ − T, °C, of the recorded column without corrections, by the equation of `lag`."""
+        """Return the lag T̃ − T, °C, of the recorded column without corrections; equation as in `lag`."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
         is_held = xp.asarray(self.reference.get(hold_flag_name(name), 0.0)) > 0
@@ -166,7 +166,7 @@ class Frame:
         return xp.placed(self.order, direction), xp.placed(self.order, initial_state_decay)
 
     def select_columns(self, names: Sequence[str]) -> Frame:
-        """Select columns with their rates and reference constants; "time" includes "elapsed", uncertainty is kept."""
+        """Select columns, with their rates and reference constants; "time" implies "elapsed"; uncertainty is kept."""
         columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
         constants = {*map(reference_name, columns), *map(hold_flag_name, columns)}
         constants |= {"time_mean", "time_span"}
@@ -182,7 +182,7 @@ class Frame:
         return replace(self, **parts, labels={}, codes={}, reference=reference)
 
     def reorder(self, rows: Any, order: Any, step: Any) -> Frame:
-        """Return a frame of selected rows; `order` and `step`: those of the selected readings."""
+        """Return a frame of selected rows; `order` and `step` are those of the frame returned."""
         sorted_arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in ROW_FIELDS}
         return replace(self, **sorted_arrays, order=order, step=step)
 

@@ -137,8 +137,8 @@ class Heteroscedastic(Noise):
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         if not self.proportional:
             return scatter_variance(parameters, frame, self.column)
-        white = white_variance(parameters, frame)
-        return white + (parameters[PROPORTIONAL] * self._scale_column(frame)) ** 2
+        base_variance = white_variance(parameters, frame)
+        return base_variance + (parameters[PROPORTIONAL] * self._scale_column(frame)) ** 2
 
 
 def columns_for(column: str) -> tuple[str, ...]:
@@ -168,7 +168,7 @@ def relative_scatter(values: Parameters, place: Any) -> Any:
 
 @offered
 def _offer_heteroscedastic(scale: Positive, frame: Frame) -> list[Noise]:
-    """Offer a law for each varying column or rate, and a proportional one if the column's zero is not arbitrary."""
+    """Return a heteroscedastic law per varying column or rate, and a proportional one if its zero is not arbitrary."""
     reference, laws = frame.reference, list[Noise]()
     for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
         low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))

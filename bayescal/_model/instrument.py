@@ -178,7 +178,7 @@ class Instrument:
 
         Raises:
             ModelError: the instrument has no simulator.
-            ValueError: invalid for its simulator, such as an unknown effect.
+            ValueError: an argument is invalid for the simulator, such as an unknown effect.
         """
         if self.simulator is None:
             raise ModelError(f"instrument {self.name!r} has no simulator")
@@ -217,7 +217,7 @@ class Instrument:
         )
 
     def slot(self, name: str) -> Slot:
-        """Return a slot by name; a numeric column is one too, in its own unit; ModelError: there is no such slot."""
+        """Return a slot by name; a numeric column is also a slot, in its unit; raise ModelError if there is none."""
         for slot in self.slots:
             if slot.name == name:
                 return slot
@@ -235,7 +235,7 @@ class Instrument:
         return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
 
     def effect(self, name: str, more: Mapping[str, Effect] = MappingProxyType({})) -> Effect:
-        """Return one of the instrument's own effects by canonical name, or "unknown(covariate)".
+        """Return an effect of the instrument by canonical name, or the placeholder "unknown(covariate)".
 
         Args:
             more: further effects by name, which take precedence.

@@ -172,14 +172,14 @@ class Noise(abc.ABC):
         raise NotImplementedError(f"{self.name} noise has no common variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
-        """Return a coordinate of each reading in which its variance is smooth (`variance_along`); None: there is none.
+        """Return a coordinate of each reading of which its variance is a smooth function; None if there is none.
 
         For independent Gaussian noise only.
         """
         return None
 
     def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
-        """Return the variance at coordinates `place` (s, j), output unit squared; parameter values are (s, 1)."""
+        """Return the variance at coordinates of `variance_place` (s, j), output unit squared; parameters are (s, 1)."""
         raise NotImplementedError(f"{self.name} noise has no variance coordinate")
 
     def whiten(
@@ -269,8 +269,8 @@ def _log_density_by_whitening(
 ) -> Float[Array, "n"]:
     # zₜ·Lₜₜ is the innovation of reading t and Lₜₜ its standard deviation given all earlier readings, so that each term
     # is a conditional log density.
-    white, log_sd = law.whiten(residuals[:, None], extra, parameters, frame)
-    return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
+    whitened, log_sd = law.whiten(residuals[:, None], extra, parameters, frame)
+    return -0.5 * whitened[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
 
 
 def add_variance(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:

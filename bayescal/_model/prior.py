@@ -236,7 +236,7 @@ Positive = HalfNormal | HalfCauchy | LogNormal | LogUniform | Flat
 
 
 def scale_prior(prior: Positive, factor: float) -> Positive:
-    """Return the prior of a positive quantity times a positive factor."""
+    """Return the prior of a positive quantity multiplied by a positive factor."""
     if isinstance(prior, LogNormal):
         return LogNormal(prior.median * factor, prior.sd)
     if isinstance(prior, LogUniform):

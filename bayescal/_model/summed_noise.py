@@ -95,9 +95,9 @@ class SumOfTerms(Noise, interface=True):
     @property
     def in_words(self) -> str:
         label_counts = Counter(p.label for p in self.parts)
-        white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
+        name = f"white (scatter follows {self.scatter})" if self.scatter else "white"
         term_texts = (f"{c} {w}" if c > 1 else w for w, c in label_counts.items())
-        return self.words or " + ".join((white, *term_texts))
+        return self.words or " + ".join((name, *term_texts))
 
     @property
     def stationary(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -172,7 +172,7 @@ class SumOfTerms(Noise, interface=True):
     def allan_variance(
         self, values: Parameters, variance: Any, factors: np.ndarray, step: float
     ) -> np.ndarray:
-        """Return σ²/m of white noise plus the Allan variance of each term."""
+        """Return the Allan variance: σ²/m of white noise, m the averaging factor, plus that of each term."""
         phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
         slow_variance = np.asarray(self.slow_variance(phi), float)
         white = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
@@ -210,8 +210,8 @@ class SumOfTerms(Noise, interface=True):
 
 
 @compiled
-def _smooth(law: SumOfTerms, values, step, z, white, columns):
-    return smooth(law.states(values, step, z), white, columns)
+def _smooth(law: SumOfTerms, values, step, z, variances, columns):
+    return smooth(law.states(values, step, z), variances, columns)
 
 
 class SummedNoise(SumOfTerms):
@@ -343,7 +343,7 @@ def build_sum(
 
 @offered
 def _offer_correlated(scale: Positive, frame: Frame) -> list[Noise]:
-    """Offer Ornstein–Uhlenbeck noise if there is a time column, and sums of terms if a run is long enough."""
+    """Return Ornstein–Uhlenbeck noise if there is a time column, and sums of terms if a run is long enough."""
     steps = np.asarray(frame.step)
     if not (steps > 0).any():
         return []

@@ -52,7 +52,7 @@ class ColumnSpec(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """Correction of a whole column of the readings: `factor` times a basis column of another effect."""
+    """Correction of a column at all readings: `factor` times a basis column of another effect."""
 
     column: str
     spec: ColumnSpec
