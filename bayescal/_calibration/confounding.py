@@ -41,7 +41,7 @@ class Confounder(NamedTuple):
 
     column: str
     coefficients: list[str]  # names of the single coefficients whose uncertainty it increases
-    told: float  # its residual over total sum of squares, after projection on the model's columns
+    told: float  # tolerance: residual over total sum of squares, model columns projected out
     # Standard uncertainty added to each coefficient, by name and member, reported unit; signed: fully correlated.
     shares: dict[str, list[float]]
     step: float = 0.0  # rounding step, unit of the column; 0 for a collinear column

@@ -356,7 +356,7 @@ def _format_errors(chapter: Chapter) -> str:
 
 
 def _describe_residuals(chapter: Chapter) -> str:
-    """Describe the residuals."""
+    """Describe the residuals: covariates on which they depend, or agreement with the noise model."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
     covariates = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]

@@ -39,7 +39,7 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def channel_folders(folder: Path) -> list[str]:
-    """Return the names of the folders of a unit's channels, in the folder of its results."""
+    """Return the names of the channel folders inside a unit's result folder."""
     file = folder / CHANNELS
     try:
         names = [c["folder"] for c in read_json(file)["channels"].values()]

@@ -181,7 +181,7 @@ class Library:
 
 
 def _extreme_points(points: Sequence[GridPoint]) -> list[GridPoint]:
-    """Return the points of a candidate at which one of its shapes is smallest or largest."""
+    """Return the grid points of a candidate at which one of its shapes has its minimum or maximum."""
     shapes = np.array([[*p.shapes.values()] for p in points])
     extremes = {*shapes.argmin(axis=0), *shapes.argmax(axis=0)} if shapes.size else {0}
     return [points[i] for i in sorted(extremes)]
