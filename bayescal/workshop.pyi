@@ -41,14 +41,14 @@ from ._cli.output import coefficients_text as coefficients_text
 from ._cli.request import CALIBRATION as CALIBRATION
 from ._cli.request import compose as compose
 from ._cli.request import create_method as create_method
+from ._cli.request import describe_reliability as describe_reliability
 from ._cli.request import instrument_named as instrument_named
 from ._cli.request import load_compensator as load_compensator
 from ._cli.request import load_effects as load_effects
 from ._cli.request import load_saved as load_saved
 from ._cli.request import of_units as of_units
 from ._cli.request import open_request as open_request
-from ._cli.request import reliable as reliable
-from ._cli.request import searched as searched
+from ._cli.request import open_search as open_search
 
 # modules whose names are a vocabulary: when work ends, colours
 from ._core import deadline as deadline

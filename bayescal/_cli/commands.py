@@ -222,7 +222,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             )
         search_settings = Settings(finer_noise=not self.simple_noise)
         with use_settings(search_settings), result_folder(self.out) as folder:
-            models, readings, holdout = request.searched(names, self)
+            models, readings, holdout = request.open_search(names, self)
             name, first_readings = next(iter(readings.items()))
             settings = {
                 "effects": request.load_effects(self, models[name].instrument, first_readings),
@@ -504,7 +504,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
         data |= {"unit": correction.unit, "epoch": correction.about.epoch}
         data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}
-        verdict = request.reliable({"": correction})
+        verdict = request.describe_reliability({"": correction})
         if result.unsolved:
             why = f"{result.unsolved} readings have no solution and are left empty"
             verdict = {"ok": False, "why": why}
@@ -542,11 +542,11 @@ class ExportCommand(InUse, DecisionRule, Command):
             raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
         if self.format_ in writers:
             return writers[self.format_](self)
-        corrections = [correction for _, correction in self.loaded()]
+        corrections = [correction for _, correction in self.load_corrections()]
         is_triad = corrections and not isinstance(corrections[0], bc.Compensator)
         if not is_triad or self.axis or self.device_id:
             self.require_one()
-        return self.written(corrections)
+        return self.write_corrections(corrections)
 
     def require_one(self) -> None:
         """Raise InputError unless exactly one calibration is given."""
@@ -563,7 +563,7 @@ class ExportCommand(InUse, DecisionRule, Command):
 
         return self.local_gravity or STANDARD_GRAVITY
 
-    def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
+    def load_corrections(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
         """Load corrections with their paths; raise InputError if one-output and three-axis ones are mixed."""
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
         single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
@@ -571,7 +571,7 @@ class ExportCommand(InUse, DecisionRule, Command):
             raise InputError(f"{single[0]} has one output, not three axes: export it separately")
         return corrections
 
-    def written(self, corrections: Sequence[Any]) -> Answer:
+    def write_corrections(self, corrections: Sequence[Any]) -> Answer:
         """Write corrections to one file, or return their text; warn of parts that the format cannot represent."""
         from bayescal._use import correction_files as files
 
@@ -587,7 +587,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         print_notes([f"{name}: {words}" for name, words in omissions if words])
         is_single = isinstance(corrections[0], bc.Compensator)
         verdict = {f"{n}:" * (not is_single): c for n, c in zip(names, corrections, strict=True)}
-        return Answer(text.removesuffix("\n"), **request.reliable(verdict))
+        return Answer(text.removesuffix("\n"), **request.describe_reliability(verdict))
 
 
 class BudgetCommand(InUse, AsJson, Command):
@@ -601,7 +601,7 @@ class BudgetCommand(InUse, AsJson, Command):
     def answer(self) -> Answer:
         correction = request.load_compensator(self.calibration, self)
         result = bc.budget(correction, parse_numbers(self.at, "--at"), k=self.k)
-        return Answer(result, **request.reliable({"": correction}))
+        return Answer(result, **request.describe_reliability({"": correction}))
 
 
 class ReportCommand(OwnParts, DecisionRule, AsJson, Command):

@@ -80,8 +80,8 @@ def load_effects(
     request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
     """Load user-defined effects from --effects and --effect; raise InputError for an invalid file or formula."""
-    typed = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
-    return (*load_user_effects(request.effects_file), *typed)
+    effects = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
+    return (*load_user_effects(request.effects_file), *effects)
 
 
 def _read(
@@ -143,7 +143,7 @@ def create_method(name: str) -> Method:
     return getattr(bc, METHODS[name])()
 
 
-def searched(
+def open_search(
     names: Sequence[str], request: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
     """Return models, readings and hold-out data by channel ("": a single output); print the readings' flags."""
@@ -174,30 +174,30 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
     from bayescal._data.header_matching import PREFIXES, normalise
     from bayescal._data.unit_conversion import is_convertible
 
-    parts = dict(readings)
+    records = dict(readings)
     for group in ("device", "axis"):
-        previous_parts, parts = parts, {}
-        for name, record in previous_parts.items():
+        previous_records, records = records, {}
+        for name, record in previous_records.items():
             levels, codes = record.groups(group)
             if len(levels) == 1:
-                parts[name] = record
+                records[name] = record
                 continue
             unit = record.unit(record.output) or ""
             for code, label in enumerate(levels):
-                parts[f"{name}, {group} {label}"] = record.select(codes == code)
+                records[f"{name}, {group} {label}"] = record.select(codes == code)
                 units = (k for k, words in PREFIXES.items() if normalise(label).startswith(words))
                 if any(not is_convertible(kind, unit) for kind in units):
                     raise InputError(
                         f"{record.file}: the column {group!r} contains {label!r}, a sensor whose output is not in "
                         f"{unit or 'no unit'}: give the readings of each sensor in a separate file"
                     )
-    return parts
+    return records
 
 
 # saved calibrations ---------------------------------------------------------------------------------------------------
 
 
-def reliable(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
+def describe_reliability(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
     """Return whether results are fit for use, and the reasons if not, as keyword arguments of `Answer`."""
     reasons = [f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not]
     return {"ok": not reasons, "why": "; ".join(reasons)}
@@ -205,8 +205,8 @@ def reliable(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str,
 
 def _load_user_parts(parts: OwnParts) -> dict[str, Any]:
     """Load user-defined effects and instrument as keyword arguments of `bc.load`."""
-    named = parts.instrument_file
-    instruments = () if named is None else (instrument_named(named),)
+    instrument_file = parts.instrument_file
+    instruments = () if instrument_file is None else (instrument_named(instrument_file),)
     return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
 

@@ -85,10 +85,10 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
     if not rows.size:
         return
     index, index_before = int(rows[0]), int(np.flatnonzero(order == rows[0])[0]) - 1
-    before, suggestion = int(order[index_before]), ""
+    previous_row, suggestion = int(order[index_before]), ""
     if is_jump.any():
         rows = rows[:1]
-        fault = f"jumps by {step[index_before] / 3.156e7:.3g} years after {where(before)}, within one run"
+        fault = f"jumps by {step[index_before] / 3.156e7:.3g} years after {where(previous_row)}, within one run"
         fault += ": was the clock set there?"
         cure = (
             "Correct the times, or label the readings before and after the jump as two runs in a column 'run' (if the "
@@ -97,13 +97,13 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
     else:
         cure = "Sort the rows by time of measurement, or label each record separately in a column 'run'"
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
-        within = f" within {', '.join(labels)}" * bool(labels)
-        fault = f"falls to {values[index]:.12g} s from {values[before]:.12g} s in {where(before)}: "
-        fault += f"time decreases{within}"
+        place_text = f" within {', '.join(labels)}" * bool(labels)
+        fault = f"falls to {values[index]:.12g} s from {values[previous_row]:.12g} s in {where(previous_row)}: "
+        fault += f"time decreases{place_text}"
         median_step = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
         for name, period in CLOCK_PERIODS.items():
-            after = step[is_backward] + period
-            if np.all((after > 0) & (after <= PAUSE_STEPS * median_step)):
+            unwrapped_step = step[is_backward] + period
+            if np.all((unwrapped_step > 0) & (unwrapped_step <= PAUSE_STEPS * median_step)):
                 fault += f", as a clock that wraps around at {name}"
                 cure, suggestion = "If so, unwrap it", option("--unwrap", f"time={name}")
                 break
@@ -150,15 +150,15 @@ def find_clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return []
-    clipped, min_count = [], max(MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE * len(values))
+    clip_levels, min_count = [], max(MIN_CLIPPED_READINGS, MIN_CLIPPED_SHARE * len(values))
     for end, next_level, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
         with np.errstate(over="ignore"):
             max_gap = MAX_CLIPPED_GAP * (levels[-1] - levels[0])
             is_near = abs(levels[end] - levels[next_level]) < max_gap
         is_frequent = counts[end] > MIN_CLIPPED_RATIO * counts[next_level]
         if is_near and is_frequent and counts[end] >= min_count:
-            clipped.append((name, float(levels[end])))
-    return clipped
+            clip_levels.append((name, float(levels[end])))
+    return clip_levels
 
 
 def _find_saturation(columns: Columns, output: str) -> Iterator[str]:
@@ -175,10 +175,10 @@ def _find_wraparounds(
     converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
 ) -> Iterator[str]:
     """Yield a warning for each temperature column with jumps that are no error values: usually wrap-around."""
-    errors = {a.column: a.rows for a in anomalies if a.code == "leap"}
+    error_rows = {a.column: a.rows for a in anomalies if a.code == "leap"}
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
-            rows = rows[~np.isin(rows, errors.get(name, ()))]
+            rows = rows[~np.isin(rows, error_rows.get(name, ()))]
             is_near = np.diff(records.time[rows]) <= records.silence
             jump = np.abs(np.diff(converted.values[name][rows])) * is_near
             if np.any(jump > MAX_STEP_DEGREES):
@@ -230,11 +230,11 @@ def find_repeated_rows(columns: Columns) -> np.ndarray:
         values = columns[name]
         is_number = values.dtype.kind == "f"
         levels = np.unique(values, return_inverse=True)[1] if is_number else distinct([values])[1]
-        combined = codes * (int(levels.max()) + 1) + levels
-        _, first, codes = np.unique(combined, return_index=True, return_inverse=True)
-        if len(first) == len(codes):
+        pair_codes = codes * (int(levels.max()) + 1) + levels
+        _, first_rows, codes = np.unique(pair_codes, return_index=True, return_inverse=True)
+        if len(first_rows) == len(codes):
             break
-    return np.setdiff1d(np.arange(len(codes)), first)
+    return np.setdiff1d(np.arange(len(codes)), first_rows)
 
 
 MIN_CHANGES = 20  # changes of a column needed to determine their distribution
@@ -281,22 +281,22 @@ def find_anomalies(
     with np.errstate(all="ignore"):  # overflow of absurd values
         output_jumps = find_jumps(columns.get(output, np.zeros(len(columns["time"]))), segments)
         for name in names:
-            values, parts = columns[name], segments
+            values, blocks = columns[name], segments
             if np.count_nonzero(np.diff(values)) < MIN_CHANGES:
                 continue
-            jumps = find_jumps(values, parts, MIN_ANOMALY_DEGREES)
+            jumps = find_jumps(values, blocks, MIN_ANOMALY_DEGREES)
             jumps = np.setdiff1d(jumps, output_jumps)
             if 0 < len(np.unique(values[jumps])) <= MAX_JUMP_SHARE * len(values):
-                clean = (segment[~np.isin(segment, jumps)] for segment in parts)
-                parts = [segment for segment in clean if len(segment)]
+                segments_left = (segment[~np.isin(segment, jumps)] for segment in blocks)
+                blocks = [segment for segment in segments_left if len(segment)]
                 examples = dict.fromkeys(values[jumps][:MAX_SHOWN_VALUES].tolist())
                 listing = ", ".join(map("{:g}".format, examples))
                 text = f"reads {listing} °C, far from adjacent readings, in {len(jumps)} reading(s): an error value?"
                 anomalies.append(Anomaly("leap", name, text, jumps))
-            if len(rows := find_held_rows(values, parts)):
+            if len(rows := find_held_rows(values, blocks)):
                 text = "repeats values between jumps: held values, or a low sampling rate?"
-                anomalies.append(Anomaly("held", name, text, select_repeats(values, parts, rows)))
-            elif len(rows := find_stuck_rows(values, parts)):
+                anomalies.append(Anomaly("held", name, text, select_repeats(values, blocks, rows)))
+            elif len(rows := find_stuck_rows(values, blocks)):
                 level = values[rows[0]]
                 text = f"is constant at {level:g} in {len(rows)} readings, but rarely elsewhere: saturated or stuck?"
                 anomalies.append(Anomaly("stuck", name, text, rows))
@@ -367,17 +367,17 @@ def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
 
     Rounded values repeat too, but change by a rounding step, the smallest difference of distinct values.
     """
-    held, jump_count = [np.zeros(0, int)], 0
-    levels = np.unique(values[np.concatenate([held[0], *segments])])
+    held_rows, jump_count = [np.zeros(0, int)], 0
+    levels = np.unique(values[np.concatenate([held_rows[0], *segments])])
     min_jump = MIN_JUMP_STEPS * float(np.diff(levels).min(initial=np.inf))
     for segment in segments:
         begins, counts = equal_runs(values[segment])
         repeated, change = counts > 1, np.abs(np.diff(values[segment][begins]))
         is_jump = repeated[:-1] & repeated[1:] & (change > min_jump)
         if is_jump.any() and is_jump.mean() > MIN_HELD_SHARE:
-            held.append(segment)
+            held_rows.append(segment)
             jump_count += int(np.count_nonzero(is_jump))
-    return np.concatenate(held) if jump_count >= MIN_HELD_JUMPS else held[0]
+    return np.concatenate(held_rows) if jump_count >= MIN_HELD_JUMPS else held_rows[0]
 
 
 def select_repeats(values: np.ndarray, segments: Segments, rows: np.ndarray) -> np.ndarray:
@@ -395,14 +395,14 @@ MAX_REPEATED_SHARE = 0.1
 def find_stuck_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
     """Return the rows of the level at which a column is constant for far longer than elsewhere; empty if none."""
     begins, lengths = zip(*(equal_runs(values[segment]) for segment in segments), strict=True)
-    starts = [segment[first] for segment, first in zip(segments, begins, strict=True)]
+    starts = [segment[indices] for segment, indices in zip(segments, begins, strict=True)]
     levels = values[np.concatenate(starts)]
     rows, lengths = np.concatenate(segments), np.concatenate(lengths)
     longest = levels[np.argmax(lengths)]
-    others = lengths[levels != longest]
-    min_length = max(MIN_STUCK_READINGS, MIN_STUCK_RATIO * np.max(others, initial=1))
-    by_rounding = np.sum(others - 1) > MAX_REPEATED_SHARE * np.sum(others)
-    is_stuck = others.size and np.max(lengths) >= min_length and not by_rounding
+    other_lengths = lengths[levels != longest]
+    min_length = max(MIN_STUCK_READINGS, MIN_STUCK_RATIO * np.max(other_lengths, initial=1))
+    is_rounded = np.sum(other_lengths - 1) > MAX_REPEATED_SHARE * np.sum(other_lengths)
+    is_stuck = other_lengths.size and np.max(lengths) >= min_length and not is_rounded
     return np.sort(rows[values[rows] == longest]) if is_stuck else rows[:0]
 
 

@@ -251,9 +251,9 @@ class ColumnRule:
             return False
         own_names, *synonym_tiers = self.name_tiers
         names = own_names.union(n for tier in synonym_tiers for n in tier if len(n) > 2)
-        parts = set(normalise(self.column.name).split("_"))
+        name_words = set(normalise(self.column.name).split("_"))
         words = (normalise(split.name) for split in possible_splits(header))
-        return any(name in names or parts <= set(name.split("_")) for name in words)
+        return any(name in names or name_words <= set(name.split("_")) for name in words)
 
 
 def _has_common_word(header_name: str, column_name: str) -> bool:
@@ -340,10 +340,10 @@ class MatchedFile:
         self._rename(position, split, name + reason)
 
     def _rename(self, position: int, split: Header, description: str) -> None:
-        old, self._headers[position] = self._headers[position], split
-        if split != old:
+        old_header, self._headers[position] = self._headers[position], split
+        if split != old_header:
             unit = f" in {format_unit(split.unit)}" if split.unit else ""
-            self._notes.append(f"{self.table.file}: read {old.raw!r} as {description}{unit}")
+            self._notes.append(f"{self.table.file}: read {old_header.raw!r} as {description}{unit}")
 
     def _assign_user_columns(self) -> None:
         """Assign the columns that the user names (`columns=`)."""
@@ -366,17 +366,17 @@ class MatchedFile:
     def _assign_instrument_columns(self) -> None:
         """Assign the instrument's columns by their exact names, else by synonyms with a unit of the right dimension."""
         headers = self._headers
-        exact = {headers[i].name: i for i in self._unmatched}
+        index = {headers[i].name: i for i in self._unmatched}
         for name, column in self.expected.items():
             if name in self.options.columns:
                 continue
-            also = [n for n in column.also if n not in self.expected]
-            own_names, rule = [n for n in (name, *also) if n in exact], self.rule(name)
+            synonyms = [n for n in column.also if n not in self.expected]
+            own_names, rule = [n for n in (name, *synonyms) if n in index], self.rule(name)
             for second in own_names[1:]:
-                first, other = headers[exact[own_names[0]]].raw, headers[exact[second]].raw
+                first, other = headers[index[own_names[0]]].raw, headers[index[second]].raw
                 self.report(other, f"a second {name!r} besides {first!r}", cure="Remove one")
             if own_names:
-                position = exact[own_names[0]]
+                position = index[own_names[0]]
                 unit = unit_in(headers[position].unit or "", rule.kinds) or headers[position].unit
                 self._assign(position, replace(headers[position], unit=unit), name)
                 continue
@@ -400,10 +400,10 @@ class MatchedFile:
             if name and unit and is_convertible(unit, str(self.expected[outputs[0]].unit)):
                 for key, axis in ((f"{name[:-1]}?", name[-1]), (f"?{name[1:]}", name[0])):
                     triples.setdefault(key, {})[axis] = i, header
-        complete = [triple for triple in triples.values() if triple.keys() >= {*"xyz"}]
-        if len(complete) == 1:
+        full_triples = [triple for triple in triples.values() if triple.keys() >= {*"xyz"}]
+        if len(full_triples) == 1:
             for axis in "xyz":
-                position, header = complete[0][axis]
+                position, header = full_triples[0][axis]
                 self._assign(position, replace(header, name=f"output_{axis}"), f"output_{axis}")
 
     def _assign_label_columns(self) -> None:
@@ -480,16 +480,16 @@ class MatchedFile:
         """Add a problem, with similar headers, for each missing required column; return whether any is missing."""
         positions = {self.positions[name] for name in self.expected if name in self.positions}
         unmatched = [h for i, h in enumerate(self.table.headers) if h.name and i not in positions]
-        absent = [
+        missing_columns = [
             column
             for name, column in self.expected.items()
             if _is_required(column) and name not in {*self.positions, *self.options.columns}
         ]
         headers = f"It has: {format_headers(self.table)}. "
-        for column in absent:
+        for column in missing_columns:
             self._note_lack(column, self.rule(column.name).candidates(unmatched), headers)
             headers = ""  # list the headers only once
-        return bool(absent)
+        return bool(missing_columns)
 
     def _note_lack(self, column: Column, candidates: Sequence[Header], headers: str) -> None:
         expected = f"{column.name} [{column.example}]" if column.unit else column.name
@@ -497,10 +497,10 @@ class MatchedFile:
         if not candidates:
             self.report(column.name, "no such column", expected, f"{headers}Add such a column")
             return
-        proposed = candidates[:MAX_SHOWN_HEADERS]
-        choices = [self._as_column(column, header) for header in proposed]
+        shown_headers = candidates[:MAX_SHOWN_HEADERS]
+        choices = [self._as_column(column, header) for header in shown_headers]
         suggestion = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
-        names = ", ".join(header.raw for header in proposed)
+        names = ", ".join(header.raw for header in shown_headers)
         advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
         if "--nominal-scale" in suggestion:
             advice += "The nominal scale is the raw output per unit of output, --nominal-zero the raw output at zero. "
@@ -589,8 +589,8 @@ class MatchedFile:
 
 def _known_unit(unit: str | None, kind: str = ANY) -> str | None:
     """Return the known unit that a text spells, of dimension `kind`; None if none or several."""
-    spelled = [name for name, texts in CONTEXT_SPELLINGS.items() if unit in texts]
-    return unit_in(unit or "", (kind,)) or (spelled[0] if len(spelled) == 1 else None)
+    matching_names = [name for name, texts in CONTEXT_SPELLINGS.items() if unit in texts]
+    return unit_in(unit or "", (kind,)) or (matching_names[0] if len(matching_names) == 1 else None)
 
 
 def _is_required(column: Column) -> bool:

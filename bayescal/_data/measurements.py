@@ -131,8 +131,8 @@ class Measurements(Printed):
         named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
-        vectors, attached = _extract_columns({} if arrays is None else arrays, columns)
-        table = Table.of_columns(ARRAYS, broadcast_columns(vectors), default_units | attached)
+        vectors, attached_units = _extract_columns({} if arrays is None else arrays, columns)
+        table = Table.of_columns(ARRAYS, broadcast_columns(vectors), default_units | attached_units)
         options = ReadOptions(units=units or {}, local_gravity=local_gravity, missing=missing)
         return measure_tables([table], instrument, options, allow_one_temperature)
 
@@ -345,20 +345,20 @@ class Measurements(Printed):
         """
         if not (self.has("time") and later.has("time")) or self.since != later.since:
             return {}
-        later_times, continued = later["time"], {}
+        later_times, rows_by_run = later["time"], {}
         for i, (name, times) in later.records.matching_records(self.records).items():
             rows = later.records.rows[i]
-            first = float(later_times[rows].min())
-            earlier = times[times < first]
-            if not earlier.size or times.size < 2 or np.isin(later_times[rows], times).any():
+            first_time = float(later_times[rows].min())
+            earlier_times = times[times < first_time]
+            if not earlier_times.size or times.size < 2 or np.isin(later_times[rows], times).any():
                 continue
-            merged = np.concatenate([np.zeros(times.size, bool), np.ones(rows.size, bool)])
-            merged = merged[np.argsort(np.concatenate([times, later_times[rows]]), kind="stable")]
+            labels = np.concatenate([np.zeros(times.size, bool), np.ones(rows.size, bool)])
+            labels = labels[np.argsort(np.concatenate([times, later_times[rows]]), kind="stable")]
             max_alternations = max(2.0, MAX_INTERLEAVED_SHARE * min(times.size, rows.size))
-            in_blocks = np.count_nonzero(np.diff(merged)) <= max_alternations
-            if in_blocks and first - earlier[-1] <= PAUSE_STEPS * median_step(times):
-                continued[name] = rows
-        return continued
+            is_in_blocks = np.count_nonzero(np.diff(labels)) <= max_alternations
+            if is_in_blocks and first_time - earlier_times[-1] <= PAUSE_STEPS * median_step(times):
+                rows_by_run[name] = rows
+        return rows_by_run
 
     def average(self, step: str | float) -> Measurements:
         """Average consecutive readings with equal labels and settings over an averaging time.
@@ -381,8 +381,8 @@ class Measurements(Printed):
         same_group = np.diff(codes[order], prepend=-1) == 0  # as the reading before, in this order
         bins = averaging.bin_times(time[order], same_group, seconds)
         starts = ~same_group | (np.diff(bins, prepend=bins[:1]) != 0)
-        varying = ("time", self.output, UNCERTAINTY, *labels)
-        for name in (n for n, unit in units.items() if unit != "degC" and n not in varying):
+        varying_columns = ("time", self.output, UNCERTAINTY, *labels)
+        for name in (n for n, unit in units.items() if unit != "degC" and n not in varying_columns):
             starts |= averaging.find_steps(self[name][order], same_group)
         begins = np.flatnonzero(starts)
         counts = np.diff(begins, append=time.size)
@@ -410,10 +410,10 @@ class Measurements(Printed):
         Raises:
             InputError: the suffix is not .csv, or the file cannot be written.
         """
-        dated = self
+        readings = self
         if self.since is not None and self.has("time"):
-            dated = self.with_column("time", self["time"] + self.since)
-        return write(dated.values, dated.units, path)
+            readings = self.with_column("time", self["time"] + self.since)
+        return write(readings.values, readings.units, path)
 
 
 def measure_tables(

@@ -37,14 +37,14 @@ def ellipsoid(
     scale, mean = np.max(np.std(outputs, axis=0)), outputs.mean(axis=0)
     if not scale > 0:
         return None
-    scaled = (outputs - mean) / scale
+    points = (outputs - mean) / scale
     i, j = np.triu_indices(3)
-    monomials = np.concatenate([scaled[:, i] * scaled[:, j], scaled], axis=1)
-    coefficients, _, rank, _ = np.linalg.lstsq(monomials, np.ones(len(scaled)), rcond=1e-10)
-    form = np.zeros((3, 3))
-    form[i, j] = coefficients[:6]
-    form = 0.5 * (form + form.T)
-    if rank < len(coefficients) or not np.min(np.linalg.eigvalsh(form)) > 0:
+    monomials = np.concatenate([points[:, i] * points[:, j], points], axis=1)
+    coefficients, _, rank, _ = np.linalg.lstsq(monomials, np.ones(len(points)), rcond=1e-10)
+    form_matrix = np.zeros((3, 3))
+    form_matrix[i, j] = coefficients[:6]
+    form_matrix = 0.5 * (form_matrix + form_matrix.T)
+    if rank < len(coefficients) or not np.min(np.linalg.eigvalsh(form_matrix)) > 0:
         return None
-    centre = -0.5 * np.linalg.solve(form, coefficients[6:])
-    return mean + scale * centre, form / (1 + centre @ form @ centre) / scale**2
+    centre = -0.5 * np.linalg.solve(form_matrix, coefficients[6:])
+    return mean + scale * centre, form_matrix / (1 + centre @ form_matrix @ centre) / scale**2

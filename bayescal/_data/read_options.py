@@ -143,17 +143,17 @@ class ReadOptions:
             return [n for n in names if find_header(source.headers, to_one_line(n)) is not None]
 
         for name, names in self.columns.items():
-            present = present_in(_as_sequence(names))
-            if present or not any(present_in(_as_sequence(names), other) for other in other_tables):
-                columns[name] = (present or _as_sequence(names))[0]
-        raw, assigned = {header.raw for header in table.headers}, {*self.headers}
-        for earlier in self.remembered:
-            for name, header in earlier.columns.items():
+            matches = present_in(_as_sequence(names))
+            if matches or not any(present_in(_as_sequence(names), other) for other in other_tables):
+                columns[name] = (matches or _as_sequence(names))[0]
+        raw_headers, assigned_headers = {header.raw for header in table.headers}, {*self.headers}
+        for source in self.remembered:
+            for name, header in source.columns.items():
                 is_new = name not in {*self.columns, *columns}
-                is_free = header not in {*assigned, *columns.values()}
+                is_free = header not in {*assigned_headers, *columns.values()}
                 if is_new and is_free and present_in([header]):
                     columns[name] = header
-            units = {h: unit for h, unit in earlier.units.items() if h in raw} | units
+            units = {h: unit for h, unit in source.units.items() if h in raw_headers} | units
         return replace(self, columns=columns, units=units, remembered=())
 
     def is_ignored(self, header: Header) -> bool:

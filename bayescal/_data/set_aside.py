@@ -177,8 +177,8 @@ def flag_fitted_holdout(readings: Measurements, holdout: Measurements) -> str:
     makes most of these recur.
     """
     numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
-    common = [n for n in numbers if holdout.has(n)]
-    rows = [np.column_stack([np.nan_to_num(r[n]) for n in common]) for r in (readings, holdout)]
+    names = [n for n in numbers if holdout.has(n)]
+    rows = [np.column_stack([np.nan_to_num(r[n]) for n in names]) for r in (readings, holdout)]
     codes = np.unique(np.round(np.concatenate(rows), 12), axis=0, return_inverse=True)[1].ravel()
     fitted_codes, holdout_codes = np.split(codes, [len(readings)])
     count = int(np.isin(holdout_codes, fitted_codes).sum())

@@ -277,10 +277,10 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
     if ANY in kinds:
         return _COMPOUND_SPELLINGS.get(text.translate(_SUPERSCRIPTS))
     lower, spellings = text.lower(), CONTEXT_SPELLINGS.items()
-    exact = {u for u, texts in spellings if text in texts}
+    exact_matches = {u for u, texts in spellings if text in texts}
     any_case = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
-    caseless = {u for u in KNOWN_UNITS if u.lower() == lower}
-    tiers = (exact or any_case, caseless, {lower})
+    known_matches = {u for u in KNOWN_UNITS if u.lower() == lower}
+    tiers = (exact_matches or any_case, known_matches, {lower})
     matches = ({u for u in tier if _has_dimension(u, kinds)} for tier in tiers)
     unique = next(filter(None, matches), set())
     return unique.pop() if len(unique) == 1 else None
@@ -323,8 +323,8 @@ def convert(
             raise InputError(
                 f"[{from_unit}] is a temperature difference, [{to_unit}] a temperature: write [degC], [K] or [degF]"
             )
-        same = old == new
-        return values if same else (values * old.factor + old.offset - new.offset) / new.factor
+        is_same = old == new
+        return values if is_same else (values * old.factor + old.offset - new.offset) / new.factor
     factor = old.factor / new.factor
     if power:
         low, high = EARTH_GRAVITY
@@ -449,12 +449,12 @@ def _product_factor(
     powers, _, rank, _ = np.linalg.lstsq(matrix, target)
     if np.abs(matrix @ powers - target).max() > 1e-9:
         return None
-    null = np.linalg.svd(matrix)[2][rank:]
-    is_ambiguous = np.abs(null[np.abs(null @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
+    kernel = np.linalg.svd(matrix)[2][rank:]
+    is_ambiguous = np.abs(kernel[np.abs(kernel @ sizes) > 1e-9]).max(axis=0, initial=0.0) > 1e-9
     if is_ambiguous.any():
-        listed = _list_units([u for u, flag in zip(parts, is_ambiguous, strict=True) if flag])
+        labels = _list_units([u for u, flag in zip(parts, is_ambiguous, strict=True) if flag])
         raise InputError(
-            f"the unit of its basis is ambiguous: columns in {listed} have one dimension. Declare them in the same unit"
+            f"the unit of its basis is ambiguous: columns in {labels} have one dimension. Declare them in the same unit"
         )
     return float(np.exp(powers @ sizes))
 
@@ -475,16 +475,16 @@ def base_unit(unit: str) -> str:
 
 def _format_base(powers: Mapping[str, float]) -> str:
     """Format exponents of base units as a unit; K as degC, a temperature difference."""
-    ranked = sorted(("degC" if n == "K" else n, p) for n, p in powers.items())
-    parts = [(n if abs(p) == 1 else f"{n}^{abs(p):g}", p > 0) for n, p in ranked]
-    numerator = "*".join(part for part, is_numerator in parts if is_numerator)
-    return "/".join([numerator or "1", *(part for part, is_numerator in parts if not is_numerator)])
+    exponents = sorted(("degC" if n == "K" else n, p) for n, p in powers.items())
+    terms = [(n if abs(p) == 1 else f"{n}^{abs(p):g}", p > 0) for n, p in exponents]
+    numerator = "*".join(term for term, is_numerator in terms if is_numerator)
+    return "/".join([numerator or "1", *(term for term, is_numerator in terms if not is_numerator)])
 
 
 def quotient(unit: str, divisor: str) -> str:
     """Return the quotient of two units with common names cancelled: "degC" for "deg/s" by "deg/s/degC"."""
-    signed = (*parse(unit).names, *((name, -power) for name, power in parse(divisor).names))
-    powers = {name: sum(p for n, p in signed if n == name) for name, _ in signed}
+    exponents = (*parse(unit).names, *((name, -power) for name, power in parse(divisor).names))
+    powers = {name: sum(p for n, p in exponents if n == name) for name, _ in exponents}
     return _format_base({name: power for name, power in powers.items() if power})
 
 
@@ -518,9 +518,9 @@ def unit_label(unit: str) -> str:
     return format_unit(unit) if unit not in ("", "1") else ""
 
 
-def _power_of_gravity(old: Mapping[str, float], new: Mapping[str, float]) -> float | None:
+def _power_of_gravity(source: Mapping[str, float], target: Mapping[str, float]) -> float | None:
     """Return the exponent of local gravity in a conversion between two dimensions; None if not convertible."""
-    power, names = old.get("m", 0) - new.get("m", 0), {*old, *new}
+    power, names = source.get("m", 0) - target.get("m", 0), {*source, *target}
     expected = {"m": power, "s": -2 * power, "ug": -power}
-    matches = all(old.get(n, 0) - new.get(n, 0) == expected.get(n, 0) for n in names)
+    matches = all(source.get(n, 0) - target.get(n, 0) == expected.get(n, 0) for n in names)
     return power if matches and (not power or {"s", "ug"} <= names) else None

@@ -228,7 +228,7 @@ def budget(
     used = compensator(calibration) if isinstance(calibration, Calibration) else calibration
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
-    point = _operating_point(used, dict(at or {}))
+    point = _validate_point(used, dict(at or {}))
     expected, slope, gradient = _linearise(used, point)
     covariance = used._moments.covariance
     variance = float(gradient @ covariance @ gradient)
@@ -255,11 +255,11 @@ def budget(
         ),
         sources=_split_by_source(used, point, gradient, variance),
         covariance=covariance,
-        notes=(*claims, *_range_claims(used, point), *notes_on(used)),
+        notes=(*claims, *_find_range_claims(used, point), *notes_on(used)),
     )
 
 
-def _operating_point(used: Compensator, at: dict[str, float]) -> dict[str, float]:
+def _validate_point(used: Compensator, at: dict[str, float]) -> dict[str, float]:
     names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
@@ -287,7 +287,7 @@ def _split_by_source(
 ) -> tuple[SourceShare, ...]:
     """Split the variance by source: noise, each prior, each deviation of a new group member."""
     unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest_effects
-    parts, total = dict[tuple[str, str], float](), variance
+    variances, total = dict[tuple[str, str], float](), variance
     if unlikely:
         used = compensator(used.calibration.without(unlikely), members=dict(used.equation.members))
         *_, gradient = _linearise(used, point)
@@ -298,34 +298,34 @@ def _split_by_source(
         if unknown.kind == "new":
             name = unknown.name.replace("(new ", " of a new ").removesuffix(")")
             variance_i = gradient[i] ** 2 * used._moments.covariance[i, i]
-            parts[name, "A" if unknown.key in estimated else "B"] = variance_i
+            variances[name, "A" if unknown.key in estimated else "B"] = variance_i
         else:
             sensitivities[unknown.name] = float(gradient[i])
     readings, priors = variance_by_origin(calibration, sensitivities)
     groups = {b.name: b.coefficient.per for b in calibration.layout.x_blocks}
     if readings or priors:
-        parts[READINGS, "A"] = readings
+        variances[READINGS, "A"] = readings
         for name, value in priors.items():
-            fitted = f" of the fitted {groups.get(name)}s".replace("axiss", "axes")
-            of = fitted if groups.get(name) else ""
-            row = f"prior of {CERTIFICATE_INDEX.sub('', name)}{of}", "B"
-            parts[row] = parts.get(row, 0.0) + value
+            group_text = f" of the fitted {groups.get(name)}s".replace("axiss", "axes")
+            of = group_text if groups.get(name) else ""
+            source = f"prior of {CERTIFICATE_INDEX.sub('', name)}{of}", "B"
+            variances[source] = variances.get(source, 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
         shift = 0.0  # of the value, per standard deviation of the column's effect
         for derivative, u in zip(gradient, unknowns, strict=True):
-            if u.kind == "coefficient" and (part := confounder.shares.get(u.key)):
-                shift += float(derivative) * part[index.index[u.name] - index.by_key[u.key].start]
-        parts[f"{confounder.label}, collinear with the model's", "B"] = shift**2
-    not_found = list[float]()
+            if u.kind == "coefficient" and (shares := confounder.shares.get(u.key)):
+                shift += float(derivative) * shares[index.index[u.name] - index.by_key[u.key].start]
+        variances[f"{confounder.label}, collinear with the model's", "B"] = shift**2
+    unfound = list[float]()
     for name, (i, root) in used.equation.unfound_spreads.items():
-        not_found.append(float(gradient[i] * root) ** 2)
-        parts[f"{name} of a new run, neither found nor excluded", "B"] = not_found[-1]
-    if (extra := 1 - calibration.form_factor**-2) > 0:
-        part = gradient * [u.kind != "new" for u in unknowns]
-        parts[FORM, "B"] = extra * (float(part @ used._moments.covariance @ part) - sum(not_found))
-    rows = sorted(parts.items(), key=lambda p: -p[1])
-    remainder = total - sum(parts.values())
+        unfound.append(float(gradient[i] * root) ** 2)
+        variances[f"{name} of a new run, neither found nor excluded", "B"] = unfound[-1]
+    if (excess := 1 - calibration.form_factor**-2) > 0:
+        g = gradient * [u.kind != "new" for u in unknowns]
+        variances[FORM, "B"] = excess * (float(g @ used._moments.covariance @ g) - sum(unfound))
+    rows = sorted(variances.items(), key=lambda p: -p[1])
+    remainder = total - sum(variances.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
     roots = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
@@ -334,12 +334,12 @@ def _split_by_source(
 
 def _estimated_group_sds(equation: OperatingEquation) -> set[str]:
     """Return coefficients with an unseen member in use and an estimated between-member standard deviation."""
-    members, fixed = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
-    estimated = (b for b in equation.blocks if b.group_sd_name not in fixed)
+    members, fixed_names = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
+    estimated = (b for b in equation.blocks if b.group_sd_name not in fixed_names)
     return {b.name for b in estimated if b.coefficient.per not in members}
 
 
-def _range_claims(used: Compensator, point: Mapping[str, float]) -> list[Claim]:
+def _find_range_claims(used: Compensator, point: Mapping[str, float]) -> list[Claim]:
     """Return a claim for each input of an operating point, fixed units, outside its calibrated range."""
     past = {i.name for i in used.inputs if i.kind in PAST}
     fixed = {i.name for i in used.inputs if i.settled}

@@ -153,10 +153,10 @@ def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin:
     if not (compensator.dated and undated) or {s.sha256 for s in readings.sources} & hashes:
         return
     (clock,) = (i for i in compensator.inputs if i.name == "time")
-    first, last = float(readings["time"].min()), float(readings["time"].max())
-    if first <= clock.high and last >= clock.low:
+    first_time, last_time = float(readings["time"].min()), float(readings["time"].max())
+    if first_time <= clock.high and last_time >= clock.low:
         raise InputError(
-            f"{readings.file}: its times ({first:.6g} to {last:.6g} s) overlap those of the calibration "
+            f"{readings.file}: its times ({first_time:.6g} to {last_time:.6g} s) overlap those of the calibration "
             f"({clock.low:.6g} to {clock.high:.6g} s), which did not use this file: its clock has another origin. "
             f"{compensator.dated} depends on absolute time: give the time of the first reading on the calibration's "
             "clock (--begin '9 days'), or --begin '0 s' if time counts from the start of each run"
@@ -201,9 +201,9 @@ def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw:
 
 def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
     """Append fields to a line."""
-    body = line.decode().rstrip("\r\n")
-    end = line.decode()[len(body) :] or "\n"
-    return body + text.separator + csv_line(fields, text.separator) + end
+    content = line.decode().rstrip("\r\n")
+    end = line.decode()[len(content) :] or "\n"
+    return content + text.separator + csv_line(fields, text.separator) + end
 
 
 def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:

@@ -230,7 +230,7 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
     effects = dict.fromkeys(b.effect for b in equation.blocks)
     scale = calibration.readings.scale or instrument.nominal_scale
     numbers = {k: v for k, v in calibration.reference.items() if not isinstance(v, dict)}
-    stated = {k: float(v) for k, v in numbers.items() if not k.endswith(("_low", "_high", "_held"))}
+    values = {k: float(v) for k, v in numbers.items() if not k.endswith(("_low", "_high", "_held"))}
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,
@@ -238,7 +238,7 @@ def provenance_of(equation: OperatingEquation) -> Provenance:
         unit=use.unit,
         output_unit=calibration.unit,
         effects=tuple((e.name, e.equation) for e in effects),
-        reference=stated | calibration.hold_at,
+        reference=values | calibration.hold_at,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
         notes=(),
@@ -259,17 +259,17 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
     if "time" not in equation.inputs:
         return []
     calibration = equation.calibration
-    last, since = float(calibration.readings["time"].max()), calibration.readings.since
-    end = f"{number(last, 6)} s" if since is None else format_date(since + last)
-    changing = calibration.dated_effects or ("the noise",)
-    return [Claim("use.dated", *changing, clock=time_origin(calibration), end=end)]
+    last_time, since = float(calibration.readings["time"].max()), calibration.readings.since
+    end = f"{number(last_time, 6)} s" if since is None else format_date(since + last_time)
+    dated_effects = calibration.dated_effects or ("the noise",)
+    return [Claim("use.dated", *dated_effects, clock=time_origin(calibration), end=end)]
 
 
 def averaged_over(calibration: Calibration) -> list[Claim]:
     """Return a claim that values are averages over structures, with inclusion probabilities; empty otherwise."""
-    uncertain = {name: p for name, p in calibration.inclusion.items() if p < 1}
-    texts = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in uncertain.items())
-    return [Claim("use.averaged", *uncertain, named=tuple(texts))] if uncertain else []
+    effects = {name: p for name, p in calibration.inclusion.items() if p < 1}
+    texts = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in effects.items())
+    return [Claim("use.averaged", *effects, named=tuple(texts))] if effects else []
 
 
 def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
@@ -391,9 +391,9 @@ class CompensationProgram(CorrectionInUse):
             values |= {time.name: times, STIMULUS: low + ratio * (high - low) + 0.0 * times}
             expected, _, uncertainty = self._expand_at(values)
             changes = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            scatter = np.sqrt(self.noise_variance(values[STIMULUS], values))
-            u, sd = MAX_SETTLED_CHANGE * uncertainty[0], MAX_SETTLED_CHANGE * scatter[0]
-            if np.any(changes > u) or np.ptp(scatter) > sd:
+            noise_sd = np.sqrt(self.noise_variance(values[STIMULUS], values))
+            u, sd = MAX_SETTLED_CHANGE * uncertainty[0], MAX_SETTLED_CHANGE * noise_sd[0]
+            if np.any(changes > u) or np.ptp(noise_sd) > sd:
                 return False
         return True
 
@@ -425,7 +425,7 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
     graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, noise | means)
     variance = graph.apply("mul", graph.constant(noise_level), variance)
     nonzero = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
-    conditional = {name: m[1:] for name, m in equation.shapes.items() if m[2] < 1}
+    shapes = {name: m[1:] for name, m in equation.shapes.items() if m[2] < 1}
     pairs = ((unknowns[i], float(moments.mean[i])) for i in nonzero)
     outputs = [expected, slope, variance, *(gradient[i] for i in nonzero)]
     subgraph, (expected, slope, variance, *gradient) = graph.subgraph(outputs, {})
@@ -437,7 +437,7 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
         about=provenance_of(equation),
         inputs=tuple(inputs),
         stimulus_range=stimulus_range,
-        unknowns=tuple(ProgramUnknown(u.name, u.unit, m, conditional.get(u.key)) for u, m in pairs),
+        unknowns=tuple(ProgramUnknown(u.name, u.unit, m, shapes.get(u.key)) for u, m in pairs),
         covariance=moments.covariance[np.ix_(nonzero, nonzero)].tolist(),
         affine=STIMULUS not in subgraph.inputs([slope]),
         equation=TracedEquation(subgraph.nodes, expected, slope, tuple(gradient), variance),

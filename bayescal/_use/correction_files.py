@@ -195,9 +195,9 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
         return [sensor_name(name, instruments[0])]
     prefix = "" if name is None else f"{sensor_name(name, '')}_"
     names = [sensor_name(None, f"{prefix}{instrument}") for instrument in instruments]
-    if double := [n for n in names if names.count(n) > 1]:
+    if doubles := [n for n in names if names.count(n) > 1]:
         raise InputError(
-            f"two corrections are of {instruments[names.index(double[0])]}, but a unit has one sensor of each kind: "
+            f"two corrections are of {instruments[names.index(doubles[0])]}, but a unit has one sensor of each kind: "
             "export the second to a separate file, with a name"
         )
     return names

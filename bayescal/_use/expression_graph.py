@@ -155,8 +155,8 @@ class Graph:
             with np.errstate(all="ignore"):
                 value = OPERATIONS[op].compute(*values)
             return self.constant(bool(value) if OPERATIONS[op].boolean else value.item())
-        simpler = self._simplify(op, args, values)
-        return simpler if simpler is not None else self.add((op, *args))
+        simplified_node = self._simplify(op, args, values)
+        return simplified_node if simplified_node is not None else self.add((op, *args))
 
     def _simplify(self, op: str, args: tuple[int, ...], values: list[Any]) -> int | None:
         if op == "select":

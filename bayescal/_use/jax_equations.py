@@ -129,18 +129,18 @@ def _evaluate_primitive(equation: Any, arguments: Sequence[Any], **parameters: A
 
 def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
     """Move elements by evaluating a primitive on their indices; its index arguments are numbers."""
-    moved = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
-    if any(isinstance(a, Symbols) for a in arguments[len(moved) :]):
+    arrays = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
+    if any(isinstance(a, Symbols) for a in arguments[len(arrays) :]):
         raise NotExportable("an array index that depends on a covariate cannot be exported")
-    graph = next(a.graph for a in moved if isinstance(a, Symbols))
+    graph = next(a.graph for a in arrays if isinstance(a, Symbols))
     pool, indices = list[Any](), list[Any]()
-    for argument in moved:
+    for argument in arrays:
         indices.append(len(pool) + np.arange(np.size(argument)).reshape(np.shape(argument)))
         pool += np.asarray(argument, dtype=object).reshape(-1).tolist()
     options = {} if equation.params.get("fill_value") is None else {"fill_value": 0}
     elements = np.empty(len(pool), dtype=object)
     elements[:] = pool
-    results = _evaluate_primitive(equation, [*indices, *arguments[len(moved) :]], **options)
+    results = _evaluate_primitive(equation, [*indices, *arguments[len(arrays) :]], **options)
     return [graph.symbols(elements[np.asarray(places)]) for places in results]
 
 
@@ -175,9 +175,9 @@ class Call:
 
 def _replace_by_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
     """Replace an operation by calls of JAX, one per element of its results."""
-    symbolic = [a for a in arguments if isinstance(a, Symbols)]
-    graph, splits = symbolic[0].graph, np.cumsum([a.size for a in symbolic])[:-1]
-    elements = [element for a in symbolic for element in np.asarray(a).flat]
+    symbol_arguments = [a for a in arguments if isinstance(a, Symbols)]
+    graph, splits = symbol_arguments[0].graph, np.cumsum([a.size for a in symbol_arguments])[:-1]
+    elements = [element for a in symbol_arguments for element in np.asarray(a).flat]
 
     def evaluate_element(result: int, element: int, *scalars: Any) -> Any:
         values = iter(jnp.split(jnp.stack(scalars), splits))

@@ -372,9 +372,9 @@ class OperatingEquation:
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem
-        total, random = len(v), np.random.default_rng(calibration.seed)
-        step = max(1, -(-total // draws))
-        values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
+        draw_count, random = len(v), np.random.default_rng(calibration.seed)
+        step = max(1, -(-draw_count // draws))
+        values, mean = np.zeros((draw_count, len(unknowns))), np.zeros(len(unknowns))
         new_members = [i for i, u in enumerate(unknowns) if u.kind == "new"]
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
@@ -386,7 +386,7 @@ class OperatingEquation:
         covariance = np.atleast_2d(np.cov(scaled.T)) if len(unknowns) else np.zeros((0, 0))
         for i in new_members:
             term = next(t for t in problem.terms if t.name == unknowns[i].key)
-            sd = problem.member_sd(term, problem.hyper(v.T), total)
+            sd = problem.member_sd(term, problem.hyper(v.T), draw_count)
             sd = sd * calibration.inclusion_masks[term.effect.name]
             mean[i], covariance[i, i] = term.coefficient.mean, float(np.mean(sd**2))
             deviations = _draw_uncorrelated(thin - mean, sd[::step], covariance[i, i], random)
@@ -395,10 +395,10 @@ class OperatingEquation:
             covariance[i, i] += size**2
             thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
         # Shapes are not rescaled: they might leave their range.
-        linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
+        linear_indices = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
         if step > 1 or calibration.form_factor != 1.0:
-            target = mean[linear], covariance[np.ix_(linear, linear)]
-            thin[:, linear] = _match_moments(thin[:, linear], *target)
+            target = mean[linear_indices], covariance[np.ix_(linear_indices, linear_indices)]
+            thin[:, linear_indices] = _match_moments(thin[:, linear_indices], *target)
         return PosteriorMoments(thin, mean, covariance)
 
     @property
@@ -421,8 +421,8 @@ class OperatingEquation:
         rows = slice(None, None, -(-len(self.calibration.readings) // MAX_HELD_DRAWS))
         inputs = {n: v[rows] for n, v in self.at_fit.items()}
         arguments = self.moments(MAX_HELD_DRAWS).draws, self.stimulus_at_fit[rows], inputs
-        exact, held = (e.evaluate_draws(*arguments) for e in (replace(self, held_inputs=()), self))
-        return float(np.sqrt(np.mean((exact - held) ** 2)))
+        y, y_held = (e.evaluate_draws(*arguments) for e in (replace(self, held_inputs=()), self))
+        return float(np.sqrt(np.mean((y - y_held) ** 2)))
 
     def noise_in_use(self) -> tuple[dict[str, float], float]:
         """Return the noise parameters at the mean of their coordinates, and a variance factor.
@@ -489,8 +489,8 @@ def _draw_uncorrelated(
     regressor_draws = regressor_draws[:, regressor_sd > 0] / regressor_sd[regressor_sd > 0]
     regressor_draws = regressor_draws[:, : len(sd) // 2]  # fewer for few draws
     regressors = sd[:, None] * np.column_stack([np.ones(len(sd)), regressor_draws])
-    normal = random.standard_normal(len(sd))
-    values = sd * (normal - regressors @ np.linalg.lstsq(regressors, normal, rcond=None)[0])
+    values = random.standard_normal(len(sd))
+    values = sd * (values - regressors @ np.linalg.lstsq(regressors, values, rcond=None)[0])
     variance_of_values = float(values @ values) / (len(values) - 1)
     return values * (variance / variance_of_values) ** 0.5 if variance_of_values > 0 else values
 
@@ -505,19 +505,19 @@ def _match_moments(
     Results from draws and by propagation then agree where the equation is linear.
     """
     sd = np.sqrt(np.diag(covariance))
-    varying = np.flatnonzero(sd > 0)
-    if len(draws) <= 2 * len(varying):
+    indices = np.flatnonzero(sd > 0)
+    if len(draws) <= 2 * len(indices):
         return draws
-    centred = (draws - draws.mean(axis=0))[:, varying] / sd[varying]
-    target = covariance[np.ix_(varying, varying)] / np.outer(sd[varying], sd[varying])
-    roots = []
-    for matrix in (centred.T @ centred / (len(draws) - 1), target):
+    scores = (draws - draws.mean(axis=0))[:, indices] / sd[indices]
+    target = covariance[np.ix_(indices, indices)] / np.outer(sd[indices], sd[indices])
+    square_roots = []
+    for matrix in (scores.T @ scores / (len(draws) - 1), target):
         values, vectors = np.linalg.eigh(matrix)
-        roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-    scaled = np.tile(mean, (len(draws), 1))
-    white = centred @ np.linalg.pinv(roots[0], hermitian=True)
-    scaled[:, varying] += white @ roots[1] * sd[varying]
-    return scaled
+        square_roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    matched_draws = np.tile(mean, (len(draws), 1))
+    white_scores = scores @ np.linalg.pinv(square_roots[0], hermitian=True)
+    matched_draws[:, indices] += white_scores @ square_roots[1] * sd[indices]
+    return matched_draws
 
 
 def solve_over_draws(

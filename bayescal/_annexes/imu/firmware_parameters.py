@@ -439,10 +439,10 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
 
 def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
-    loaded = cmd.loaded(ws.of_units(cmd.calibrations, ws.CALIBRATION))
+    loaded = cmd.load_corrections(ws.of_units(cmd.calibrations, ws.CALIBRATION))
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         _refuse_unused(cmd, " of three axes", "axis", "device_id", "local_gravity")
-        return cmd.written([compensator for _, compensator in loaded])
+        return cmd.write_corrections([compensator for _, compensator in loaded])
     if cmd.format_ == "ardupilot-params":
         _refuse_unused(cmd, "", "device_id")
     compensators = _by_axis(loaded, cmd)
@@ -454,7 +454,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     options = {"devices": devices, "local_gravity": cmd.gravity}
     file = firmware_parameters(compensators, str(cmd.format_), **options)
     text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
-    return ws.Answer(text.removesuffix("\n"), **ws.reliable(compensators))
+    return ws.Answer(text.removesuffix("\n"), **ws.describe_reliability(compensators))
 
 
 def _refuse_unused(cmd: ws.ExportCommand, subject: str, *options: str) -> None:

@@ -31,7 +31,7 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
 
         start.refuse_without_panel()
         # Unusable files raise an error before a browser opens.
-        models, readings, holdout = ws.searched([], self)
+        models, readings, holdout = ws.open_search([], self)
         with ws.result_folder(self.out) as folder:
             assert folder is not None
             ws.tell("loading the workbench and fitting the first model …")
