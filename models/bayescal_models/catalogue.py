@@ -1,7 +1,7 @@
 """Catalogue: factories of effects that instruments have in common, and the table of an instrument's effects.
 
     EFFECTS = EffectTable.from_rows(
-        "data sheet of the sensor; size ours",
+        "data sheet of the sensor; size assumed by us",
         baseline=(("bias.constant", constant, 50.0, "deg/s"), ("bias.temperature", linear, 0.05, "deg/s/degC")),
         candidates=(
             ("bias.warm_up", warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),
@@ -62,7 +62,7 @@ class EffectTable:
         candidates: Iterable[Row] = (),
         others: Iterable[Row] = (),
     ) -> EffectTable:
-        """Build a table from rows with a default source. Of rows with the same name the first is used."""
+        """Build a table from rows with a default source; if rows have the same name, use the first."""
         used_names: set[str] = set()
 
         def build_effects(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
@@ -109,12 +109,12 @@ def deviation(name: str, size: float, unit: str, source: str) -> bc.Effect:
 
 
 def warm_up(low: float, high: float) -> Factory:
-    """Make the factory of a warm-up after each power-on; its time constant is between `low` and `high`, s."""
+    """Return a factory that creates a warm-up after each power-on, with a time constant from `low` to `high`, s."""
     return _adapt(effects.warm_up, low=low, high=high)
 
 
 def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Factory:
-    """Make the factory of (T − T0) times a thermal lag; its time constant is between `low` and `high`, s."""
+    """Return a factory that creates (T − T0) times a thermal lag, with a time constant from `low` to `high`, s."""
     return _adapt(effects.temperature_x_lag, low=low, high=high, column=column)
 
 
@@ -126,7 +126,7 @@ def thermal_lag(
     rate: tuple[Any, ...] = (),
     **options: Any,
 ) -> Factory:
-    """Make the factory of a thermal lag.
+    """Return a factory that creates a thermal lag.
 
     Args:
         low, high: limits of the time constant τ, s.
@@ -227,7 +227,7 @@ def _supply_product(column: str, r: bc.Frame) -> Any:
 
 
 def _expand(base: bc.Effect, group: str | None) -> bc.Effect:
-    """Give an effect and its alternative forms one coefficient per member of a group; None: leave it unchanged."""
+    """Give an effect and its alternative forms one coefficient per member of a group; None: no change."""
     if group is None:
         return base
     coefficients = (c if c.per or c.known else replace(c, per=group) for c in base.coefficients)
@@ -250,7 +250,7 @@ def effect(
     varies: tuple[str, ...] | None = None,
     **fields: Any,
 ) -> Factory:
-    """Make the factory of an effect whose coefficients have the same size, one coefficient per basis column.
+    """Return a factory that creates an effect with one coefficient per basis column, all of the same size.
 
     Args:
         basis: basis function, one column per coefficient.
@@ -288,7 +288,7 @@ def effect(
 def family(
     slots: Sequence[str], basis: Callable[..., Any], equation: str, *columns: str, **fields: Any
 ) -> Factory:
-    """Make the factory of an effect with one coefficient on each of several slots, all included or excluded together.
+    """Return a factory that creates an effect with one coefficient on each of several slots, included together.
 
     Args:
         slots: slots; a coefficient is named by its slot's name after the first underscore, unless `parts` is given.

@@ -131,7 +131,7 @@ def ramp_limited_set_point(
     return np.interp(time, knots, values)
 
 
-SLIP_THRESHOLDS_DEGC = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of stick-slip joints; ours
+SLIP_THRESHOLDS_DEGC = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of stick-slip joints; assumed
 # Supply voltage: mean, standard deviation, and interval of independent values; ours.
 SUPPLY_V, SUPPLY_SD_V, SUPPLY_INTERVAL_S = 5.0, 0.1, 1200.0
 
@@ -191,7 +191,7 @@ class SimulatedTest(NamedTuple):
 
 
 def column_simulator(simulator: Callable[P, SimulatedTest]) -> Callable[P, dict[str, NDArray[Any]]]:
-    """Wrap a simulator of tests into one that returns only the columns."""
+    """Return a simulator of columns, which calls a simulator of tests and discards its true values."""
 
     @wraps(simulator)
     def simulated_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
@@ -201,7 +201,7 @@ def column_simulator(simulator: Callable[P, SimulatedTest]) -> Callable[P, dict[
 
 
 def readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
-    """Wrap an instrument's simulator of columns into one that returns `Measurements`."""
+    """Return a simulator of `Measurements`, which calls an instrument's simulator of columns."""
     assert instrument.simulator is not None
 
     @wraps(instrument.simulator)

@@ -86,5 +86,5 @@ def test_what_is_no_use_is_refused_with_its_element(case, tmp_path) -> None:
         text = text.replace("basic_measuredValue", "shown").replace(r"\degreecelsius", r"\volt")
     spoilt = tmp_path / "spoilt.xml"
     spoilt.write_text(text, "utf-8")
-    with pytest.raises(bc.InputError, match=r"spoilt\.xml', .+: .+\. Expected was "):
+    with pytest.raises(bc.InputError, match=r"spoilt\.xml', .+: .+; expected: "):
         bc.read_dcc(spoilt, GYRO)

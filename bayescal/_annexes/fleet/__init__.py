@@ -1,1 +1,1 @@
-"""Many devices of one type: files split into devices, fits here or on Dask, searches, results."""
+"""Many devices of one type: reading files, fitting (locally or on Dask), searching for effects, and results."""

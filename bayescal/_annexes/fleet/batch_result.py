@@ -62,8 +62,8 @@ EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
 EFFECT_HEADS |= {"share": "expected share", "low": "share, if any: 2.5 %", "high": "97.5 %"}
 
 
-def format_table(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> str:
-    """Format a table with `digits` significant digits and the column heads `heads`."""
+def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:
+    """Format a table with `digits` significant digits and the column headers `headers`."""
 
     def format_cell(v: Any) -> str:
         number = "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
@@ -71,7 +71,7 @@ def format_table(table: pd.DataFrame, digits: int, heads: Mapping[str, str]) -> 
 
     units = {*table.get("unit", ())}
     rows = [[*map(format_cell, row)] for row in table.to_numpy()]
-    return str(ws.plain_table([heads.get(n, n) for n in table.columns], rows))
+    return str(ws.plain_table([headers.get(n, n) for n in table.columns], rows))
 
 
 NO_SEARCH = "no device was searched for missing effects (--find, in Python find=True)"
@@ -79,7 +79,7 @@ NO_SEARCH = "no device was searched for missing effects (--find, in Python find=
 
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """One device of a batch.
+    """Result of the fit of one device of a batch.
 
     Attributes:
         device: its name.
@@ -231,7 +231,7 @@ class BatchResult:
 
     @property
     def unreliable(self) -> dict[str, str]:
-        """Return device → reason of each device without a reliable fit."""
+        """Return the reasons why fits are unreliable, by device name."""
         return {fit.device: fit.reason for fit in self if not fit.ok}
 
     def coefficients(self) -> pd.DataFrame:

@@ -30,7 +30,7 @@ class Devices:
     `devices["A17"]` is the `Measurements` of one device; iteration yields those of each.
 
     Attributes:
-        names: of all devices, in order of appearance, rejected ones included.
+        names: names of all devices, including rejected ones, in order of appearance.
         measurements: name → readings of each accepted device.
         refused: name → reason why the device was rejected.
     """
@@ -114,7 +114,7 @@ def _non_finite_error(device: bc.Measurements) -> str:
 
 
 def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
-    """List the files of readings among paths and in folders, recursively and by name; and the entries not read.
+    """List the files of readings among paths and, recursively, in folders; list also the entries that are not read.
 
     Returns:
         The files; and relative path → reason of each entry of a folder that is not read.
@@ -160,7 +160,7 @@ def split_devices(
 
     Args:
         paths: CSV, Parquet or NetCDF files. Rows of different devices may be mixed; those of one are in time order.
-        instrument: instrument that the devices are.
+        instrument: instrument type of the devices.
         needs: additional columns that a model's effects use; a device without numbers in them is rejected.
         how: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero, date_order, ignore, as in
             `read`; columns={"device": "serial"} splits by the column `serial`.
@@ -184,7 +184,7 @@ def read_devices(
     options: ws.ReadOptions,
     needs: Sequence[str] = (),
 ) -> Devices:
-    """Read the devices of one file, of a log the selected channels; without a column `device`, it is one device.
+    """Read the devices of one file, or the selected channels of a log; without a column `device` it is one device.
 
     Raises:
         InputError: as in `split_devices`.
@@ -223,7 +223,7 @@ def read_devices(
 def _additional_columns(
     table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
 ) -> tuple[bc.Column, ...]:
-    """Return columns that effects need and the instrument does not declare, in their base units."""
+    """Return the columns, in base units, that effects need but the instrument does not declare."""
     headers = {h.name: h for h in table.headers}
     columns = []
     for name in [n for n in needs if n not in ws.expected_columns(instrument)]:

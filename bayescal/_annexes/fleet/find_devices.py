@@ -174,7 +174,7 @@ def build_common_model(
     table: pd.DataFrame,
     candidates: Sequence[bc.Effect],
 ) -> bc.Model:
-    """Add to the model the effects, except placeholders, that any device has, to compare all devices with one model.
+    """Add the effects that any device has, except placeholders, to the model, so that one model fits all devices.
 
     `table` is that of `tabulate_effects`; `candidates` are user-defined effects.
     """

@@ -106,7 +106,7 @@ def read_files(
 
 
 def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
-    """Fit all devices, in batches; devices that are not processed before the deadline get that reason."""
+    """Fit all devices in batches; reject those that are not processed before the deadline."""
     sizes = [len(devices.measurements.get(name, ())) for name in devices.names]
     max_readings = MAX_READINGS_PER_SEARCH_TASK if request.find else MAX_READINGS_PER_FIT_TASK
     cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // max_readings)) + 1
@@ -244,7 +244,7 @@ def _fit(
 def _median_shapes(
     common_model: bc.Model, model: bc.Model, results: Sequence[DeviceResult]
 ) -> dict[str, float]:
-    """Return each added effect's shape parameters: medians over the devices with the effect, as others have priors."""
+    """Return the median shape parameters of each added effect over the devices that have the effect."""
     added_effects = (e for e in common_model.effects if e.name not in model.names)
     names = [e.shape_name(s) for e in added_effects for s in e.shapes]
     means = {n: [fit[n][0] for fit in results if fit.ok and n in fit.names] for n in names}

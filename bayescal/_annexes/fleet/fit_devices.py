@@ -53,7 +53,7 @@ class FitOptions:
     reference: Reference  # constants of the bases, in place of each device's own
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
-        """Return a device's constants of the bases: those of its readings, replaced by given ones."""
+        """Return the reference constants of a device's basis functions, computed from its readings unless given."""
         constants = reference_of(readings)
         return constants | {n: v for n, v in self.reference.items() if n in constants}
 
@@ -125,7 +125,7 @@ def _failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
 def _fit_regular_devices(
     models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], options: FitOptions
 ) -> Iterator[dict[str, DeviceResult]]:
-    """Fit the regular devices jointly, if all have one model that is linear in its coefficients; yield by groups."""
+    """Fit the regular devices jointly if all have the same model, linear in its coefficients; yield each group."""
     distinct_models = {id(model): model for model in models.values()}
     if not isinstance(options.method, bc.LeastSquares) or len(distinct_models) != 1:
         return
@@ -169,7 +169,7 @@ def _stack(arrays: Sequence[Any]) -> Any:
 def _bind_jointly(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
-    """Bind a model to several devices' readings jointly; None if it has no closed form or is not the same for each."""
+    """Bind a model to several devices' readings jointly; return None if no closed form exists or the models differ."""
     layout = ws.bind(model, first, reference=frames[0].reference)[0]
     has_fixed_priors = all(
         b.place != "input" and b.coefficient.per is None and not b.coefficient.flat

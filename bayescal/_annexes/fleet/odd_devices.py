@@ -83,7 +83,7 @@ def predictive_p_values(
 
     Args:
         values: one per device.
-        variance: of each value.
+        variance: variance of each value.
         dof: degrees of freedom of each variance.
         alpha: significance level, p-value below which a value is an outlier.
     """

@@ -1,1 +1,1 @@
-"""Three axes: poses and moves, one body frame, corrections of a triad, and the files that others read of it."""
+"""Three-axis sensors: poses and moves, body frame, corrections of a triad, and their files for other programs."""

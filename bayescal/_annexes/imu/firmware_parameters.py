@@ -83,7 +83,7 @@ def fit_cubic(offsets: RestOffsets, reference: float, low: float, high: float) -
     """Fit a cubic to a calibration's offsets in a temperature range, by least squares.
 
     Args:
-        offsets: of the calibration.
+        offsets: offsets of the calibration.
         reference: T_ref, °C.
         low, high: temperature range, °C; readings outside it are ignored.
 
@@ -125,7 +125,7 @@ class Axis(NamedTuple):
 
     @property
     def sensor(self) -> str:
-        """Return the name of its sensor: "gyro", or "gyro_1" for the second gyroscope."""
+        """Return the name of the axis's sensor: "gyro", or "gyro_1" for the second gyroscope."""
         return self.kind + f"_{self.number}" * bool(self.number)
 
     @property
@@ -224,8 +224,8 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
     """Evaluate the offsets of a calibrated instrument under the conditions of its calibration's readings.
 
     Args:
-        compensator: of the instrument.
-        axis: axis that it measures.
+        compensator: compensator of the instrument.
+        axis: axis that the instrument measures.
         local_gravity: value of the calibration's unit g, m/s².
 
     Raises:
@@ -300,7 +300,7 @@ class FirmwareParameters:
         return "\n".join([str(ws.plain_table(head, rows)), *self.notes])
 
     def text(self) -> str:
-        """Return the parameter file, in ASCII."""
+        """Return the content of the parameter file, in ASCII."""
         autopilot = AUTOPILOTS[self.format]
         comments = [
             f"Thermal parameters of {autopilot.title}, made by bayescal {bc.__version__}",
@@ -396,7 +396,7 @@ def _common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
 def _device_ids(
     by_axis: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]
 ) -> dict[str, int]:
-    """Return sensor → device_id: the stated one, else that of the sensor's log."""
+    """Return the device_id of each sensor: the stated one, otherwise the one in the sensor's log."""
     device_ids = dict[str, int]()
     for a, c in by_axis.items():
         readings = c.calibration.readings
@@ -466,7 +466,7 @@ def _refuse_unused(cmd: ws.ExportCommand, subject: str, *options: str) -> None:
 def _by_axis(
     loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
 ) -> dict[str, bc.Compensator]:
-    """Return axis → compensator; the axis is in the calibration's readings or given by --axis."""
+    """Return the compensator of each axis; the axis is stated in the calibration's readings or by --axis."""
     compensators = dict[str, bc.Compensator]()
     candidates = [(find_axis(c.calibration), p, c) for p, c in loaded]
     pairs = ws.parse_pairs(cmd.axis, "--axis").items()

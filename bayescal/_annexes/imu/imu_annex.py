@@ -34,7 +34,7 @@ class Triad(NamedTuple):
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
-    """Options of the commands for three axes, of one triad or of both triads of a unit."""
+    """Options of the commands that calibrate one triad, or both triads of a unit."""
 
     shortest: float | None = ws.opt("Minimum pose in a log, s; 2, or 1 if many are brief.", min=0.1)
     baseline: bool = ws.opt("Fit bias, scale, misalignment only, without a search.", False)
@@ -85,7 +85,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
 
 
 class TriadCommand(TriadOptions, ws.Command):
-    """Calibrate three axes by poses at rest or known rates."""
+    """Calibrate a three-axis sensor from poses at rest or known rates."""
 
     example = "bayescal triad log.csv --instrument gyro_triad --out result"
     instrument: str = ws.opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
@@ -112,11 +112,11 @@ class TriadCommand(TriadOptions, ws.Command):
 
 
 class ImuCommand(TriadOptions, ws.Command):
-    """Calibrate accelerometers and gyroscopes by one log."""
+    """Calibrate accelerometers and gyroscopes from one log."""
 
     example = "bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit"
-    accelerometers: str | None = ws.opt("Their columns, such as ax,ay,az; default: usual names.")
-    gyroscopes: str | None = ws.opt("Their columns, such as gx,gy,gz; default: usual names.")
+    accelerometers: str | None = ws.opt("Accelerometer columns ax,ay,az; default: common names.")
+    gyroscopes: str | None = ws.opt("Gyroscope columns gx,gy,gz; default: common names.")
 
     def answer(self) -> ws.Answer:
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
@@ -186,7 +186,7 @@ def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
 
 
 def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
-    """Return the entry `vector` of result.json: a correction with standard uncertainties; None for one output."""
+    """Return result.json's entry `vector`: the three-axis correction with its u; None if there is one output."""
     if calibration.model.instrument.vector is None:
         return {"vector": None}
 

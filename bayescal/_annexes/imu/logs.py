@@ -116,7 +116,7 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
 
     class WithoutClock(DFReader_binary):
         def init_clock(self) -> None:
-            """Skip the time of day, for which a log without GPS is read to its end; TimeUS suffices."""
+            """Skip the search for the time of day, which reads a log without GPS to its end; TimeUS suffices."""
 
     with path.open("rb") as file:
         if file.read(2) != MESSAGE_HEADER:
@@ -195,7 +195,7 @@ def _topic_sensor(topic: Any) -> Sensor:
 
 
 def _add_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str]) -> Sensor:
-    """Return a sensor; if it logs no temperature, with that of another sensor on the same device."""
+    """Add the temperature of another sensor on the same device to a sensor that logs none; return the sensor."""
     sensor = sensors[name]
     if sensor.temperature is not None or sensor.device is None:
         return sensor

@@ -188,7 +188,7 @@ def _cut_moves(
 
 
 def _attitude(path: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rates (m, n, 3) and rotations from the body at each sample to that at the move's begin (m, n, 3, 3)."""
+    """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from each sample's body axes to those at the begin."""
     inverse = np.linalg.inv(matrix).T
     rate, h = (path.rate - bias) @ inverse, path.step[..., None]
     # Fourth order in the step: corrections of the trapezoidal rule, and for coning.
@@ -217,7 +217,7 @@ def _fit_run(
         f_run: samples of the accelerometers.
         windows: begin and end of each pose, s.
         correction: correction of the accelerometers.
-        shared: number of runs that share its errors, which do not average out.
+        shared: number of runs that share the errors of the correction, which do not average out.
 
     Raises:
         InputError: as in `moves`.
@@ -280,7 +280,7 @@ class _Session(NamedTuple):
 
     @property
     def spans(self) -> Float[np.ndarray, "km 2"]:
-        """Return begin and end of each pose, then of each move between, s."""
+        """Return the begin and end of each pose, then of each move, s."""
         between = np.stack([self.windows[:-1, 1], self.windows[1:, 0]], axis=1)
         return np.concatenate([self.windows, between])
 
@@ -357,7 +357,7 @@ class _LinearModel(NamedTuple):
         return _Estimate(mean, cov, bias_variance, angle_variance, log_density)
 
     def estimate_variances(self) -> _Estimate:
-        """Estimate with each variance in turn at its posterior mean; half-normal priors of standard deviations."""
+        """Estimate each variance in turn by its posterior mean; the standard deviations have half-normal priors."""
         rest_var, move_var = (
             np.diag(self.known_covariance)[rows] for rows in (~self.is_move, self.is_move)
         )
@@ -373,7 +373,7 @@ class _LinearModel(NamedTuple):
         return self.estimate(best[0], best[1])
 
     def weighted_rss(self, closure: _Closure, phi: np.ndarray, fit: _Estimate) -> float:
-        """Return the weighted residual sum of squares of an integration with parameters phi (12,), others from fit."""
+        """Return the weighted rss of an integration with the parameters phi (12,) and the other parameters of `fit`."""
         values = np.concatenate([phi, fit.mean[N_INTEGRATED:]])
         residuals = self.output - self.design @ values
         owner = len(self.session.windows) + np.repeat(np.arange(len(closure.duration)), 2)

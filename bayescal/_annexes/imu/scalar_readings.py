@@ -127,7 +127,7 @@ def _repeat(
 
 
 def _mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
-    """Return the geometric mean radius of the outputs' ellipsoid, else their median distance from the midrange."""
+    """Return the geometric mean radius of the outputs' ellipsoid, or their median distance from the midrange."""
     ellipsoid = ws.ellipsoid(outputs)
     if ellipsoid is None:
         midrange = 0.5 * (outputs.min(axis=0) + outputs.max(axis=0))
@@ -141,7 +141,7 @@ def _require_lengths(
     file: str,
     needed: Bool[np.ndarray, "n"] | bool = True,
 ) -> Float[np.ndarray, "n"]:
-    """Return the lengths of vectors; raise InputError for a length of zero where one is needed."""
+    """Return the lengths of vectors; raise InputError if a required length is zero."""
     length = np.linalg.norm(vectors, axis=1)
     if np.any(is_zero := needed & ~(length > 0)):
         raise bc.InputError(f"{file}, row {int(np.argmax(is_zero)) + 1}, {problem}")
@@ -151,6 +151,6 @@ def _require_lengths(
 def tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors orthogonal to each direction and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=1)]  # the one farthest from the direction
-    first = np.cross(direction, axis)
-    first = first / np.linalg.norm(first, axis=1)[:, None]
-    return first, np.cross(direction, first)
+    tangent = np.cross(direction, axis)
+    tangent = tangent / np.linalg.norm(tangent, axis=1)[:, None]
+    return tangent, np.cross(direction, tangent)

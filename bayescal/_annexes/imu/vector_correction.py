@@ -1,4 +1,4 @@
-"""The correction of three axes in use: from three outputs to the input vector, with its covariance, over temperature.
+"""Three-axis correction: conversion of three outputs to the input vector with its covariance, over temperature.
 
     y = h(f̂),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -81,7 +81,7 @@ class CorrectedVector:
 
 @dataclass(frozen=True, eq=False)
 class VectorCorrection(ws.CorrectionInUse):
-    """Offset, matrix and terms of higher order over temperature, with their covariance: call it with outputs.
+    """Three-axis correction: offset, matrix, higher-order terms over temperature, covariance; call it with outputs.
 
         correct = bc.vector_correction(calibration)
         found = correct([[0.01, 0.02, 0.99]], temperature=25.0)
@@ -179,7 +179,7 @@ class VectorCorrection(ws.CorrectionInUse):
         return term_rows(self.terms, self.uncertainty, self.unit, self.beside)
 
     def __str__(self) -> str:
-        """Format offset, matrix and the other terms, as exports have them."""
+        """Format the offset, the matrix and the other terms, as in exports."""
         return str(terms_table(self.rows))
 
     def _repr_html_(self) -> str:
@@ -249,7 +249,7 @@ class VectorCorrection(ws.CorrectionInUse):
         temperature: ArrayLike | None,
         secondary: ArrayLike | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return f̂ (n, 3), H⁻¹ (n, 3, 3), −∂f̂/∂terms at the reading's temperature (n, 3, p), temperatures (n,)."""
+        """Return input vectors f̂ (n, 3), inverse Jacobians (n, 3, 3), −∂f̂/∂terms (n, 3, p) and temperatures (n,)."""
         if isinstance(outputs, bc.Measurements):
             readings = outputs
             if self.beside and secondary is None and readings.has(self.beside[0]):

@@ -18,21 +18,21 @@ from bayescal._annexes.imu.vector_parameters import describe_omissions, paramete
 PACKAGE = "bayescal._annexes.imu"  # with the templates
 
 
-def render_headers(corrections: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as C99 headers in one text."""
     layout = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
 
     def render_header(name: str, c: VectorCorrection) -> str:
-        content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty)
+        content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
         return layout.render(
             c=c,
             name=name,
-            guard=ws.include_guard(name, *content),
-            uncertainty=uncertainty,
+            guard=ws.include_guard(name, *content, with_uncertainty),
+            uncertainty=with_uncertainty,
             recorded=c.low is not None,
             thermal=len(c.terms) > 1,
             # Offset and inverse matrix alone, without an equation to solve.
-            plain=not uncertainty and c.terms.shape == (1, 12),
+            plain=not with_uncertainty and c.terms.shape == (1, 12),
             inverse=np.linalg.inv(c.matrix).tolist(),
             newton=1 if c.order == 1 else NEWTON_STEPS,
         )
@@ -40,16 +40,16 @@ def render_headers(corrections: Mapping[str, VectorCorrection], uncertainty: boo
     return "\n".join(render_header(name, c) for name, c in corrections.items())
 
 
-def render_module(corrections: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as one Python module."""
     data = {
-        name: repr({k: v for k, v in c.data().items() if uncertainty or k != "covariance"})
+        name: repr({k: v for k, v in c.data().items() if with_uncertainty or k != "covariance"})
         for name, c in corrections.items()
     }
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=corrections,
         data=data,
-        uncertainty=uncertainty,
+        uncertainty=with_uncertainty,
         newton=NEWTON_STEPS,
     )
 

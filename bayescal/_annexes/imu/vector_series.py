@@ -114,7 +114,7 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
 
 
 def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
-    """Return the largest magnitude of the input in the readings; for moves, of mean rates."""
+    """Return the largest magnitude of the input in the readings; for moves, the largest mean rate."""
     if readings.has(ws.TURNED[0]):
         inputs = np.stack([readings[name] for name in ws.TURNED], axis=1)
     else:
@@ -244,7 +244,7 @@ def _sum_slots(
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], TestContributions]:
     """Sum the effects in each slot in use, draw by draw; return the sums and the contributions of the test.
 
-    Group members are new ones. An effect of columns that are unknown in use takes its value at a random reading of the
+    Group members are new. An effect of columns that are unknown in use takes its value at a random reading of the
     test; if it also depends on known columns (a lag, on past temperatures), its sign is random.
     """
     vector = calibration.model.instrument.vector

@@ -64,7 +64,7 @@ class Certificate:
 
     @property
     def conditions(self) -> dict[str, str]:
-        """Return ambient condition → its value, as text."""
+        """Return the values of the ambient conditions as text, by condition."""
         return {name: str(value) for name, value in self.stated.get("conditions", {}).items()}
 
     def require(self, *needed: str) -> None:
@@ -139,7 +139,7 @@ _NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # XML 1.0
 
 
 def _xml_text(value: Any) -> str:
-    """Convert to text, with characters that XML forbids, even escaped, replaced by <U+0000>."""
+    """Convert a value to text; replace characters that XML forbids by their code points, such as <U+0000>."""
     return re.sub(_NOT_XML, lambda match: f"<U+{ord(match[0]):04X}>", str(value))
 
 
@@ -280,7 +280,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
 
 
 def _round(value: float, uncertainty: float) -> str:
-    """Round a number to the second significant digit of its uncertainty; exactly if that is zero."""
+    """Round a number to the second significant digit of its uncertainty; keep it if the uncertainty is zero."""
     if not uncertainty > 0:
         return repr(value)
     place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)

@@ -214,7 +214,7 @@ class DrawnQuantity:
 
     @cached_property
     def ends(self) -> DrawnQuantity:
-        """Return each draw's lowest and highest value only, if the scatter is the same at all points."""
+        """Reduce each draw to its minimum and maximum if the scatter is equal at all points; otherwise return all."""
         if np.ptp(self.scatter) > 0:
             return self
         ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
@@ -259,7 +259,7 @@ def acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float) -> 
 
 
 def _find_best_shift(quantity: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
-    """Return the shift with the largest p_c."""
+    """Return the shift of the posterior that maximises the probability of conformity p_c."""
     if np.isinf(first) and np.isinf(last):
         return 0.0
     reach = TAIL_SD * float(quantity.scatter.max())
@@ -279,13 +279,13 @@ class GlobalRisks:
     """Global risks of a population of items: probabilities of conformity, acceptance and wrong decisions."""
 
     conforming: float  # probability that an item conforms
-    accepted: float  # that it is accepted
-    consumer: float  # that it does not conform and is accepted
-    producer: float  # that it conforms and is not accepted
+    accepted: float  # probability that it is accepted
+    consumer: float  # probability that it does not conform and is accepted
+    producer: float  # probability that it conforms and is not accepted
 
 
 def global_risks(
-    mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Limits
+    mean: float, sd: float, uncertainty: float, tolerance_limits: Limits, acceptance_limits: Limits
 ) -> GlobalRisks:
     """Compute the global risks over items N(mean, sd²), each measured with a normal error of sd `uncertainty`.
 
@@ -297,15 +297,16 @@ def global_risks(
 
     def probability(items: Limits, estimates: Limits) -> float:
         """Return the probability that an item is in `items` and its estimate in `estimates`."""
-        ends = np.transpose([items, estimates])
-        joint = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
-        return float(joint.cdf(ends[1], lower_limit=ends[0]))
+        bounds = np.transpose([items, estimates])
+        distribution = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
+        return float(distribution.cdf(bounds[1], lower_limit=bounds[0]))
 
-    conforming = probability(limits, Limits(-np.inf, np.inf))
-    below, above = Limits(-np.inf, limits.low), Limits(limits.high, np.inf)
-    correct = probability(limits, accepted)
-    false = probability(below, accepted) + probability(above, accepted)
-    return GlobalRisks(conforming, correct + false, false, conforming - correct)
+    conforming = probability(tolerance_limits, Limits(-np.inf, np.inf))
+    correct_acceptance = probability(tolerance_limits, acceptance_limits)
+    outside = Limits(-np.inf, tolerance_limits.low), Limits(tolerance_limits.high, np.inf)
+    false_acceptance = sum(probability(items, acceptance_limits) for items in outside)
+    risks = false_acceptance, conforming - correct_acceptance
+    return GlobalRisks(conforming, correct_acceptance + false_acceptance, *risks)
 
 
 READING, MEAN = "corrected reading", "corrected mean"
@@ -404,7 +405,7 @@ def find_quantity(
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> LimitedQuantity:
-    """Find the quantity of a limit in a calibration; members and gravity as in `decide`.
+    """Return the quantity that a limit applies to; `members` and `local_gravity` as in `decide`.
 
     Raises:
         InputError: an unknown quantity or column, or a unit of another dimension.
@@ -433,8 +434,7 @@ def find_quantity(
         spans.append((name, low, high))
     varied = [(n, low, high) for n, low, high in spans if high > low and n in point]
     if len(varied) > max(GRID_SIZES):
-        why = f"limit {limit.text!r}: at most {max(GRID_SIZES)} ranges, it has {len(varied)}"
-        raise bc.InputError(why)
+        raise bc.InputError(f"limit {limit.text!r} has more than {max(GRID_SIZES)} ranges")
     point |= {n: low for n, low, high in spans if high == low and n in point}
     grid = np.meshgrid(
         *(np.linspace(low, high, GRID_SIZES[len(varied)]) for _, low, high in varied), indexing="ij"
@@ -535,7 +535,7 @@ def _resolve_range(
 
 
 def _range_faults(compensator: bc.Compensator, name: str, low: float, high: float) -> list[str]:
-    """Return a reason if a range extends beyond the calibrated one; else an empty list."""
+    """Return a list with the reason if a range exceeds the calibrated range; an empty list if it does not."""
     readings = compensator.calibration.readings
     if name in compensator.calibrated:
         span = compensator.calibrated[name]
@@ -557,7 +557,7 @@ def _range_faults(compensator: bc.Compensator, name: str, low: float, high: floa
 def convert_population(
     quantity: LimitedQuantity, devices: DevicePopulation
 ) -> tuple[float, float] | None:
-    """Return the population's mean and sd in the unit of the quantity; None if it is of another quantity."""
+    """Return a population's mean and sd in the quantity's unit; None if the population is of another quantity."""
     unit, target = devices.unit or "1", quantity.unit or "1"
     over_range = any(r.high > r.low for r in quantity.limit.over)
     if quantity.is_error or over_range or not ws.same_dimension(unit, target):

@@ -57,7 +57,7 @@ ADVICE = (
 
 @dataclass(frozen=True)
 class Recalibration:
-    """Time at which the probability of conformity falls below a stated one."""
+    """Time at which the probability of conformity falls below a stated probability."""
 
     stated: float  # stated probability of conformity
     after: float | None  # time, s after the last reading; None beyond the horizon, or if not known
@@ -77,7 +77,7 @@ class Recalibration:
 def recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
-    """Compute the time at which drift lowers the probability of conformity below a stated one."""
+    """Compute the time at which drift lowers the probability of conformity below a stated probability."""
     if reason := _no_answer(quantity, calibration, stated):
         return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
 
@@ -115,9 +115,9 @@ def recalibration(
 
 
 def find_first_below(probability: Callable[[float], float], stated: float) -> float | None:
-    """Find the first time, s, at which a probability is below a stated one; None if there is none up to the horizon.
+    """Find the first time, s, at which a probability of conformity is below `stated`; None if beyond the horizon.
 
-    A decrease and increase between two times of the grid, of ratio 1.13, is not detected.
+    A temporary decrease between two successive times of the grid (ratio 1.13) is not detected.
     """
     before = 0.0
     for time in (0.0, *np.geomspace(FIRST_TIME, HORIZON, N_TIMES).tolist()):

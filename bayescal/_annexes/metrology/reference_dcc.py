@@ -1,4 +1,4 @@
-"""The digital calibration certificate (DCC) of a reference standard: its error, common to all readings.
+"""Error of a reference standard from its digital calibration certificate (DCC), common to all readings.
 
 Elements: dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; refType values of the PTB's good practice, such as
 basic_measurementError. A DOCTYPE declaration is rejected, so that no XML entity is ever resolved.
@@ -55,12 +55,12 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
     if len(tables) != 1:
         units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _name(e) == "unit"))
         fault = f"{len(tables)} tables of errors in {label}; units are {units or 'not stated'}"
-        raise _error(path, "dcc:result", fault, f"one, with a dcc:quantity of refType {ERROR}")
+        raise _error(path, "dcc:result", fault, f"one dcc:quantity of refType {ERROR}")
     x, error, sd = tables[0]
     points, u, low, high = np.unique(x), float(sd.max()), x.min(), x.max()
     corrections = np.array([0.0 - error[x == p].mean() for p in points])
     if len(points) > MAX_POINTS:
-        raise _error(path, ERROR, f"{len(points)} points", f"{MAX_POINTS} at most")
+        raise _error(path, ERROR, f"{len(points)} points", f"at most {MAX_POINTS}")
     offset = f"{u!r} {'delta_degC' if unit == 'degC' else unit}"
     formula, stated = "offset", {"offset": offset}
     if high > low:
@@ -83,7 +83,7 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
 
 
 def _error(path: Path, element: str, fault: str, expected: str) -> bc.InputError:
-    return bc.InputError(f"{str(path)!r}, {element}: {fault}. Expected was {expected}")
+    return bc.InputError(f"{str(path)!r}, {element}: {fault}; expected: {expected}")
 
 
 def _parse_root(path: Path) -> ET.Element:

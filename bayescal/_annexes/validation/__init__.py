@@ -1,1 +1,1 @@
-"""Validation on one's own installation: clauses of standards that the package answers, with certified values."""
+"""Validation of an installation: clauses of standards, computed and compared with certified values."""

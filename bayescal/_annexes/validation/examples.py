@@ -157,9 +157,9 @@ def propagation(
 
 
 def first_order_beside_draws(**inputs: Any) -> list[float]:
-    """Return the absolute deviations of y − 2u and y + 2u by the law of propagation from those by draws."""
-    first, drawn = (propagation(**inputs, method=method) for method in ("first order", "draws"))
-    y, u = (first[key][0] - drawn[key][0] for key in ("y", "u"))
+    """Return |difference| of y ± 2u between the law of propagation of uncertainty and the Monte Carlo method."""
+    gum, monte_carlo = (propagation(**inputs, method=m) for m in ("first order", "draws"))
+    y, u = (gum[key][0] - monte_carlo[key][0] for key in ("y", "u"))
     return [abs(y - 2 * u), abs(y + 2 * u)]
 
 

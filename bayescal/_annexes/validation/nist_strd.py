@@ -63,7 +63,7 @@ class Estimate(NamedTuple):
 
 
 def fit_data_set(name: str) -> list[Estimate]:
-    """Fit a set by least squares: a linear one once, a nonlinear one from both of its starts."""
+    """Fit a data set by least squares; a nonlinear set from both of its starting points."""
     kind = "linear" if name in certificates("linear") else "nonlinear"
     table = np.loadtxt(FOLDER / kind / f"{name}.csv", delimiter=",", skiprows=1)
     return (_fit_linear if kind == "linear" else _fit_nonlinear)(name, table[:, 0], table[:, 1:])

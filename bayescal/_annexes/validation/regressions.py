@@ -42,7 +42,7 @@ def fit(
     further: Sequence[bc.Effect] = (),
     method: Any = None,
 ) -> bc.Calibration:
-    """Fit y by columns (n,): the effect "line.b" of one coefficient for each, or an equation in b1, b2, ….
+    """Fit y to regressors (n,), with a coefficient of the effect "line.b" for each, or to an equation in b1, b2, ….
 
     Args:
         y, columns, u: response, regressors, standard uncertainties of y (None: one is estimated from the residuals).

@@ -11,7 +11,7 @@ from bayescal import workshop as ws
 class ValidateCommand(ws.AsJson, ws.Command):
     """Compare this installation with certified values of standards.
 
-    Exit status: 0 where every value is within its tolerance; 1 where one is not.
+    Exit status: 0 if every value is within its tolerance; 1 if one is not.
     """
 
     example = "bayescal validate --out validation.pdf --out validation.html"

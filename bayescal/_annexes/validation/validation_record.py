@@ -27,7 +27,7 @@ NIST_HEAD = ("set", "κ", "P", "parameters", "tolerance", "", "standard deviatio
 
 
 class Row(NamedTuple):
-    """A computed value and the certified one."""
+    """A computed value and the certified value."""
 
     standard: str
     clause: str
@@ -72,7 +72,7 @@ class ValidationRecord:
 
     Attributes:
         rows: all values.
-        nist: condition number κ and performance P of each of NIST's sets.
+        nist: condition number κ and number P of lost digits, by NIST data set.
         standards: names of the standards that were run.
         installation: date, versions, machine and digests.
     """
@@ -113,9 +113,9 @@ class ValidationRecord:
         for standard in content()["standards"]:
             rows = self.rows_of(standard["name"])
             texts = [None, *(row.tested for row in rows)]
-            same = [row.tested == other for row, other in zip(rows, texts, strict=False)]
+            is_same = [row.tested == text for row, text in zip(rows, texts, strict=False)]
             cells = [
-                ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, same, strict=True)
+                ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, is_same, strict=True)
             ]
             unanswered = [f"Not answered: {text}." for text in standard["not_answered"]]
             if rows:
@@ -130,7 +130,7 @@ class ValidationRecord:
 
 
 def validate(standards: Sequence[str] = ()) -> ValidationRecord:
-    """Compare the examples of some standards, or of all, with their certified values.
+    """Compare computed examples with certified values, for the given standards or for all standards.
 
     Raises:
         InputError: a standard has no examples here.
@@ -139,9 +139,8 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     if unknown := [name for name in standards if name not in names]:
         raise bc.InputError(f"--standard {unknown[0]!r} is not one of {', '.join(names)}")
     chosen = tuple(name for name in names if name in (standards or names))
-    rows = [
-        row for item in content()["clauses"] if item["standard"] in chosen for row in _clause(item)
-    ]
+    clauses = [item for item in content()["clauses"] if item["standard"] in chosen]
+    rows = [row for clause in clauses for row in _evaluate_clause(clause)]
     performance = dict[str, tuple[float, float]]()
     kinds = ("linear", "nonlinear") if NIST in chosen else ()
     for name in (name for kind in kinds for name in nist_strd.certificates(kind)):
@@ -156,8 +155,8 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     return ValidationRecord(tuple(rows), performance, chosen, installation())
 
 
-def _clause(clause: dict[str, Any]) -> Iterator[Row]:
-    """Yield the rows of a clause; values are NaN if its example raises an error."""
+def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
+    """Yield the compared values of a clause of a standard; they are NaN if its example raises an error."""
     inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
     answer, error_text = None, ""
     with ws.stage(f"{clause['standard']}, {clause['clause']}"):
@@ -178,8 +177,8 @@ def installation() -> dict[str, str]:
     entries["machine"] = (
         f"{platform.python_implementation()}, {platform.machine()}, {platform.platform()}"
     )
-    places = (find_spec(name) for name in ("bayescal", "bayescal_models"))
-    roots = [Path(str(spec.origin)).parent for spec in places if spec is not None]
+    specs = (find_spec(name) for name in ("bayescal", "bayescal_models"))
+    roots = [Path(str(spec.origin)).parent for spec in specs if spec is not None]
     entries["SHA-256 of the package's files"] = digest(*roots)
     entries["SHA-256 of the certified data"] = digest(examples.DATA)
     return entries
@@ -187,10 +186,10 @@ def installation() -> dict[str, str]:
 
 def digest(*folders: Path) -> str:
     """Return a SHA-256 over paths and digests of all files of some folders, in the order of their paths."""
-    total = hashlib.sha256()
+    file_digests = hashlib.sha256()
     for folder in folders:
         for file in sorted(folder.rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
                 path = file.relative_to(folder.parent).as_posix()
-                total.update(f"{path} {ws.sha256_of(file)}\n".encode())
-    return total.hexdigest()
+                file_digests.update(f"{path} {ws.sha256_of(file)}\n".encode())
+    return file_digests.hexdigest()

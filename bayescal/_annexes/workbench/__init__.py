@@ -1,1 +1,1 @@
-"""The workbench: the loop in a browser. A face: everything that it does is a public function of `bayescal`."""
+"""Workbench: the calibration loop in a browser. All its actions are public functions of `bayescal`."""

@@ -21,7 +21,7 @@ FOLDER = Path(__file__).parent
 
 
 class Browser(JSComponent):
-    """State shared with the browser: what is stale, and the message for a lost server.
+    """State shared with the browser: whether the page is out of date, and the message for a lost server.
 
     Attributes:
         stale: whether the page is dimmed because its model is being replaced.
@@ -91,7 +91,7 @@ class Workbench:
         self.work.on_page(show)
 
     def compare(self, number: int) -> None:
-        """Compare another step with this one, in the panels and in numbers."""
+        """Compare the current step with another one, in the panels and in numbers."""
         self.other = number
         self.refresh()
         self.residuals.show_other()
@@ -147,7 +147,7 @@ class Workbench:
             pane.show(self.session.current)
 
     def look(self) -> None:
-        """Search for effects missing from the current state, unless it has a discovery."""
+        """Search for effects missing from the current state, unless it has already been searched."""
         state = self.session.current
         if state.discovery is not None:
             return
@@ -179,7 +179,7 @@ class Workbench:
         self.ask(draw, "add", effect)
 
     def find_all(self) -> None:
-        """Search from the current state on; each step becomes a state."""
+        """Run the search from the current state; add a state for each step."""
         self.other, self._progress, self._stopping = None, "", False
         self.error.searching(True, "searching …")
 

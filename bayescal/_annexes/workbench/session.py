@@ -1,6 +1,6 @@
 """Workbench session: one user's work on one set of readings, independent of the browser.
 
-Actions change the model by name; reports and exports are those of the command line.
+Actions add and remove effects by name; reports and exports are identical to those of the command line.
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ class Session:
         return self._fit_change(self._change(kind, *arguments), self.current.number)
 
     def _effects_by_name(self) -> dict[str, bc.Effect]:
-        """Return name → effect of those that differ from the instrument's.
+        """Return the effects that differ from the instrument's, by name.
 
         They are user-defined effects, and candidates of the discovery in their most probable form and size.
         """

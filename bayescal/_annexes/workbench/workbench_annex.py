@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class WorkbenchCommand(ws.SearchRequest, ws.Command):
-    """Run the same loop in a browser, step by step.
+    """Run the calibration loop in a browser, step by step.
 
-    It is served to this computer alone, under an address that nobody guesses.
+    It is served to this computer only, under a secret address.
     """
 
     example = "bayescal workbench readings.csv --instrument mems_gyro"
@@ -37,7 +37,7 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
             ws.tell("loading the workbench and fitting the first model …")
             session = self._session(models[""], readings[""], holdout.get(""), folder)
             at, files = start.Address.new(), ", ".join(p.name for p in self.files)
-            text = f"bayescal workbench of {files}: {at.url}\n(Ctrl-C ends it; kept in {folder})"
+            text = f"bayescal workbench of {files}: {at.url}\n(press Ctrl-C to stop; the session is saved in {folder})"
             from bayescal._annexes.workbench.serve import serve
 
             serve(session, at, text, None if self.no_open else folder)

@@ -60,7 +60,7 @@ TEMPCO_EFFECT = effect(centred, "c·(T − T0)", "position_angle", "temperature"
 DIVIDING = effect(_first_harmonic, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
 
 EFFECTS = EffectTable.from_rows(
-    "data sheets of quartz-flexure accelerometers (Q-flex); size ours",
+    "data sheets of quartz-flexure accelerometers (Q-flex); size assumed by us",
     baseline=(
         ("bias.constant", catalogue.constant, 4000.0, "ug"),
         ("bias.temperature", catalogue.linear, 30.0, "ug/degC"),

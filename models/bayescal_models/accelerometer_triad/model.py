@@ -61,12 +61,12 @@ def _response(slots, r):
     return VECTOR.response(slots, r)
 
 
-SHEETS = "data sheets of ADXL355, BMI088 and ICM-20948, zero-g offset, sensitivity and cross axis; size ours"
-TEMPCO = "the same data sheets, change with temperature; size ours"
-NONLINEARITY = "IEEE Std 1293-2018, model equation; size ours, a nonlinearity of 0.1 % at 1 g"
-PACKAGE = "ours: 1 mrad in 50 °C, for a plastic package"
-MOUNTING = "ours: accuracy of the mounting of a triad"
-SCATTER = "ours; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions"
+SHEETS = "zero-g offset and (cross-axis) sensitivity in the data sheets of ADXL355, BMI088 and ICM-20948; size assumed"
+TEMPCO = "change with temperature in the data sheets of ADXL355, BMI088 and ICM-20948; size assumed"
+NONLINEARITY = "model equation of IEEE Std 1293-2018; we assume a nonlinearity of 0.1 % at 1 g"
+PACKAGE = "our assumption: 1 mrad in 50 °C, for a plastic package"
+MOUNTING = "our assumption: accuracy of the mounting of a triad"
+SCATTER = "our assumption; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions"
 K2, KIJ, K3 = constant(SQUARE, "K2·f²"), constant(CROSS, "K·f_i·f_j"), constant(CUBE, "K3·f³")
 
 # Sizes are those of consumer MEMS parts.
@@ -94,7 +94,7 @@ EFFECTS = EffectTable.from_rows(
 
 
 def tailor_to_readings(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """Return the instrument with a noise prior about the stated uncertainties of these poses."""
+    """Return the instrument with a noise prior centred on the stated uncertainties of these poses."""
     return set_noise_prior(INSTRUMENT, readings, **settings)
 
 

@@ -5,7 +5,7 @@ It is the model that `bc.fit(equivalent_model(), readings)` fits. NUTS is run on
     nuts = NUTS(bc.non_centred(model, CENTRED), dense_mass=True, target_accept_prob=0.95)
     MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **model_arguments(readings))
 
-Output y of device k at time t, with outward acceleration a, s = +1 outer and −1 inner (source 3; sizes ours):
+Output y of device k at time t, with outward acceleration a, s = +1 outer and −1 inner (source 3; sizes assumed by us):
 
     y = s_k·(1 + κ_k)·a(t) + w_k(t) + e,     κ_k ~ N(0, s_κ²),  λ_k ~ N(1, s_λ²),  e ~ N(0, σ²)
     w_k = Σ c_kn·P_n,     c_kn ~ N(λ_k·u_n, s_n²),     P_n Legendre polynomials of unit rms over the record

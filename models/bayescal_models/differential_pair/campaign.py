@@ -9,7 +9,7 @@ import numpy as np
 from bayescal_models.simulated import Array, raise_if, validate_options
 
 G = 1e6  # µg
-RADIUS = 1.0  # m, radius of the arm (ours)
+RADIUS = 1.0  # m, radius of the arm (our assumption)
 GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
 PLATEAU_LEVEL_G = 5.0  # g, level of a single plateau

@@ -24,7 +24,7 @@ RATIO_RANGE = (0.25, 0.95)  # 95 % prior range of this ratio for v
 DISTURBANCE = 1000.0  # µg rms, of u
 SENSITIVITY_SD = 0.2  # standard deviation of λd over devices of one type
 SHARE_RANGE = (0.012, 0.21)  # 95 % prior range of the rms of v relative to that of u
-SOURCE = "source 3; sizes ours"
+SOURCE = "source 3; sizes assumed by us"
 
 SENSITIVITY_NAME = "environment.shared[sensitivity]"
 DEPARTURE_SHARE_NAME = "departure.device.share"

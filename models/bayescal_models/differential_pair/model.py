@@ -35,7 +35,7 @@ from bayescal_models.differential_pair.noise import NoiseWhileChanging, end_valu
 from bayescal_models.differential_pair.simulator import simulated_columns
 from bayescal_models.simulated import readings_simulator
 
-SOURCE = "source 3; size ours"
+SOURCE = "source 3; size assumed by us"
 
 
 def side_sign(r: bc.Frame) -> Any:
@@ -81,7 +81,7 @@ def _radius_alias(readings: bc.Measurements) -> str:
 
 
 def _device_effect(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Factory:
-    """Make the factory of a random effect of devices, with estimated standard deviation; `acceleration` must vary."""
+    """Return a factory that creates a random effect of devices; `acceleration` must vary in the readings."""
     defaults = {"per": "device", "group_sd_prior": bc.HalfNormal, "varies": ("acceleration",)}
     return effect(basis, equation, "device", *columns, **{**defaults, **fields})
 

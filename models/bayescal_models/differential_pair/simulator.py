@@ -90,27 +90,27 @@ def simulate_batch(
     validate_effects(sizes, EFFECT_NAMES, "a batch")
     count = plan.outer + plan.inner
     streams = ("devices", "environment", "own", "hidden", "noise", "thermometer", "supply")
-    generators = spawn_generators(streams, seed)
-    devices, environment, departure, hidden, noise, thermometer, supply_rng = generators.values()
+    rngs = spawn_generators(streams, seed)
     times = (np.arange(plan.samples * SUBSTEPS) + 0.5) * plan.duration / (plan.samples * SUBSTEPS)
-
-    sensitivity = 1.0 + SENSITIVITY_SD * devices.standard_normal(count)
-    scale = 1.0 + 1e-6 * SCALE_SD_PPM * devices.standard_normal(count)
-    u = DISTURBANCE * simulate_shared_disturbance(environment, times / plan.duration)
-    v = DEPARTURE_RATIO * DISTURBANCE * simulate_departures(departure, times / plan.duration, count)
+    progress = times / plan.duration
+    sensitivity = 1.0 + SENSITIVITY_SD * rngs["devices"].standard_normal(count)
+    scale = 1.0 + 1e-6 * SCALE_SD_PPM * rngs["devices"].standard_normal(count)
+    u = DISTURBANCE * simulate_shared_disturbance(rngs["environment"], progress)
+    v = DEPARTURE_RATIO * DISTURBANCE * simulate_departures(rngs["own"], progress, count)
     if plan.alike:
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
-    temperature = 25.0 + plan.warming * warming_curve(times / plan.duration)
+    temperature = 25.0 + plan.warming * warming_curve(progress)
     u = u + sizes.get("environment.temperature", 0.0) * (temperature - temperature.mean())
     env = sensitivity[:, None] * u + v
     sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
-    deviates = {name: hidden.standard_normal(count) for name in EFFECT_NAMES}
+    deviates = {name: rngs["hidden"].standard_normal(count) for name in EFFECT_NAMES}
     device_sizes = {name: sizes.get(name, 0.0) * z for name, z in deviates.items()}
-    supply = simulate_supply(supply_rng, times)
+    supply = simulate_supply(rngs["supply"], times)
     outputs = _simulate_outputs(plan, times, sign, scale, device_sizes) + env
     outputs = outputs + device_sizes["bias.supply"][:, None] * (supply - SUPPLY_V)
     scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
-    readings = average_steps(outputs) + scatter * noise.standard_normal((count, plan.samples))
+    deviates = rngs["noise"].standard_normal((count, plan.samples))
+    readings = average_steps(outputs) + scatter * deviates
     groups = np.repeat(["outer", "inner"], [plan.outer, plan.inner])
     places = (*range(1, plan.outer + 1), *range(1, plan.inner + 1))
     names = tuple(f"{group} {place}" for group, place in zip(groups, places, strict=True))
@@ -126,7 +126,7 @@ def simulate_batch(
     if needs_supply_column(sizes):
         columns["supply_voltage"] = np.tile(average_steps(supply), count)
     if plan.thermometer is not None:
-        error = plan.thermometer * thermometer.standard_normal(plan.samples)
+        error = plan.thermometer * rngs["thermometer"].standard_normal(plan.samples)
         columns["temperature"] = np.tile(average_steps(temperature) + error, count)
     truth = Truth(names, plan.outer, scale, sensitivity, average_steps(env), commanded)
     return columns, truth
@@ -188,7 +188,7 @@ def simulate_shared_disturbance(rng: np.random.Generator, time: Array) -> Array:
 
 
 def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Array:
-    """Simulate each device's disturbance, (count, times): offset, transient and oscillation, of total rms about 1."""
+    """Simulate the disturbances of devices, (count, times): offset, transient and oscillation; their rms is about 1."""
     records = []
     for _ in range(count):
         offset, transient_size, wave_size = rng.standard_normal(3) / np.sqrt(3.0)

@@ -24,7 +24,7 @@ from bayescal_models.gyro_triad.model import INSTRUMENT
 
 
 def model(rate, direction, across, uncertainty, mounting, mountings, output=None) -> None:
-    """Define the NumPyro model: Ω °/s (n,), u and axis a (n, 3), u(θ) rad, mounting index; output °/s or None."""
+    """Define the NumPyro model: rate and output (n,), °/s; unit vectors (n, 3); standard uncertainty of angles, rad."""
 
     def sample_parts(name: str, parts: tuple[str, ...], size: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])

@@ -119,9 +119,9 @@ def _mounting_uncertainty(r):
     return r["pose_uncertainty"]
 
 
-SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
-TEMPCO = "the same data sheets, change with temperature; size ours"
-PACKAGE = "ours: 1 mrad in 50 °C, for a plastic package"
+SHEETS = "zero offset and (cross-axis) sensitivity in the data sheets of BMI088, ICM-20948 and ADXRS645; size assumed"
+TEMPCO = "change with temperature in the data sheets of BMI088, ICM-20948 and ADXRS645; size assumed by us"
+PACKAGE = "assumed: 1 mrad in 50 °C, for a plastic package"
 MOUNTING_ERROR = family(
     TURN,
     _mounting_uncertainty,
@@ -142,8 +142,8 @@ EARTH_ROTATION = family(
 
 # Sizes are those of consumer MEMS parts.
 MOUNTING_SOURCE = "the standard uncertainty of the mounting, as given with the readings"
-G_SOURCE = "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours"
-NONLINEARITY = "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s"
+G_SOURCE = "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size assumed"
+NONLINEARITY = "IEEE Std 1431-2004, scale-factor nonlinearity; size assumed by us, 0.1 % at 100 °/s"
 EARTH_SOURCE = "15.041 °/h in an unknown direction"
 
 EFFECTS = EffectTable.from_rows(
@@ -163,7 +163,7 @@ EFFECTS = EffectTable.from_rows(
         ("bias.thermal_lag", thermal_lag(BIAS), 0.03, "deg/s/degC", TEMPCO),
         ("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg", NONLINEARITY),
         ("bias.drift", drift(BIAS), 0.05, "deg/s", "ours"),
-        ("bias.run", run_offset(BIAS), 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts"),
+        ("bias.run", run_offset(BIAS), 0.1, "deg/s", "assumed: turn-on repeatability"),
     ),
     others=(("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s", EARTH_SOURCE),),
 )

@@ -48,7 +48,7 @@ class Campaign:
     """Plan of a zero test on a dividing table or, with `grid`, of a verification on a two-axis table.
 
     The defaults are source 4's zero test: ±45° in 5° steps, forward and backward in each of two mountings of each
-    axis, 152 readings. Values are ours unless a source is stated.
+    axis, 152 readings. Values are our assumptions unless a source is stated.
 
     Attributes:
         axes: label and true errors of each accelerometer.

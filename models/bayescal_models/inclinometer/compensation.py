@@ -71,8 +71,8 @@ class _Axis:
         if np.any(is_invalid := ~np.isfinite(compensated.value)):
             row = int(np.argmax(is_invalid))
             raise bc.InputError(
-                f"reading {row + 1}, {np.rad2deg(reading[row]):.6g}° corresponds to no tilt with this "
-                "calibration: check that the readings are in rad"
+                f"reading {row + 1} ({reading[row]:.6g} rad) is outside the range of outputs of this "
+                "calibration, so no tilt can be computed: check that the readings are in rad"
             )
         return compensated
 

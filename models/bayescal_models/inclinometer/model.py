@@ -34,7 +34,7 @@ base except within a mounting: in the default plan a drift of 30″ over the tes
 placement and scale factor need verification data.
 
 Noise: white, of unknown size. Source 4 only gives the table's 2″, which is used here.
-Sizes are prior standard deviations for a first calibration, ours if no source is named.
+Sizes are prior standard deviations for a first calibration, assumed if no source is named.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def _per_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Factor
 
 
 def _deviation(per: str, equation: str = "", basis: Any = one, *columns: str) -> Factory:
-    """Make the factory of random deviations of a group's members; a constant unless a basis is given."""
+    """Return a factory that creates random deviations of a group's members; constants unless a basis is given."""
     required, varies = (columns, None) if columns else ((per,), ())
     text = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
     return effect(basis, text, *required, per=per, group_sd_prior=bc.HalfNormal, varies=varies)
@@ -196,7 +196,7 @@ FACE_NOTE = "source 4: face vertical within 2″"
 SLOPE_NOTE = "source 4: its two lines have 0.72 and 0.07″/deg"
 
 EFFECTS = EffectTable.from_rows(
-    "source 4; size ours",
+    "source 4; size assumed by us",
     baseline=(
         ("zero.constant", _per_axis(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO_NOTE),
         ("zero.placement", _per_axis(*_angle_term(1)), 2.0, "arcsec/deg", SLOPE_NOTE),

@@ -144,7 +144,7 @@ def _zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float],
 
 
 def _electrical_law(test: Conditions, size: float) -> _Terms:
-    """Return the contributions of an electrical zero, by which the mechanical zero is smaller."""
+    """Return the contributions of an electrical zero; the mechanical zero is reduced by the same amount."""
     return _Terms(zero=-test.share * size, electrical=test.share * size)
 
 

@@ -13,7 +13,7 @@ COLUMNS = (
     bc.Column(
         "magnitude_read",
         "uT",
-        "magnitude measured by the outputs, if not known",
+        "magnitude of the field computed from the outputs, if no reference magnitude is known",
         required=False,
     ),
     *triple("direction", "1", "field direction along axis {axis}, if known", required=False),

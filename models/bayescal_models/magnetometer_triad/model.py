@@ -45,7 +45,7 @@ def _response(slots, r):
 
 
 IRON = "ours: hard and soft iron of a small vehicle"
-TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
+TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size assumed by us"
 FIELD_DRIFT = "ours: variable field of a battery or motor"
 PACKAGE = "ours: 5 mrad in 50 °C"
 
@@ -63,13 +63,13 @@ EFFECTS = EffectTable.from_rows(
         ("bias.temperature_quadratic", tempco(BIAS, 2), 0.001, "uT/degC^2", TEMPCO),
         ("misalignment.frame", triad_rotation(LOWER), 100.0, "mrad"),
         ("bias.drift", drift(BIAS), 1.0, "uT", FIELD_DRIFT),
-        ("bias.run", run_offset(BIAS), 1.0, "uT", "ours: hard iron from one session to the next"),
+        ("bias.run", run_offset(BIAS), 1.0, "uT", "assumed: hard iron changes between sessions"),
     ),
 )
 
 
 def tailor_to_readings(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """Return the instrument with a noise prior about the stated uncertainties of these poses."""
+    """Return the instrument with a noise prior centred on the stated uncertainties of these poses."""
     return set_noise_prior(INSTRUMENT, readings, **settings)
 
 

@@ -16,7 +16,7 @@ class Campaign:
     """Plan of a stepped-chamber test of one gyro, and properties of the simulated gyro.
 
     The defaults follow source 1 (30 … 80 °C in 5 °C steps of 300 s, logged every 5 s) with two additional runs:
-    330 readings. Values are ours unless a source is stated.
+    330 readings. Values are our assumptions unless a source is stated.
 
     Attributes:
         temperatures: chamber set points in the order of the first run, °C.

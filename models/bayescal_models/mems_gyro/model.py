@@ -17,7 +17,7 @@ up to the constant. A second law has constant drive force instead of constant am
 Noise: white, of unknown size. Known contributions: the converter's resolution 0.0311 mV (0.037 °/s), the rounding of
 the printed voltage to 0.1 mV (0.12 °/s), and the thermometer's error within ±0.5 °C (uniform: 0.29 °C).
 
-Prior standard deviations are those of a first calibration, ours if no source is named; replace them by data-sheet
+Prior standard deviations are those of a first calibration, assumed if no source is named; replace them by data-sheet
 values.
 """
 
@@ -67,11 +67,11 @@ LAG = catalogue.thermal_lag(MINUTE, 20 * MINUTE, 0.1, "deg/s", rate=(0.1, "deg/s
 BOARD_EFFECT = effect(_board_departure, "c·(T_board − T_board,0)", "board_temperature")
 SCALE_CONSTANT = effect(one, "c", "rate_input", kind="constant")
 SCALE_TEMPCO = effect(centred, "c·(T − T0)", "temperature", "rate_input")
-ELECTRONICS = "source 1 names reference voltage and electronics as possible causes; size ours"
-RESONANCE_SOURCE = "source 1; values of K_ET, r and Q ours"
+ELECTRONICS = "source 1 names reference voltage and electronics as possible causes; size assumed"
+RESONANCE_SOURCE = "source 1; values of K_ET, r and Q assumed by us"
 
 EFFECTS = EffectTable.from_rows(
-    "source 1; size ours",
+    "source 1; size assumed by us",
     baseline=(
         ("bias.constant", catalogue.constant, 50.0, "deg/s"),
         ("bias.temperature", catalogue.linear, 0.05, "deg/s/degC"),

@@ -35,6 +35,6 @@ def constant_amplitude_change(change: Any, *modes: Any) -> Any:
 
 
 def constant_force_change(change: Any, k_drive: Any, *modes: Any) -> Any:
-    """Return (1−ε_d)^−½·D(T0)/D(T) − 1, the same change at constant drive force: the amplitude grows."""
+    """Return (1−ε_d)^−½·D(T0)/D(T) − 1, the change of the zero-rate output per unit quadrature at constant force."""
     gain = 1 + constant_amplitude_change(change, k_drive, *modes)
     return gain / xp.sqrt(1 - k_drive * change) - 1

@@ -31,8 +31,8 @@ from bayescal_models.simulated import (
 )
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
-VARSHNI_TEMPERATURE_K = 500.0  # characteristic temperature of silicon in Varshni's law; ours
-SATURATION = 60.0  # °C, temperature change at which a built-in compensation saturates; ours
+VARSHNI_TEMPERATURE_K = 500.0  # characteristic temperature of silicon in Varshni's law; assumed
+SATURATION = 60.0  # °C, temperature change at which a built-in compensation saturates; assumed
 PACKAGE_TAU_S = 20.0  # s, thermal time constant of the package
 SLOW_TAU_S = 2400.0  # s, time constant of a slow body, such as the chamber's load
 BOARD_TAU_S, BOARD_HEATING_DEGC = 480.0, 2.0  # time constant, self-heating of the electronics board
@@ -122,7 +122,7 @@ def _chamber_set_point(plan: Campaign, time: Array) -> Array:
 # functions, so that a fitted model is an approximation, as for real readings.
 
 
-def _quadratic_law(test: Conditions) -> Array:
+def _evaluate_quadratic(test: Conditions) -> Array:
     """Return Varshni's modulus `E = E0 − s/(e^(Θ/T)−1)` minus its tangent at T0, scaled to about ΔT², °C².
 
     Source: Y. P. Varshni, Phys. Rev. B 2 (1970) 3952.
@@ -137,28 +137,28 @@ def _quadratic_law(test: Conditions) -> Array:
     return _mix_terms(test, departure**2, softening / curvature)
 
 
-def _cubic_law(test: Conditions) -> Array:
+def _evaluate_cubic(test: Conditions) -> Array:
     """Return the residual of a tanh compensation of a linear error, scaled to slightly less than ΔT³, °C³."""
     departure = test.departure
-    remainder = 3.0 * SATURATION**3 * (departure / SATURATION - np.tanh(departure / SATURATION))
-    return _mix_terms(test, departure**3, remainder)
+    full_law = 3.0 * SATURATION**3 * (departure / SATURATION - np.tanh(departure / SATURATION))
+    return _mix_terms(test, departure**3, full_law)
 
 
-def _drift_law(test: Conditions) -> Array:
+def _evaluate_drift(test: Conditions) -> Array:
     """Return ageing that is logarithmic in time, from 0 to 1 over the whole test."""
     elapsed_fraction = test.time / test.time[-1]
     return _mix_terms(test, elapsed_fraction, np.log2(1.0 + elapsed_fraction))
 
 
-def _mix_terms(test: Conditions, leading: Array, full_law: Array) -> Array:
+def _mix_terms(test: Conditions, leading_term: Array, full_law: Array) -> Array:
     """Return the leading term of a law plus `plan.nonlinearity` times its higher-order terms."""
-    return leading + test.plan.nonlinearity * (full_law - leading)
+    return leading_term + test.plan.nonlinearity * (full_law - leading_term)
 
 
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
-        "bias.temperature_quadratic": _quadratic_law,
-        "bias.temperature_cubic": _cubic_law,
+        "bias.temperature_quadratic": _evaluate_quadratic,
+        "bias.temperature_cubic": _evaluate_cubic,
         # stress by heat flow into the package: its true temperature rate, °C/min
         "bias.rate": lambda test: 60.0 * (test.ambient - test.package) / PACKAGE_TAU_S,
         "bias.thermal_lag": lambda test: test.lag(test.plan.lag_time),
@@ -171,7 +171,7 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         # linear tempco of the 1.2 V reference on the board
         "bias.reference_voltage": lambda test: test.board - test.plan.T0,
         "bias.warm_up": lambda test: 1.0 - test.low_pass(1.0 * test.powered, WARM_UP_S, start=0.0),
-        "bias.drift": _drift_law,
+        "bias.drift": _evaluate_drift,
         # turn-on repeatability: an offset at each power-on, of standard deviation 1
         "bias.run": lambda test: test.turn_on,
         # scale factor that depends on the package temperature: κ(T_package)·Ω, zero at rest

@@ -182,7 +182,7 @@ TILT_COMPONENTS = ("parallel", "perp")
 
 
 def _base(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory:
-    """Make the factory of an effect on both components of the base tilt, included or excluded together."""
+    """Return a factory that creates an effect on both components of the base tilt, included together."""
     slots = [f"base_tilt_{component}" for component in TILT_COMPONENTS]
     return family(slots, basis, equation, *columns, parts=TILT_COMPONENTS, **fields)
 
@@ -267,11 +267,11 @@ WOBBLE = effect(
     parts=HARMONIC_PARTS,
 )
 FIXTURE_SOURCE = "source 0: within 2′, taken as 95 %"
-TIDE_SOURCE = "periods: astronomical; ±200 nrad in total: source 0; relative amplitudes ours"
+TIDE_SOURCE = "periods: astronomical; ±200 nrad in total: source 0; relative amplitudes assumed"
 ANGLE_SOURCE = "source 0: the table's angle is good to 1″"
 
 EFFECTS = EffectTable.from_rows(
-    "after source 0; size ours",
+    "after source 0; size assumed by us",
     baseline=(
         ("bias.constant", catalogue.constant, 5000.0, "ug"),
         ("bias.temperature", catalogue.linear, 50.0, "ug/degC"),

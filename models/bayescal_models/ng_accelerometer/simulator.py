@@ -101,7 +101,7 @@ def _ones(test: Conditions) -> Array:
 def _random_law(
     name: str, group: str, factor: Callable[[Conditions], Array] = _ones
 ) -> Callable[[Conditions], Array]:
-    """Return a law with a standard normal deviate per cell or run, times `factor`; the effect's size is its sd."""
+    """Return a law with a standard normal deviate for each cell or run, multiplied by `factor`."""
 
     def curve(test: Conditions) -> Array:
         deviates = test.cell_deviates if group == "cell" else test.run_deviates

@@ -22,7 +22,7 @@ determines (rank 4); further effects on ramps are found by `discover`, or includ
 document's other methods: polynomials of t1 of order 1, 3 and 5; t1 with its rate and their product; the sum of the
 beams' frequencies. `*.constant_circuit` is used in structures only: with `*.constant_head` it is not identified.
 
-Noise: white, of unknown size. Sizes are prior standard deviations for a first calibration, ours if no source is
+Noise: white, of unknown size. Sizes are prior standard deviations for a first calibration, assumed if no source is
 named; replace them by data-sheet values.
 """
 
@@ -41,7 +41,7 @@ from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
 from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
 
-FREQUENCY_SUM_HZ = 80_000.0  # Hz at 15 °C, nominal; ours
+FREQUENCY_SUM_HZ = 80_000.0  # Hz at 15 °C, nominal; assumed
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: converts the sum to a temperature
 PLAY_DEGC = 1.0  # °C, half width of the backlash
 
@@ -233,11 +233,11 @@ def _expand_to_slots(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
 
 
 EFFECTS = EffectTable.from_rows(
-    "source 2; size ours",
+    "source 2; size assumed by us",
     baseline=_expand_to_slots(("constant_head", CONSTANT, CONSTANTS, ""), *HEAD_ROWS),
     candidates=(
         *_expand_to_slots(*CIRCUIT_ROWS[:3], *GRADIENT_ROWS, *PRODUCT_ROWS, *OTHER_ROWS),
-        ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size ours"),
+        ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size assumed by us"),
         # The products with rate and gradient of source 2 represent a lag that grows with temperature.
         *catalogue.make_common_effects(
             *("bias", "ug"),

@@ -9,7 +9,7 @@ and the softening of a glued joint add to the bias. None of these is a polynomia
 A law returns the contribution of one unit of an effect to the bias (µg) or scale factor (ppm) at each simulation step.
 Laws use true temperatures and heat flows, not the columns of the fitted model's basis functions.
 
-Source: source 2 (differential beams, thermometers, dependence on gradient and rate); numbers ours.
+Source: source 2 (differential beams, thermometers, dependence on gradient and rate); numbers assumed.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ BEAM_TAU_S = 90.0  # s, lag of the beams behind the head's thermometer
 LAG_MISMATCH = 0.005  # relative difference of the two beams' lags
 KELVIN_OFFSET = 273.15
 EINSTEIN_TEMPERATURE_K = (
-    400.0  # K, of the Einstein oscillators in the quadratic law of the circuit; ours
+    400.0  # K, of the Einstein oscillators in the quadratic law of the circuit; assumed
 )
-LEAKAGE_SCALE_DEGC = 80.0  # °C, temperature rise that multiplies leakage currents by e; ours
-BOW = 60.0  # °C, gradient at which a bowed plate stiffens; ours
+LEAKAGE_SCALE_DEGC = 80.0  # °C, temperature rise that multiplies leakage currents by e; assumed
+BOW = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
 NOISE_TAU_S, LAG_TAU_S = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 RANDOM_STREAMS = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
@@ -131,7 +131,7 @@ def _einstein(test: Conditions) -> Array:
 
 
 def _leakage_difference(test: Conditions) -> Array:
-    """Return 6w³(sinh(ΔT/w) − ΔT/w), about ΔT³, w = `LEAKAGE_SCALE_DEGC`: difference of two leakage currents."""
+    """Return the difference of two leakage currents, 6w³(sinh(ΔT/w) − ΔT/w) ≈ ΔT³, °C³, w = `LEAKAGE_SCALE_DEGC`."""
     ratio = (test.circuit - test.plan.T0) / LEAKAGE_SCALE_DEGC
     return 6.0 * LEAKAGE_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
 
@@ -230,7 +230,7 @@ def simulated_columns(
 def true_values(
     campaign: Campaign, effects: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> Truth:
-    """Return true bias, scale factor and frequency sum at each reading of `simulate` with the same arguments."""
+    """Return the true bias, scale factor and frequency sum at the readings that `simulate` returns."""
     return _truth(Conditions(campaign), dict(effects or {}), seed)[1]
 
 

@@ -4,7 +4,7 @@
     τ_h·dTh/dt = (1−k)·T_air + k·Tc − Th      k: coupling of head and circuit
 
 Both temperatures, their rates and their difference are therefore correlated, as in a real sensor.
-Source: structure from source 2's two thermometers; equations and numbers ours.
+Source: structure from source 2's two thermometers; equations and numbers assumed.
 """
 
 from __future__ import annotations

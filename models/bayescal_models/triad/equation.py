@@ -57,7 +57,7 @@ def higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
 
 
 def output_function(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
-    """Return the function from inputs (n, 3) to outputs (n, 3), in the output unit; `values` are those of the slots."""
+    """Return the function from inputs (n, 3) to outputs (n, 3), in the output unit, at given values of the slots."""
 
     def stack_slots(names: Sequence[str]) -> Any:
         return xp.stack([values[name] for name in names], axis=-1).reshape(r.size, 3, -1)

@@ -15,30 +15,30 @@ from bayescal_models.catalogue import Factory, effect, family, one, progress
 
 
 def constant(slots: Sequence[str], equation: str = "c") -> Factory:
-    """Make the factory of a constant for each slot."""
+    """Return a factory that creates an effect with one constant for each slot."""
     return family(slots, one, equation, kind="constant")
 
 
 def tempco(slots: Sequence[str], order: int = 1) -> Factory:
-    """Make the factory of c·(T − T0)^order for each slot."""
+    """Return a factory that creates a temperature effect with one term c·(T − T0)^order for each slot."""
     exponent, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
     basis = partial(_departure_power, order)
     return family(slots, basis, f"c·(T − T0){exponent}", "temperature", kind=kind)
 
 
 def drift(slots: Sequence[str]) -> Factory:
-    """Make the factory of a drift c·(t − t̄)/(tmax − tmin) for each slot."""
+    """Return a factory that creates a drift effect with one term c·(t − t̄)/(tmax − tmin) for each slot."""
     return family(slots, progress, "c·progress", "time", varies=("time",), kind="drift")
 
 
 def run_offset(slots: Sequence[str]) -> Factory:
-    """Make the factory of a random deviation of each slot in each run; its standard deviation is estimated."""
+    """Return a factory that creates an effect with a random deviation of each slot in each run, N(0, s²)."""
     fields: dict[str, Any] = {"per": "run", "group_sd_prior": bc.HalfNormal, "varies": ()}
     return family(slots, one, "d[run],  d ~ N(0, s²)", "run", **fields)
 
 
 def thermal_lag(slots: Sequence[str]) -> Factory:
-    """Make the factory of a thermal lag c·(T̃ − T) for each slot, with a common time constant τ."""
+    """Return a factory that creates a thermal lag c·(T̃ − T) of each slot, with a common time constant τ."""
     return effect(
         partial(_lag_columns, len(slots)),
         "c·(T̃ − T),  τ·dT̃/dt = T − T̃",
@@ -65,5 +65,5 @@ def explain_unknown_rotation(readings: bc.Measurements) -> str | None:
 
 
 def triad_rotation(slots: Sequence[str]) -> Factory:
-    """Make the factory of a rotation of the triad in its body; poses of unknown direction do not identify it."""
+    """Return a factory that creates a rotation of the triad in its body; it needs poses of known direction."""
     return family(slots, one, "c", untestable=explain_unknown_rotation)

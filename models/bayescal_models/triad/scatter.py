@@ -23,7 +23,7 @@ NOISE_LOG_SD = (
 def set_noise_prior(
     instrument: bc.Instrument, readings: bc.Measurements | None, scatter: float | None = None
 ) -> bc.Instrument:
-    """Return the instrument with a noise prior about the poses' stated uncertainties; unchanged if one is missing.
+    """Return the instrument with a noise prior centred on the poses' stated uncertainties; unchanged if one is missing.
 
     Args:
         instrument: three-axis instrument.

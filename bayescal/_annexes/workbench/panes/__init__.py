@@ -1,1 +1,1 @@
-"""Panes of the page: model, residuals, candidate effects, and tabs with the errors of all steps."""
+"""Panes of the workbench page: model, residuals, candidate effects, and tabs with the errors of all search steps."""

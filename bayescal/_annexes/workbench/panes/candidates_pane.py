@@ -39,7 +39,7 @@ class CandidatesPane(Pane):
         )
 
     def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
-        """Show the discovery of a state; without one, the reason."""
+        """Show the effects missing from a state, or the reason why they are not known."""
         discovery: bc.Discovery | None = state.discovery
         self.rows.pointed = ""
         self.hint.object = HINT if discovery is not None else ""

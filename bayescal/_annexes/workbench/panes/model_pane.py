@@ -168,7 +168,7 @@ def _contraction(contraction: float | None) -> dict[str, Any]:
 
 
 def noise_rows(state: Any) -> list[dict[str, Any]]:
-    """Return the noise law in use with its parameters, and the probability of each law after a search."""
+    """Return rows: the noise law in use with its parameters and, after a search, the probability of each law."""
     calibration, discovery = state.calibration, state.discovery
     used, (_, others) = calibration.model.noise, ws.summary(calibration)
     noise = [t for t in others if t["effect"] == "noise"]

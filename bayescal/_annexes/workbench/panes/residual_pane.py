@@ -30,8 +30,8 @@ from bayescal._annexes.workbench.parts.widgets import (
     column,
     new_figure,
     plot,
-    range_over,
     row,
+    set_axis_range,
     several,
     words,
 )
@@ -80,7 +80,7 @@ class ResidualsOfState:
         self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
 
     def worst(self, name: str) -> tuple[float, float] | None:
-        """Return the ends of the worst region over a covariate; None without evidence of one."""
+        """Return the ends of a covariate's range with the largest misfit; None if there is no evidence of misfit."""
         entry = next((e for e in self.check.entries if e.against == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
             return None
@@ -97,17 +97,17 @@ class ResidualsOfState:
         return [n for n in self.covariates if n in chosen] or [PREDICTED]
 
     def sentence(self) -> str:
-        """Describe the worst region of the strongest covariate in a sentence."""
+        """Describe in a sentence the range with the largest misfit, of the covariate with the strongest evidence."""
         worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
         if worst is None:
             return "No column varies: there is no covariate to plot the residuals against."
-        rms = f"Residuals {self.check.rms:.3g} {self.unit} rms, noise {self.check.noise:.3g} {self.unit}. "
+        rms_text = f"Residuals: {self.check.rms:.3g} {self.unit} rms; noise: {self.check.noise:.3g} {self.unit}. "
         if worst.log_bayes_factor < 0:
-            return rms + "They depend on no column: no log Bayes factor is above zero."
+            return rms_text + "No log Bayes factor for a dependence on a column is above zero."
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
-            f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
-            f"average, {ws.place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"{rms_text}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
+            f"on average, {ws.place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
             f"{worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
@@ -144,8 +144,8 @@ class ColumnPanel:
         y_range: range of the residuals, common to all panels.
         """
         self._name, x = name, AT + name
-        self._x_range = range_over(state.covariates[name])
-        measured = range_over(state.measured)
+        self._x_range = set_axis_range(state.covariates[name])
+        measured = set_axis_range(state.measured)
         output = _figure(state, name, f"output [{state.unit}]", self._x_range, measured)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
         _draw_points(output, x, "measured", source)
@@ -167,8 +167,8 @@ class ColumnPanel:
         self.show(state)
 
     def show(self, state: ResidualsOfState) -> None:
-        """Show another state of the same readings; a zoomed view stays."""
-        range_over(state.covariates[self._name], view=self._x_range)
+        """Show another state of the same readings; keep a zoomed view."""
+        set_axis_range(state.covariates[self._name], view=self._x_range)
         self._noise.update(bottom=-state.check.noise, top=state.check.noise)
         region = state.worst(self._name)
         self._worst.visible = region is not None
@@ -204,7 +204,7 @@ def _figure(
 
 
 def _draw_compared(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    """Draw the points of the step to compare with, hollow."""
+    """Draw the points of the compared step as hollow markers."""
     hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
     _add_glyphs(figure, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
 
@@ -247,7 +247,7 @@ HINT = "Drag over a panel to select readings; they light up in the others."
 
 
 class ResidualPane(Pane):
-    """The middle of the page; `show` is called before any other method."""
+    """Pane of the residuals, in the middle of the page; `show` is called before any other method."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -291,7 +291,7 @@ class ResidualPane(Pane):
         self._lay_out()
 
     def show_other(self) -> None:
-        """Draw the other step beside this one."""
+        """Draw the compared step in addition to the current one."""
         self.beside.value = self.beside.options
 
     def preview(self, curve: np.ndarray | None) -> None:
@@ -300,7 +300,7 @@ class ResidualPane(Pane):
         self._fill_curve()
 
     def _chosen(self, event: Any) -> None:
-        """Lay out other columns; of too many, those chosen first are dropped."""
+        """Lay out the chosen columns; if there are too many, drop those that were chosen first."""
         if self._showing:
             return
         new = [n for n in event.new if n not in event.old]
@@ -313,7 +313,7 @@ class ResidualPane(Pane):
     def _begin(self, state: ResidualsOfState) -> None:
         """Reset sources and panels for other columns."""
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
-        self._y = range_over(state.residual)
+        self._y = set_axis_range(state.residual)
         self.source: Any = ColumnDataSource({})
         self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
         self.legend[:] = legend(state.runs[0])
@@ -333,7 +333,7 @@ class ResidualPane(Pane):
             self.panels[:] = rooms
 
     def _fill_source(self, coming: Iterable[str] = ()) -> None:
-        """Fill the source with the drawn readings, for present panels and those to come."""
+        """Fill the data source with the drawn readings, for present and future panels."""
         assert self._state is not None
         now, before = self._state, self._state.before if self.beside.value else None
         rows = decimate(now.residual, now.measured)
@@ -357,10 +357,10 @@ class ResidualPane(Pane):
         self._fill_curve()
         count, drawn = now.residual.size, f"{rows.size:,} of {now.residual.size:,} readings plotted"
         self.drawn.object = "" if rows.size == count else f"{drawn} (extremes of equal intervals)"
-        range_over(now.residual, *([] if before is None else [before]), view=self._y)
+        set_axis_range(now.residual, *([] if before is None else [before]), view=self._y)
 
     def _fill_curve(self) -> None:
-        """Fill the source of a preview's curve, empty without one."""
+        """Fill the data source of a preview's curve; empty it if there is no preview."""
         at = {n: v for n, v in self.source.data.items() if n.startswith(AT)}
         if self._curve is None:
             self._curves.data = dict.fromkeys([*at, CURVE], np.array([]))

@@ -1,4 +1,4 @@
-"""Lower part of the page: tabs with the errors of all steps, comparison, verdict, files and Python script.
+"""Lower part of the workbench page: tabs with errors of all steps, comparison, verdict, files and Python script.
 
 The error tab has the tree of steps, with the path to the current one and buttons to go back, and the progress of the
 whole search. The other tabs compare two steps, show the verdict, write files, and show the steps in Python.
@@ -53,7 +53,7 @@ class ErrorPane(Pane):
         self.view = column(buttons, halves(self.picture, self.rows), kinds=("bare", "error"))
 
     def show(self, state: Any) -> None:
-        """Show the tree of states, and the picture of the path to the current one."""
+        """Show the tree of states, and a figure of the errors on the path to the current state."""
         states, current = self.session.states, state.number
         steps = [states[n].step.errors() for n in path_to(states, current)]
         self.picture.object = str(ws.Pictures().error(steps).html)
@@ -63,7 +63,7 @@ class ErrorPane(Pane):
         self.rows.busy = self.find.disabled = busy
 
     def searching(self, on: bool, text: str = "") -> None:
-        """Show the progress of the whole search, and whether it is running."""
+        """Show the progress of the search, and whether it is running."""
         self.halt.disabled = not on
         self.progress.object = text
 

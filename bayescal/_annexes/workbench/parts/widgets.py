@@ -64,8 +64,8 @@ def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
     return fig
 
 
-def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
-    """Make an axis range over values with a margin, to which a reset returns; keep a zoomed view if it is unchanged."""
+def set_axis_range(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
+    """Set an axis range that covers the values and a margin; keep the user's zoom if that range is unchanged."""
     low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
     margin = 0.06 * (high - low) or abs(high) or 1.0
     start, end = low - margin, high + margin
@@ -112,7 +112,7 @@ def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) 
 
 
 def halves(first: Any, second: Any) -> pn.Column:
-    """Lay two parts out side by side, the first narrower; stacked if the page is too narrow."""
+    """Lay out two widgets side by side, the left one narrower, or stacked if the page is too narrow."""
     return column(first, second, kinds=("halves",))
 
 
@@ -201,4 +201,4 @@ class Pane:
         self.bench, self.session = bench, bench.session
 
     def show(self, state: Any) -> None:
-        """Show another state."""
+        """Show a state of the session."""

@@ -56,7 +56,7 @@ def residual_rms(environment: Array, scale: Array, ratio: Array) -> Array:
 
 
 def document_ratio(environment: Array, outer: int) -> Array:
-    """Return source 3's environment ratio (step 2), Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2), of every pair.
+    """Return the environment ratio Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) of every pair (source 3, step 2).
 
     It is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
 

@@ -106,7 +106,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     if "environment.temperature" in samples:
         temperature_change = readings["temperature"][table.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
-    departures, departure = _departures(samples, table, basis)
+    departures, departure_rms = _compute_v(samples, table, basis)
     environment = sensitivity[:, :, None] * u + higher + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
@@ -118,7 +118,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
         sensitivity=sensitivity,
         shared=(u + higher).mean(axis=1),
         environment=environment,
-        departure=departure,
+        departure=departure_rms,
         bias=np.asarray(samples.get("bias.device", zero))[..., table.order],
         noise=np.asarray(samples["noise.white"]),
         commanded=readings["acceleration"][table.rows].mean(axis=0),
@@ -128,8 +128,8 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     )
 
 
-def _departures(samples: Mapping[str, Array], table: _Records, basis: Array) -> tuple[Array, Array]:
-    """Return each device's departure v(t), µg, (d, K, T), and its rms, µg, (d,); zeros if the model has none."""
+def _compute_v(samples: Mapping[str, Array], table: _Records, basis: Array) -> tuple[Array, Array]:
+    """Compute draws of each device's deviation v(t) from the shared error, µg, (d, K, T), and of its rms (d,), µg."""
     if DEPARTURE_SHARE_NAME not in samples:
         zero = np.zeros(len(samples[SENSITIVITY_NAME]))
         return zero[:, None, None], zero
