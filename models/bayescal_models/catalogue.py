@@ -317,16 +317,16 @@ def centred(r: bc.Frame) -> Any:
 
 def missing_reversal(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
     """Return why readings do not identify a hysteresis: no rise or no fall above `dead_band`, °C; None if they do."""
-    rises = falls = False
+    has_rise = has_fall = False
     _, run = readings.groups("run")
     for k in np.unique(run):
-        course = readings[column][run == k][np.argsort(readings["time"][run == k], kind="stable")]
-        reference = course[0]
-        for value in course:
+        values = readings[column][run == k][np.argsort(readings["time"][run == k], kind="stable")]
+        reference = values[0]
+        for value in values:
             if abs(value - reference) > dead_band:
-                rises, falls = rises or value > reference, falls or value < reference
+                has_rise, has_fall = has_rise or value > reference, has_fall or value < reference
                 reference = value
-    if rises and falls:
+    if has_rise and has_fall:
         return None
-    motion = "only rises" if rises else "only falls" if falls else "stands still"
+    motion = "only rises" if has_rise else "only falls" if has_fall else "stands still"
     return f"needs {column} to rise and to fall within runs, by over {dead_band:g} °C; it {motion}"

@@ -121,14 +121,14 @@ def ramp_limited_set_point(
     time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
 ) -> Array:
     """Return a set point over time, °C, that approaches `goals` from their times `starts`, s, at `ramp` °C/min."""
-    knots, values = [float(starts[0])], [float(goals[0])]
+    knots, set_points = [float(starts[0])], [float(goals[0])]
     per_second = ramp / 60.0
-    for start, end, goal in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
+    for start, end, set_point in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
         max_change = per_second * (end - start)
-        change = float(np.clip(goal - values[-1], -max_change, max_change))
+        change = float(np.clip(set_point - set_points[-1], -max_change, max_change))
         knots += [start, start + abs(change) / per_second]
-        values += [values[-1], values[-1] + change]
-    return np.interp(time, knots, values)
+        set_points += [set_points[-1], set_points[-1] + change]
+    return np.interp(time, knots, set_points)
 
 
 SLIP_THRESHOLDS_DEGC = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of stick-slip joints; assumed
@@ -138,14 +138,14 @@ SUPPLY_V, SUPPLY_SD_V, SUPPLY_INTERVAL_S = 5.0, 0.1, 1200.0
 
 def stick_slip_strain(temperature: Array) -> Array:
     """Return the hysteretic strain of stick-slip joints: mean of several play operators (Prandtl–Ishlinskii)."""
-    total = np.zeros(temperature.size)
-    for width in SLIP_THRESHOLDS_DEGC:
+    mean_strain = np.zeros(temperature.size)
+    for threshold in SLIP_THRESHOLDS_DEGC:
         play_position, strain = float(temperature[0]), np.empty(temperature.size)
         for i, value in enumerate(temperature.tolist()):
-            play_position = min(max(play_position, value - width), value + width)
-            strain[i] = (value - play_position) / width
-        total += strain / len(SLIP_THRESHOLDS_DEGC)
-    return total
+            play_position = min(max(play_position, value - threshold), value + threshold)
+            strain[i] = (value - play_position) / threshold
+        mean_strain += strain / len(SLIP_THRESHOLDS_DEGC)
+    return mean_strain
 
 
 def simulate_supply(generator: np.random.Generator, time: Array) -> Array:

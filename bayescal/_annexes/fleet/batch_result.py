@@ -47,11 +47,11 @@ def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "
     groups = sorted(by_reason.values(), key=len, reverse=True)[:MAX_PRINTED_ROWS]
     lines = []
     for names in groups:
-        listed, hidden = ", ".join(names[:MAX_NAMES_PER_REASON]), len(names) - MAX_NAMES_PER_REASON
-        others = f" and {hidden} more" * (hidden > 0)
+        listed, n_more = ", ".join(names[:MAX_NAMES_PER_REASON]), len(names) - MAX_NAMES_PER_REASON
+        others = f" and {n_more} more" * (n_more > 0)
         lines.append(f"  {prefix}{listed}{others}: {reasons[names[0]]}")
-    hidden = len(reasons) - sum(map(len, groups))
-    return [*lines, f"  … and {hidden} more{suffix}"] if hidden > 0 else lines
+    n_more = len(reasons) - sum(map(len, groups))
+    return [*lines, f"  … and {n_more} more{suffix}"] if n_more > 0 else lines
 
 
 # Heads of printed tables.

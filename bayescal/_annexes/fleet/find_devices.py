@@ -95,14 +95,14 @@ def _log_evidences(
     posterior: ws.Posterior, log_odds: Mapping[str, float]
 ) -> dict[tuple[str, ...], float]:
     """Return the log evidence of each set of effects, summed over their forms, relative to the largest."""
-    total: dict[tuple[str, ...], float] = {}
+    sums: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.log_posterior, strict=True):
         effects = tuple(sorted(posterior.space.families(structure.effects)))
         log_evidence = log_posterior - sum(log_odds[name] for name in effects)
-        total[effects] = float(np.logaddexp(total.get(effects, -np.inf), log_evidence))
-    best = max(total.values())
-    largest = sorted(total, key=lambda effects: -total[effects])[:MAX_STRUCTURES_PER_DEVICE]
-    return {e: round(total[e] - best, 6) for e in largest if total[e] > best - MAX_DEFICIT_NATS}
+        sums[effects] = float(np.logaddexp(sums.get(effects, -np.inf), log_evidence))
+    best = max(sums.values())
+    best_sets = sorted(sums, key=lambda effects: -sums[effects])[:MAX_STRUCTURES_PER_DEVICE]
+    return {e: round(sums[e] - best, 6) for e in best_sets if sums[e] > best - MAX_DEFICIT_NATS}
 
 
 BURN_IN, SIZE = 200, 1000  # numbers of Gibbs samples: discarded, and averaged
@@ -149,13 +149,13 @@ def estimate_shares(devices: Sequence[Evidence], seed: int = 0, size: int = SIZE
     share, in_fleet = prior, np.ones(len(names), dtype=bool)
     share_draws, count_draws, in_fleet_draws = [], [], []
     for i in range(BURN_IN + size):
-        count = draw_effects(np.where(in_fleet, share, 0.0)).sum(axis=0).astype(int)
-        share = rng.beta(1.0 + count, 1.0 + n_observable - count)
+        counts = draw_effects(np.where(in_fleet, share, 0.0)).sum(axis=0).astype(int)
+        share = rng.beta(1.0 + counts, 1.0 + n_observable - counts)
         if i >= BURN_IN // 2:  # before, all effects are in the fleet, to reach devices
-            in_fleet = (count > 0) | (rng.random(len(count)) < unseen_probability)
+            in_fleet = (counts > 0) | (rng.random(len(counts)) < unseen_probability)
         if i >= BURN_IN:
             share_draws.append(share)
-            count_draws.append(count)
+            count_draws.append(counts)
             in_fleet_draws.append(in_fleet)
     low, high = np.quantile(share_draws, (0.025, 0.975), axis=0)
     columns = {

@@ -82,13 +82,13 @@ def run_with_progress(
     client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
 ) -> Iterator[tuple[int, Any, str]]:
     """Run tasks and yield their outcomes as `run_tasks` does; report the number of `noun` (plural) completed."""
-    start = last = time.monotonic()
-    for count, outcome in enumerate(run_tasks(client, function, tasks), start=1):
+    start = last_time = time.monotonic()
+    for n_done, outcome in enumerate(run_tasks(client, function, tasks), start=1):
         yield outcome
-        if time.monotonic() > last + PROGRESS_INTERVAL_S and count < len(tasks):
-            last, fraction = time.monotonic(), count / len(tasks)
-            seconds = (last - start) * (1 / fraction - 1)
-            ws.tell(f"{count:,} of {len(tasks):,} {noun}, about {seconds:,.0f} s left", fraction)
+        if time.monotonic() > last_time + PROGRESS_INTERVAL_S and n_done < len(tasks):
+            last_time, fraction = time.monotonic(), n_done / len(tasks)
+            seconds = (last_time - start) * (1 / fraction - 1)
+            ws.tell(f"{n_done:,} of {len(tasks):,} {noun}, about {seconds:,.0f} s left", fraction)
 
 
 def read_files(

@@ -113,7 +113,7 @@ def moves(
         raise bc.InputError(
             f"{forces.file} lacks the run {missing[0]!r} of {log.file}: log gyroscopes and accelerometers together"
         )
-    parts = list[dict[str, np.ndarray]]()
+    tables = list[dict[str, np.ndarray]]()
     poses, outliers = 0, list[str]()
     for run, gyro in gyro_runs.items():
         windows = intersect_windows(gyro.pose_windows(), f_runs[run].pose_windows())
@@ -131,17 +131,17 @@ def moves(
         columns = line.columns(fit, instrument.vector.beside, unit)
         others = [n for n in log.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
         spans = map(gyro.rows_between, *line.session.spans[line.owner].T)
-        parts.append(columns | average_segments(gyro.samples, others, spans))
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        tables.append(columns | average_segments(gyro.samples, others, spans))
+    columns = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
     # The noise law has the smallest variance of a reading, the column the excess of the others: the mode of a noise in
     # addition to the known variances would be zero.
     variances = columns[ws.UNCERTAINTY] ** 2
-    smallest = float(np.sqrt(variances.min()))
+    min_sd = float(np.sqrt(variances.min()))
     columns[ws.UNCERTAINTY] = np.sqrt(variances - variances.min())
     readings = build_readings(columns, instrument, log)
     summary = (
         f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; their "
-        f"smallest standard uncertainty, by scatter, is {smallest:.2g} {instrument.unit}: noise.white refers to it"
+        f"smallest standard uncertainty, by scatter, is {min_sd:.2g} {instrument.unit}: noise.white refers to it"
     )
     notes = [f"{log.file}: set aside as an outlier: {outlier}" for outlier in outliers]
     return replace(readings, sources=log.sources, flags=(summary, *notes))
@@ -225,38 +225,38 @@ def _fit_run(
     force, slopes, pose_cov = correction.correct_poses(f_run, windows)
     force_cov = shared * slopes @ correction.covariance @ slopes.T + pose_cov
     at_rest, white_variance = log.mean_outputs(windows), log.at_rest.one_second_sd**2
-    nominal = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
-    session = _Session(at_rest, windows, force, force_cov, white_variance, nominal)
+    prior_mean = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
+    session = _Session(at_rest, windows, force, force_cov, white_variance, prior_mean)
     path = _cut_moves(log, windows, f_run, _correct_forces(f_run, correction))
     max_outliers = max(1, int(MAX_OUTLIER_FRACTION * len(path.rate)))
-    origin, outliers = session.nominal[:N_INTEGRATED], frozenset[int]()
+    origin, outliers = session.prior_mean[:N_INTEGRATED], frozenset[int]()
     closure = _integrate_moves(path, force, origin)
     for _ in range(MAX_ITERATIONS):
         linear_model = _LinearModel.build(session, closure, origin, outliers)
         fit = linear_model.estimate_variances()
         step = fit.mean[:N_INTEGRATED] - origin
         size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
-        rss, accepted = linear_model.weighted_rss(closure, origin, fit), None
+        rss, accepted_closure = linear_model.weighted_rss(closure, origin, fit), None
         for _ in range(MAX_STEP_HALVINGS if size >= CONVERGENCE_SD else 0):
             candidate = _integrate_moves(path, force, origin + step)
             if linear_model.weighted_rss(candidate, origin + step, fit) < MAX_RSS_RATIO * rss:
-                accepted = candidate
+                accepted_closure = candidate
                 break
             step = 0.5 * step
-        if accepted is not None:
-            origin, closure = origin + step, accepted
+        if accepted_closure is not None:
+            origin, closure = origin + step, accepted_closure
             continue
         # Converged; or the closure error of one move is too large to be linearised.
-        extended = linear_model.find_outlier(fit, outliers)
-        if extended == outliers:
+        more_outliers = linear_model.find_outlier(fit, outliers)
+        if more_outliers == outliers:
             break
-        outliers = extended
+        outliers = more_outliers
         if sum(k >= len(windows) for k in outliers) > max_outliers:
             raise bc.InputError(
                 f"more than {max_outliers} of {len(path.rate)} moves are inconsistent with the others, beyond their "
                 f"scatter. {MOVES_ADVICE}"
             )
-    deviation = np.max(np.abs(origin - session.nominal[:N_INTEGRATED])[3:])
+    deviation = np.max(np.abs(origin - session.prior_mean[:N_INTEGRATED])[3:])
     if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over the moves do not lead from pose to pose, or not by one matrix: turn the unit "
@@ -276,7 +276,7 @@ class _Session(NamedTuple):
     force_covariance: Float[np.ndarray, "3k 3k"]  # of all specific forces, g²
     white_variance: float  # variance of a mean output over a second, (rad/s)²
     # Prior mean of the parameters: bias as measured at rest, identity matrix, zeros.
-    nominal: Float[np.ndarray, "27"]
+    prior_mean: Float[np.ndarray, "27"]
 
     @property
     def spans(self) -> Float[np.ndarray, "km 2"]:
@@ -314,7 +314,7 @@ class _LinearModel(NamedTuple):
     ) -> Self:
         poses, count = len(session.windows), len(closure.duration)
         owner = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
-        keep = ~np.isin(owner, [*outliers])
+        is_kept = ~np.isin(owner, [*outliers])
         length = session.windows[:, 1] - session.windows[:, 0]
         move_cov = closure.force_jacobian @ session.force_covariance @ closure.force_jacobian.T
         move_cov += session.white_variance * block_diag(*closure.noise_covariance)
@@ -326,11 +326,11 @@ class _LinearModel(NamedTuple):
         return cls(
             session,
             closure,
-            output=np.concatenate([session.at_rest.ravel(), output])[keep],
-            design=np.concatenate([at_rest, closure.design])[keep],
-            owner=owner[keep],
-            known_covariance=known_cov[np.ix_(keep, keep)],
-            duration=duration[keep],
+            output=np.concatenate([session.at_rest.ravel(), output])[is_kept],
+            design=np.concatenate([at_rest, closure.design])[is_kept],
+            owner=owner[is_kept],
+            known_covariance=known_cov[np.ix_(is_kept, is_kept)],
+            duration=duration[is_kept],
         )
 
     @property
@@ -343,7 +343,7 @@ class _LinearModel(NamedTuple):
 
     def estimate(self, bias_variance: float, angle_variance: float) -> _Estimate:
         root = np.linalg.cholesky(self.covariance(bias_variance, angle_variance))
-        table = np.column_stack([self.design, self.output - self.design @ self.session.nominal])
+        table = np.column_stack([self.design, self.output - self.design @ self.session.prior_mean])
         # QR with a row for each prior, not normal equations: outputs may be almost noise-free.
         prior = np.column_stack([np.diag(1 / PRIOR_SD), np.zeros(len(PRIOR_SD))])
         white = np.concatenate([solve_triangular(root, table, lower=True), prior])
@@ -352,7 +352,7 @@ class _LinearModel(NamedTuple):
         inverse = solve_triangular(factor, np.eye(len(factor)))
         log_dets = np.sum(np.log(np.diag(root))), np.sum(np.log(np.abs(np.diag(factor))))
         log_density = -0.5 * rss**2 - log_dets[0] - log_dets[1]
-        mean = self.session.nominal + inverse @ upper[:-1, -1]
+        mean = self.session.prior_mean + inverse @ upper[:-1, -1]
         cov, log_density = inverse @ inverse.T, float(log_density)
         return _Estimate(mean, cov, bias_variance, angle_variance, log_density)
 
@@ -381,7 +381,7 @@ class _LinearModel(NamedTuple):
         residuals[self.is_move] = move_residuals[np.isin(owner, self.owner)]
         covariance = self.covariance(fit.bias_variance, fit.angle_variance)
         squares = residuals @ np.linalg.solve(covariance, residuals)
-        return float(squares + np.sum(((values - self.session.nominal) / PRIOR_SD) ** 2))
+        return float(squares + np.sum(((values - self.session.prior_mean) / PRIOR_SD) ** 2))
 
     def find_outlier(self, fit: _Estimate, outliers: frozenset[int]) -> frozenset[int]:
         """Return `outliers` extended by the most significant outlying pose or move, if there is one."""

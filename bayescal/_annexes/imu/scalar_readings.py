@@ -69,7 +69,7 @@ def scalar_readings(
 
 def _pose_readings(
     outputs: Float[np.ndarray, "n 3"],
-    size: Float[np.ndarray, "n"],
+    magnitude: Float[np.ndarray, "n"],
     values: Values,
     units: Units,
     file: str,
@@ -78,11 +78,11 @@ def _pose_readings(
     direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
     direction = direction / _require_lengths(direction, NO_DIRECTION, file)[:, None]
     across = np.stack([np.zeros_like(outputs), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
-    scalar = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], outputs)])
+    scalars = np.column_stack([magnitude, np.einsum("nkj,nj->nk", across[:, 1:], outputs)])
     angle = values[POSE_UNCERTAINTY] * ws.magnitude(values)
     output_sd = values.get(ws.UNCERTAINTY, np.zeros(len(outputs)))
     uncertainty = np.stack([output_sd, *2 * [np.hypot(output_sd, angle)]], axis=1)
-    readings = _repeat(values, direction, across, scalar, ("magnitude", "across", "across too"))
+    readings = _repeat(values, direction, across, scalars, ("magnitude", "across", "across too"))
     readings |= {ws.UNCERTAINTY: uncertainty.ravel()}
     new_units = {**dict.fromkeys(ws.ACROSS, "1"), ws.UNCERTAINTY: units["output"], ws.OF: None}
     return readings, {**units, **new_units}
@@ -139,11 +139,11 @@ def _require_lengths(
     vectors: Float[np.ndarray, "n 3"],
     problem: str,
     file: str,
-    needed: Bool[np.ndarray, "n"] | bool = True,
+    is_required: Bool[np.ndarray, "n"] | bool = True,
 ) -> Float[np.ndarray, "n"]:
     """Return the lengths of vectors; raise InputError if a required length is zero."""
     length = np.linalg.norm(vectors, axis=1)
-    if np.any(is_zero := needed & ~(length > 0)):
+    if np.any(is_zero := is_required & ~(length > 0)):
         raise bc.InputError(f"{file}, row {int(np.argmax(is_zero)) + 1}, {problem}")
     return length
 

@@ -59,19 +59,19 @@ def find_static_segments(
             f"samples {step:.3g} s apart: static segments are found in blocks of {BLOCK_SECONDS:g} s, which need "
             f"{MIN_SAMPLES_PER_BLOCK} samples each. If each row is already a pose, calibrate the rows directly"
         )
-    count = len(time) // size
-    blocks = outputs[: count * size].reshape(count, size, -1)
+    n_blocks = len(time) // size
+    blocks = outputs[: n_blocks * size].reshape(n_blocks, size, -1)
     mean, scatter = blocks.mean(axis=1), blocks.std(axis=1, ddof=1)
     rest_scatter = np.quantile(scatter, REST_QUANTILE, axis=0)
     limit = MAX_STATIC_RATIO * np.maximum(rest_scatter, np.finfo(float).tiny)
     is_static = np.all(scatter <= limit, axis=1)
     has_moved = np.any(np.abs(np.diff(mean, axis=0)) > limit, axis=1)
-    label = np.cumsum(np.concatenate([[True], has_moved | (is_static[1:] != is_static[:-1])]))
-    begins, counts = ws.equal_runs(label)
+    labels = np.cumsum(np.concatenate([[True], has_moved | (is_static[1:] != is_static[:-1])]))
+    begins, counts = ws.equal_runs(labels)
     is_segment = is_static[begins] & (counts > 2)
     # Without the end blocks, in which a move may begin or end.
-    first, last = begins[is_segment] + 1, (begins + counts)[is_segment] - 1
-    durations = np.round((last - first) * size * step, 6)  # rounded: 5 steps of 1/20 s are 0.25 s
+    starts, stops = begins[is_segment] + 1, (begins + counts)[is_segment] - 1
+    durations = np.round((stops - starts) * size * step, 6)  # rounded: 5 steps of 1/20 s are 0.25 s
     if shortest is None:
         is_brief = np.mean(durations[durations >= BRIEF_POSE_S] < POSE_S) > MIN_BRIEF_FRACTION
         shortest = BRIEF_POSE_S if is_brief else POSE_S
@@ -80,25 +80,25 @@ def find_static_segments(
     if not is_long.any():
         raise bc.InputError(
             f"no segment of the log is static for {shortest:g} s: hold the unit still in each pose for longer, or give "
-            "a shorter time" + (f": {shorter_segments_note(shorter)}" if shorter else "")
+            "a shorter time" + (f": {format_shorter_segments(shorter)}" if shorter else "")
         )
-    first, last = first[is_long], last[is_long]
-    ends = list(zip(first.tolist(), last.tolist(), strict=True))
+    starts, stops = starts[is_long], stops[is_long]
+    ranges = list(zip(starts.tolist(), stops.tolist(), strict=True))
     # With much noise, moves begin undetected in the outer blocks, whose means then differ by more than noise.
-    inner = [(a + 1, b - 1) for a, b in ends if b - a >= MIN_INNER_BLOCKS + 2] or ends
+    inner = [(a + 1, b - 1) for a, b in ranges if b - a >= MIN_INNER_BLOCKS + 2] or ranges
     block_means = [mean[a:b] for a, b in inner]
     dof = sum(len(means) - 1 for means in block_means) * mean.shape[1]
     variance = sum(float(np.sum((m - m.mean(axis=0)) ** 2)) for m in block_means) / dof
     return StaticSegments(
-        first=first * size,
-        last=last * size,
-        uncertainty=np.sqrt(variance / (last - first)),
+        first=starts * size,
+        last=stops * size,
+        uncertainty=np.sqrt(variance / (stops - starts)),
         one_second_sd=float(np.sqrt(variance * size * step)),
         shorter=shorter,
     )
 
 
-def shorter_segments_note(durations: Sequence[float]) -> str:
+def format_shorter_segments(durations: Sequence[float]) -> str:
     """State the number of static segments that are too short, and the option that includes them."""
     count, least = len(durations), min(durations)
     return f"{count} shorter static segments are omitted; --shortest {least:g} (shortest={least:g}) includes them"
@@ -212,5 +212,5 @@ def poses(
     count = len(columns[ws.UNCERTAINTY])
     notes = [f"{len(readings['output'])} readings of {count} poses found in {log.file}"]
     shorter = [seconds for run in runs for seconds in run.at_rest.shorter]
-    notes += [f"{log.file}: {shorter_segments_note(shorter)}"] if shorter else []
+    notes += [f"{log.file}: {format_shorter_segments(shorter)}"] if shorter else []
     return replace(readings, sources=log.sources, flags=(*log.flags, *readings.flags, *notes))

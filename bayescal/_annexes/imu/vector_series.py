@@ -83,11 +83,11 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     flat_terms = terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(flat_terms.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += residuals.T @ residuals / len(residuals)
-    relative, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
-    size = mean.shape[1] - 9 * bool(gravity)
+    scale_sd, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    n_terms = mean.shape[1] - 9 * bool(gravity)
     orders = np.zeros(mean.shape[1])  # of each term in the input
-    orders[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
-    shift = relative * (mean * orders).ravel()
+    orders[:n_terms] = np.repeat(range(4), [3, 9, 18, 3])[:n_terms]
+    shift = scale_sd * (mean * orders).ravel()
     correction = VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
@@ -132,23 +132,23 @@ def _common_scale(
     instrument, readings = calibration.model.instrument, calibration.readings
     vector, unit = instrument.vector, ws.unit_label(instrument.unit)
     assert vector is not None
-    plausible, common = vector.common_scale, float(np.mean(np.diag(matrix)))
+    tolerance, scale = vector.common_scale, float(np.mean(np.diag(matrix)))
     quantity, stated = "the rates", ""
     if vector.acting is None:
         size = float(np.mean(ws.magnitude(readings)))
         quantity = f"the magnitude {instrument.column(ws.MAGNITUDE).meaning}"
         if not readings.has(ws.MAGNITUDE):
-            return plausible, [
+            return tolerance, [
                 f"{quantity.capitalize()} is unknown, and taken as the outputs indicate it, {size:.4g} {unit}: scale "
                 f"factors are relative to their mean. The absolute scale has a plausible error of "
-                f"{100 * plausible:.2g} %, which is in the uncertainty of magnitudes, but not of directions."
+                f"{100 * tolerance:.2g} %, which is in the uncertainty of magnitudes, but not of directions."
             ]
-        stated = f" ({size:.4g} {unit}; {size * common:.3g} {unit} would fit)"
-    if not plausible or abs(common - 1) <= MAX_COMMON_SCALE_RATIO * plausible:
+        stated = f" ({size:.4g} {unit}; {size * scale:.3g} {unit} would fit)"
+    if not tolerance or abs(scale - 1) <= MAX_COMMON_SCALE_RATIO * tolerance:
         return 0.0, []
     by_axis = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
     return 0.0, [
-        f"All three scale factors differ from nominal by one factor, {common:.3g} ({by_axis}), more than is plausible: "
+        f"All three scale factors differ from nominal by one factor, {scale:.3g} ({by_axis}), more than is plausible: "
         f"{quantity}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it."
     ]
 

@@ -85,16 +85,16 @@ def parse_limit(text: str) -> StatedLimit:
     quantity, colon, terms = text.rpartition(":")
     if not (colon and quantity.strip() and terms.strip()):
         raise bc.InputError(f"limit {text!r} lacks a quantity, a colon or limits: {FORM}")
-    for written, sign in _WRITTEN.items():
-        terms = terms.replace(written, sign)
-    interval, *places = re.split(r"\b(over|at)\b", terms)
+    for notation, sign in _WRITTEN.items():
+        terms = terms.replace(notation, sign)
+    interval, *clauses = re.split(r"\b(over|at)\b", terms)
     low, high, unit = _parse_tolerance(interval.strip(), text)
     ranges: list[LimitedRange] = []
-    for kind, place in zip(places[::2], places[1::2], strict=True):
-        ranges += [_parse_range(kind, part.strip(), text) for part in re.split(r"\band\b", place)]
+    for word, spans in zip(clauses[::2], clauses[1::2], strict=True):
+        ranges += [_parse_range(word, part.strip(), text) for part in re.split(r"\band\b", spans)]
     if not low < high or (math.isinf(low) and math.isinf(high)):
-        why = f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
-        raise bc.InputError(why)
+        fault = f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}"
+        raise bc.InputError(fault)
     return StatedLimit(quantity.strip(), low, high, unit, tuple(ranges), text.strip())
 
 
@@ -104,25 +104,25 @@ def _parse_tolerance(interval: str, text: str) -> tuple[float, float, str]:
         raise bc.InputError(f"limit {text!r}: {interval!r} are not limits: {FORM}")
     unit = _parse_limit_unit(match["unit"], text)
     if match["half"]:
-        centre, half = float(match["centre"] or 0.0), float(match["half"])
-        return centre - half, centre + half, unit
+        centre, half_width = float(match["centre"] or 0.0), float(match["half"])
+        return centre - half_width, centre + half_width, unit
     low, high = match["low"] or match["least"], match["high"] or match["most"]
     return float(low or -math.inf), float(high or math.inf), unit
 
 
-def _parse_range(kind: str, part: str, text: str) -> LimitedRange:
-    match = (_AT if kind == "at" else _OVER).fullmatch(part)
+def _parse_range(word: str, part: str, text: str) -> LimitedRange:
+    match = (_AT if word == "at" else _OVER).fullmatch(part)
     if match is None:
-        form = "at temperature = 25 °C" if kind == "at" else "over temperature -20..60 °C"
+        form = "at temperature = 25 °C" if word == "at" else "over temperature -20..60 °C"
         raise bc.InputError(f"limit {text!r}: {part!r} is not a range or value: write {form}")
-    low, high = (float(match[end]) for end in (("value",) * 2 if kind == "at" else ("low", "high")))
-    if kind == "over" and not -math.inf < low < high < math.inf:
+    low, high = (float(match[end]) for end in (("value",) * 2 if word == "at" else ("low", "high")))
+    if word == "over" and not -math.inf < low < high < math.inf:
         raise bc.InputError(f"limit {text!r}: {part!r} is not a range of increasing numbers")
     return LimitedRange(match["name"], low, high, _parse_limit_unit(match["unit"], text))
 
 
-def _parse_limit_unit(written: str, text: str) -> str:
-    unit = written.strip().strip("[]").strip()
+def _parse_limit_unit(unit_text: str, text: str) -> str:
+    unit = unit_text.strip().strip("[]").strip()
     if not unit:
         return ""
     try:
@@ -170,11 +170,11 @@ MAX_BISECTIONS, EDGE_RTOL = 60, 1e-15  # of an acceptance limit
 TAIL_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
 
 
-def bisect(holds: Callable[[float], bool], inside: float, outside: float, rtol: float) -> float:
+def bisect(condition: Callable[[float], bool], inside: float, outside: float, rtol: float) -> float:
     """Return the number at which a condition, true at `inside` and false at `outside`, ceases to hold."""
     for _ in range(MAX_BISECTIONS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+        midpoint = 0.5 * (inside + outside)
+        inside, outside = (midpoint, outside) if condition(midpoint) else (inside, midpoint)
         if abs(outside - inside) <= rtol * abs(outside):
             break
     return inside
@@ -242,32 +242,32 @@ class DrawnQuantity:
 
 def acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
     """Return the acceptance interval for a probability α of false acceptance; None if no estimate is accepted."""
-    reach = TAIL_SD * float(quantity.scatter.max())
+    margin = TAIL_SD * float(quantity.scatter.max())
     # p_c is zero below the first shift, where all draws are below T_L, and above the last.
-    first = limits.low - float(quantity.values.min(axis=1).max()) - reach
-    last = limits.high - float(quantity.values.max(axis=1).min()) + reach
-    best = _find_best_shift(quantity, limits, first, last)
+    low = limits.low - float(quantity.values.min(axis=1).max()) - margin
+    high = limits.high - float(quantity.values.max(axis=1).min()) + margin
+    best = _find_best_shift(quantity, limits, low, high)
 
     def accepts(shift: float) -> bool:
         return quantity.probability(limits, shift) >= 1.0 - false_accept
 
     if not accepts(best):
         return None
-    ends = first, last
-    down, up = (e if np.isinf(e) else bisect(accepts, best, e, EDGE_RTOL) for e in ends)
-    return Limits(quantity.estimate[0] + down, quantity.estimate[1] + up)
+    bounds = low, high
+    lower, upper = (e if np.isinf(e) else bisect(accepts, best, e, EDGE_RTOL) for e in bounds)
+    return Limits(quantity.estimate[0] + lower, quantity.estimate[1] + upper)
 
 
-def _find_best_shift(quantity: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
+def _find_best_shift(quantity: DrawnQuantity, limits: Limits, low: float, high: float) -> float:
     """Return the shift of the posterior that maximises the probability of conformity p_c."""
-    if np.isinf(first) and np.isinf(last):
+    if np.isinf(low) and np.isinf(high):
         return 0.0
-    reach = TAIL_SD * float(quantity.scatter.max())
-    if np.isinf(first):  # one-sided limit: all draws within it
-        return limits.high - float(quantity.values.max()) - reach
-    if np.isinf(last):
-        return limits.low - float(quantity.values.min()) + reach
-    shifts = np.linspace(first, last, N_SHIFTS)
+    margin = TAIL_SD * float(quantity.scatter.max())
+    if np.isinf(low):  # one-sided limit: all draws within it
+        return limits.high - float(quantity.values.max()) - margin
+    if np.isinf(high):
+        return limits.low - float(quantity.values.min()) + margin
+    shifts = np.linspace(low, high, N_SHIFTS)
     quantity = replace(quantity, values=quantity.values[:: -(-len(quantity.values) // MAX_DRAWS)])
     # Of several maxima the median, from which p_c decreases on both sides.
     p = np.array([quantity.probability(limits, s) for s in shifts])
@@ -390,8 +390,8 @@ def _noise_scores(
 ) -> Float[np.ndarray, "n m"]:
     """Return normal scores of the predictive probability that one reading's noise is below each deviation, (n, m)."""
     calibration, noise = compensator.calibration, compensator.calibration.model.noise
-    tiled = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
-    frame = compensator.equation.frame_of(tiled[compensator.stimulus], tiled)
+    repeated = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
+    frame = compensator.equation.frame_of(repeated[compensator.stimulus], repeated)
     draws = (calibration.problem.hyper(v) for v in calibration.draws(N_SCORE_DRAWS).v)
     scores = [np.asarray(noise.normal_scores(deviations.ravel(), hyper, frame)) for hyper in draws]
     tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # small tails keep digits

@@ -78,14 +78,14 @@ def recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
     """Compute the time at which drift lowers the probability of conformity below a stated probability."""
-    if reason := _no_answer(quantity, calibration, stated):
+    if reason := _find_reason(quantity, calibration, stated):
         return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
 
     def probability(later: float) -> float:
         return quantity.draw(later).probability(limits)
 
-    after = find_first_below(probability, stated)
-    change = quantity.draw(HORIZON if after is None else after).values - quantity.draw().values
+    delay = find_first_below(probability, stated)
+    change = quantity.draw(HORIZON if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
     if unmeasured := ws.find_not_measured(calibration, change, max_inclusion=1 - stated):
 
@@ -94,24 +94,24 @@ def recalibration(
             values = unmeasured.update_by_readings(calibration, draws.values)
             return replace(draws, values=values).probability(limits)
 
-        if after is not None or find_first_below(likelihood_probability, stated) is not None:
-            why = f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
-            return Recalibration(stated, None, why_not=why, notes=(ADVICE,))
-    if after is None:
-        why = f"not within {HORIZON / YEAR:g} years, with the drift of the model"
-        return Recalibration(stated, None, why_not=why)
+        if delay is not None or find_first_below(likelihood_probability, stated) is not None:
+            reason = f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
+            return Recalibration(stated, None, why_not=reason, notes=(ADVICE,))
+    if delay is None:
+        reason = f"not within {HORIZON / YEAR:g} years, with the drift of the model"
+        return Recalibration(stated, None, why_not=reason)
     time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))
-    if after > MAX_EXTRAPOLATION * span:
+    if delay > MAX_EXTRAPOLATION * span:
         notes.append(
-            f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, at a constant "
+            f"The drift is extrapolated to {delay / span:.0f} times the {in_words(span)} of the record, at a constant "
             "drift rate: shorten the calibration interval to verify it."
         )
     since, date = calibration.readings.since, None
     if since is not None:
         begin = datetime.fromtimestamp(since, UTC)
-        date = (begin + timedelta(seconds=float(time.max()) + after)).date().isoformat()
-    return Recalibration(stated, after, date, notes=tuple(notes))
+        date = (begin + timedelta(seconds=float(time.max()) + delay)).date().isoformat()
+    return Recalibration(stated, delay, date, notes=tuple(notes))
 
 
 def find_first_below(probability: Callable[[float], float], stated: float) -> float | None:
@@ -119,15 +119,15 @@ def find_first_below(probability: Callable[[float], float], stated: float) -> fl
 
     A temporary decrease between two successive times of the grid (ratio 1.13) is not detected.
     """
-    before = 0.0
+    previous = 0.0
     for time in (0.0, *np.geomspace(FIRST_TIME, HORIZON, N_TIMES).tolist()):
         if probability(time) < stated:
-            return time and bisect(lambda t: probability(t) >= stated, before, time, TIME_RTOL)
-        before = time
+            return time and bisect(lambda t: probability(t) >= stated, previous, time, TIME_RTOL)
+        previous = time
     return None
 
 
-def _no_answer(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
+def _find_reason(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
     """Return the reason why the model cannot predict the quantity's change in time; empty if it can."""
     name = quantity.limit.quantity
     if not quantity.place:
@@ -252,7 +252,7 @@ class Decisions(ws.Printed):
             ws.TableColumn(
                 "p(conforms)", lambda d: percent(d.probability, d.probability_error), name=""
             ),
-            ws.TableColumn("accepted from … to", _accepted, name=""),
+            ws.TableColumn("accepted from … to", _format_acceptance, name=""),
             ws.TableColumn("decision", lambda d: d.decision),
         )
         return ws.ResultTable(columns, self.decisions)
@@ -276,12 +276,12 @@ def _fill(text: str) -> str:
     return ws.folded(text, indent)
 
 
-def _accepted(d: Decision) -> str:
+def _format_acceptance(d: Decision) -> str:
     if d.accepted is None:
         return "none"
     low, high = (ws.number(end, 4) for end in d.accepted)
-    above, below = map(math.isinf, d.accepted)
-    text = f"≤ {high}" if above else f"≥ {low}" if below else f"{low} … {high}"
+    is_upper, is_lower = map(math.isinf, d.accepted)
+    text = f"≤ {high}" if is_upper else f"≥ {low}" if is_lower else f"{low} … {high}"
     return f"{text} {ws.unit_label(d.unit)}".strip()
 
 
@@ -289,11 +289,11 @@ def statement_lines(d: Decision) -> list[str]:
     """Format a decision as lines: decision and risk, operating point, global risks, next calibration."""
     lines = [f"{d.limit}: {d.decision}; {d.why}."]
     if d.at:
-        worst_at = _format_point({n: p for n, p in d.worst_at.items() if p != d.at[n]})
-        worst_at = f", least favourable at {worst_at}" * bool(worst_at)
+        worst_point = _format_point({n: p for n, p in d.worst_at.items() if p != d.at[n]})
+        worst_point = f", least favourable at {worst_point}" * bool(worst_point)
         scatter = f"{ws.number(d.scatter)} {ws.unit_label(d.unit)}"
-        of_one = f"; single readings scatter by {scatter}: u and p are of one reading"
-        lines.append(f"  at {_format_point(d.at)}{of_one * (d.scatter > 0)}{worst_at}")
+        scatter_note = f"; single readings scatter by {scatter}: u and p are of one reading"
+        lines.append(f"  at {_format_point(d.at)}{scatter_note * (d.scatter > 0)}{worst_point}")
     if (g := d.global_risks) is not None:
         moments = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(
@@ -316,11 +316,11 @@ def _format_point(at: Mapping[str, tuple[float, float, str]]) -> str:
 
 def percent(p: float, error: float = 0.0) -> str:
     """Format a probability in per cent, with a resolution of its Monte-Carlo error and of 0.01 %."""
-    least = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
-    if p < least:
-        return f"< {100 * least:.2g} %"
-    if p > 1 - least:
-        return f"> {100 - 100 * least:.4g} %"
+    resolution = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
+    if p < resolution:
+        return f"< {100 * resolution:.2g} %"
+    if p > 1 - resolution:
+        return f"> {100 - 100 * resolution:.4g} %"
     return f"{100 * p:.2f} %" if p < 0.1 or p > 0.9 else f"{100 * p:.1f} %"
 
 
@@ -469,18 +469,18 @@ def _decide_limit(
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
         if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
             return UNDECIDED, f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
-    conforms, fails = percent(p, error), percent(1 - p, error)
+    p_text, q_text = percent(p, error), percent(1 - p, error)
     if rule == "guarded":
         if p >= 1 - false_accept:
-            return ACCEPT, f"specific risk of false acceptance {fails}"
+            return ACCEPT, f"specific risk of false acceptance {q_text}"
         if p <= false_accept:
-            return REJECT, f"specific risk of false rejection {conforms}"
+            return REJECT, f"specific risk of false rejection {p_text}"
         return UNDECIDED, (
-            f"probability of conformity {conforms}: acceptance needs {100 * (1 - false_accept):g} %, rejection "
+            f"probability of conformity {p_text}: acceptance needs {100 * (1 - false_accept):g} %, rejection "
             f"{100 * false_accept:g} %"
         )
     if limits.contain(*draws.estimate):
-        position, decision, risk = "inside", ACCEPT, f"acceptance {fails}"
+        position, decision, risk = "inside", ACCEPT, f"acceptance {q_text}"
     else:
-        position, decision, risk = "outside", REJECT, f"rejection {conforms}"
+        position, decision, risk = "outside", REJECT, f"rejection {p_text}"
     return decision, f"the estimate is {position} the limits; specific risk of false {risk}"

@@ -34,19 +34,19 @@ class Preview:
         in_words: summary, with the size of an added effect.
     """
 
-    def __init__(self, before: ws.Step, after: bc.Calibration, added: str | None) -> None:
-        fitted = bc.check(after).residuals
-        self.curve, self.rms = before.check.residuals - fitted, float(np.sqrt(np.mean(fitted**2)))
-        text = f"residuals from {ws.number(before.rmse_fitted)} to {ws.number(self.rms)}"
-        text += f" {ws.unit_label(after.unit)} rms"
-        evidence_before, evidence = before.calibration.log_evidence, after.log_evidence
+    def __init__(self, step: ws.Step, calibration: bc.Calibration, added: str | None) -> None:
+        fitted = bc.check(calibration).residuals
+        self.curve, self.rms = step.check.residuals - fitted, float(np.sqrt(np.mean(fitted**2)))
+        text = f"residuals from {ws.number(step.rmse_fitted)} to {ws.number(self.rms)}"
+        text += f" {ws.unit_label(calibration.unit)} rms"
+        evidence_before, evidence = step.calibration.log_evidence, calibration.log_evidence
         if evidence_before is not None and evidence is not None:
             text += f", log Bayes factor {evidence[0] - evidence_before[0]:z.1f}"
         if added is not None:
-            effect = after.model.effect(added)
+            effect = calibration.model.effect(added)
             is_grouped = effect.coefficients[0].group_sd is not None
             name = effect.group_sd_name(0) if is_grouped else effect.coefficient_name(0)
-            draws = after.samples(effect.measure_name or name)
+            draws = calibration.samples(effect.measure_name or name)
             draws = draws if draws.ndim == 1 else np.sqrt(np.mean(draws**2, axis=1))
             size = ws.with_error(float(draws.mean()), float(draws.std()))
             unit = ws.unit_label(effect.coefficients[0].unit)

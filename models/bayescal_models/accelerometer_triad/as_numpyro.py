@@ -28,8 +28,8 @@ from bayescal_models.accelerometer_triad.model import INSTRUMENT
 def model(poses, output=None) -> None:
     """Define the NumPyro model of a number of poses; output g (poses, 3), or None to simulate."""
 
-    def sample_parts(name: str, parts: tuple[str, ...], size: float) -> Any:
-        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
+    def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
+        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])
 
     bias = 1e-3 * sample_parts("bias.constant", ("x", "y", "z"), 50.0)  # from mg
     kappa = 1e-6 * sample_parts("scale.constant", ("x", "y", "z"), 30_000.0)  # from ppm

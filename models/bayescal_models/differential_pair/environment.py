@@ -32,8 +32,8 @@ DEPARTURE_SHARE_NAME = "departure.device.share"
 
 def order_sds() -> NDArray[np.float64]:
     """Return the prior sds of the polynomial orders of the environment u, µg; their squares sum to 1 mg²."""
-    falling = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
-    return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
+    sd_ratios = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
+    return DISTURBANCE * sd_ratios / np.sqrt(np.sum(sd_ratios**2))
 
 
 def legendre_polynomials(progress: Any, count: int) -> list[Any]:
@@ -63,9 +63,9 @@ def _departure_basis(r: bc.Frame) -> Any:
     return xp.stack(legendre_polynomials(r.progress, ORDERS), axis=-1)
 
 
-def _departure_sds(share: Any, falling: Any) -> Any:
+def _departure_sds(share: Any, sd_ratios: Any) -> Any:
     """Return the prior sds of the orders of v relative to the rms of u, (…, 6), from shapes (…, 1) or scalars."""
-    powers = falling ** np.arange(ORDERS)
+    powers = sd_ratios ** np.arange(ORDERS)
     return share * powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
 
 

@@ -66,9 +66,9 @@ def _softening_columns(r: bc.Frame) -> Any:
     outward = side_sign(r) * r["acceleration"]
     # A reading is a mean over its averaging time: k·⟨a²⟩ = k·(⟨a⟩² + var a). A parabola with the end values a₀, a₁ and
     # the mean ⟨a⟩ has the variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180.
-    before, after = end_values(r, r["acceleration"])
-    curvature = 3.0 * (before + after - 2.0 * r["acceleration"])
-    variance = (after - before) ** 2 / 12.0 + curvature**2 / 180.0
+    begin, end = end_values(r, r["acceleration"])
+    curvature = 3.0 * (begin + end - 2.0 * r["acceleration"])
+    variance = (end - begin) ** 2 / 12.0 + curvature**2 / 180.0
     variance_term = side_sign(r) * variance / xp.maximum(r["acceleration"], 1.0)
     return xp.stack([outward, outward**2, variance_term], axis=-1)
 

@@ -43,17 +43,17 @@ def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     sorted_values, position = xp.asarray(values)[r.order], xp.arange(r.size)
     is_run_start = r.step <= 0
     first_index = xp.maximum.accumulate(xp.where(is_run_start, position, 0))
-    closing = xp.where(xp.append(is_run_start[1:], True), position, r.size - 1)
-    last_index = xp.minimum.accumulate(closing[::-1])[::-1]
+    last_indices = xp.where(xp.append(is_run_start[1:], True), position, r.size - 1)
+    last_index = xp.minimum.accumulate(last_indices[::-1])[::-1]
 
     def shift_values(shift: int) -> Any:
         return sorted_values[xp.clip(position + shift, first_index, last_index)]
 
     weights = {j: SPLINE_DECAY ** abs(j) for j in range(-NEIGHBOUR_COUNT, NEIGHBOUR_COUNT + 1)}
-    total = 2.0 * sum(weights.values())
-    before = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / total
-    after = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / total
-    return xp.placed(r.order, before), xp.placed(r.order, after)
+    norm = 2.0 * sum(weights.values())
+    begin = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / norm
+    end = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / norm
+    return xp.placed(r.order, begin), xp.placed(r.order, end)
 
 
 class NoiseWhileChanging(bc.Noise):
@@ -86,6 +86,6 @@ class NoiseWhileChanging(bc.Noise):
         return "1/g^2" if name == SHARE_NAME else output
 
     def variance(self, parameters: Any, frame: bc.Frame) -> Any:
-        before, after = end_values(frame, frame["acceleration"])
-        change = (after - before) / G
+        begin, end = end_values(frame, frame["acceleration"])
+        change = (end - begin) / G
         return parameters["noise.white"] ** 2 * (1.0 + (parameters[SHARE_NAME] * change**2) ** 2)

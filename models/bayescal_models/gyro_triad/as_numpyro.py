@@ -26,8 +26,8 @@ from bayescal_models.gyro_triad.model import INSTRUMENT
 def model(rate, direction, across, uncertainty, mounting, mountings, output=None) -> None:
     """Define the NumPyro model: rate and output (n,), °/s; unit vectors (n, 3); standard uncertainty of angles, rad."""
 
-    def sample_parts(name: str, parts: tuple[str, ...], size: float) -> Any:
-        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
+    def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
+        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])
 
     bias = sample_parts("bias.constant", ("x", "y", "z"), 3.0)  # °/s
     scale = 1e-6 * sample_parts("scale.constant", ("x", "y", "z"), 20_000.0)  # from ppm

@@ -51,16 +51,16 @@ class Conditions:
 
     def __init__(self, plan: Campaign, generators: Mapping[str, np.random.Generator]) -> None:
         self.plan = plan
-        rows, clock = [], 0.0
+        rows, start_time = [], 0.0
         for device in range(plan.devices):
             prefix = f"{device + 1}" if plan.devices > 1 else ""
             for labels, columns in (_verification if plan.grid else _zero_test)(plan, prefix):
-                count = len(columns[0])
+                n_readings = len(columns[0])
                 # Both axes of a verification are read simultaneously.
-                step = np.arange(count) % (count // 2 if plan.grid else count)
-                time = clock + plan.interval * step
-                clock = float(time.max()) + plan.pause
-                rows.append(([str(device + 1)] * count, *labels, *columns, time))
+                step = np.arange(n_readings) % (n_readings // 2 if plan.grid else n_readings)
+                time = start_time + plan.interval * step
+                start_time = float(time.max()) + plan.pause
+                rows.append(([str(device + 1)] * n_readings, *labels, *columns, time))
         self.device, self.axis, self.run, self.placement_set, self.tilt, *motion = map(
             np.concatenate, zip(*rows, strict=True)
         )

@@ -25,8 +25,8 @@ from bayescal_models.magnetometer_triad.model import INSTRUMENT
 def model(magnitude, output=None) -> None:
     """Define the NumPyro model: field magnitude µT (n,); output µT (n, 3), or None to simulate."""
 
-    def sample_parts(name: str, parts: tuple[str, ...], size: float) -> Any:
-        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
+    def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
+        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])
 
     bias = sample_parts("bias.constant", ("x", "y", "z"), 50.0)  # µT
     kappa = 1e-6 * sample_parts("scale.constant", ("x", "y", "z"), 300_000.0)  # from ppm

@@ -258,11 +258,11 @@ def _noise(
     if noise_law == "student_t":
         unit_variance_factor = np.sqrt((STUDENT_T_DOF - 2.0) / STUDENT_T_DOF)
         return campaign.noise * unit_variance_factor * generator.standard_t(STUDENT_T_DOF, readings)
-    white = campaign.noise * generator.standard_normal(readings)
+    white_noise = campaign.noise * generator.standard_normal(readings)
     if noise_law == "white":
-        return white
-    wander, rng = np.empty(readings), generators["wander"]
+        return white_noise
+    drift, rng = np.empty(readings), generators["wander"]
     for k in range(campaign.runs):  # correlated noise is independent between runs
         record = test.average(correlated_noise(rng, len(test.time), NOISE_TAU_S, STEP_S))
-        wander[test.run == k] = record[test.run == k]
-    return white + CORRELATED_NOISE_SD * wander
+        drift[test.run == k] = record[test.run == k]
+    return white_noise + CORRELATED_NOISE_SD * drift

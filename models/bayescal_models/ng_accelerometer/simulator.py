@@ -172,11 +172,11 @@ _BASE_TILT_LAWS = {
 def _collect_laws() -> dict[str, tuple[Law, ...]]:
     laws = {name: (law,) for name, law in _LAWS.items()}
     for name, (unit, curves) in _BASE_TILT_LAWS.items():
-        parallel, perp = both = tuple(
+        parallel, perp = base_tilts = tuple(
             Law(f"base_tilt_{component}", unit, curve)
             for component, curve in zip(("parallel", "perp"), curves, strict=True)
         )
-        laws |= {name: both, f"{name}[parallel]": (parallel,), f"{name}[perp]": (perp,)}
+        laws |= {name: base_tilts, f"{name}[parallel]": (parallel,), f"{name}[perp]": (perp,)}
     return laws
 
 
@@ -267,8 +267,8 @@ def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple
     zero = np.zeros_like(angle + tilt)
     up = _rotate(_rotate((zero, zero, zero + 1.0), 1, parallel), 0, -tilt)
     axis = _rotate(_rotate((zero + 1.0, zero, zero), 1, -fixture), 2, angle)
-    along = sum((u * s for u, s in zip(up, axis, strict=True)), start=zero)
-    return G * along, up[2]
+    axial_force = sum((u * s for u, s in zip(up, axis, strict=True)), start=zero)
+    return G * axial_force, up[2]
 
 
 def _rotate(vector: tuple[Array, ...], axis_index: int, angle: Array) -> tuple[Array, ...]:

@@ -79,7 +79,7 @@ def device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
         np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWER_NAMES])
         for slot in ("bias", "scale")
     )
-    frequency_sum = _frequency_sum(change, change)
+    frequency_sum = _sum_frequencies(change, change)
     return Truth(test.average(bias), test.average(scale), test.average(frequency_sum))
 
 
@@ -88,7 +88,7 @@ def _relative_frequency(change: Array, tempco: float, curvature: float, cubic: f
     return change * (tempco + change * (curvature + change * cubic))
 
 
-def _frequency_sum(first: Array, second: Array) -> Array:
+def _sum_frequencies(first: Array, second: Array) -> Array:
     curvature = -0.02e-6  # 1/°C², typical of quartz
     low, high = (_relative_frequency(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
     return BEAM_FREQUENCY_HZ * (2.0 + (low + high))
@@ -100,21 +100,21 @@ def _beam_truth(test: Conditions) -> Truth:
     hz_per_ug = SCALE_FACTOR * 1e-6
     # Differences of the beams' coefficients, 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³.
     differences = (1.375e-7, 0.9e-9, 0.8e-11)
-    common = (BEAM_TEMPCO, -0.02e-6, 0.0)
-    pulled = _relative_frequency(first, *(c + u for c, u in zip(common, differences, strict=True)))
-    pushed = _relative_frequency(second, *common)
+    terms = (BEAM_TEMPCO, -0.02e-6, 0.0)
+    f_pulled = _relative_frequency(first, *(c + u for c, u in zip(terms, differences, strict=True)))
+    f_pushed = _relative_frequency(second, *terms)
     delta = test.delta
     stress = 10.0 * delta * (1 + 0.01 * (test.head - test.plan.T0))
     phase = 4.0 * (test.circuit - test.plan.T0)
     joint = 20.0 * np.tanh((beam - 50.0) / 20.0)
-    bias = 2500.0 + BEAM_FREQUENCY_HZ * (pulled - pushed) / hz_per_ug + stress + phase + joint
+    bias = 2500.0 + BEAM_FREQUENCY_HZ * (f_pulled - f_pushed) / hz_per_ug + stress + phase + joint
     scale = (
         800.0
         + first * (6.0 + first * (0.04 + first * 0.0003))
         + delta * (1.0 + 0.01 * first)
         - 0.2 * (test.circuit - test.plan.T0)  # by the frequency counter's clock
     )
-    frequencies = _frequency_sum(first, second)
+    frequencies = _sum_frequencies(first, second)
     return Truth(test.average(bias), test.average(scale), test.average(frequencies))
 
 
@@ -235,23 +235,23 @@ def true_values(
 
 
 def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[Conditions, Truth]:
-    targets = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *RANDOM)}
-    names = [*targets, "second_order", *BIAS_LAWS, *(CUBIC if test.plan.device == "cubic" else ())]
+    by_name = {f"{s}.{cause}": (s, cause) for s in ("bias", "scale") for cause in (*LAWS, *RANDOM)}
+    names = [*by_name, "second_order", *BIAS_LAWS, *(CUBIC if test.plan.device == "cubic" else ())]
     simulated.validate_effects(effects, names, f"a {test.plan.device!r} device")
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     test.supply = simulated.simulate_supply(generators["supply"], test.time)
     device = device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
-    totals = {"bias": device.bias, "scale": device.scale}
-    slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in totals}
+    values = {"bias": device.bias, "scale": device.scale}
+    slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in values}
     for name, size in effects.items():
-        slot, cause = targets.get(name, ("bias", ""))
+        slot, cause = by_name.get(name, ("bias", ""))
         if cause in LAWS:
-            totals[slot] = totals[slot] + size * test.average(LAWS[cause](test))
+            values[slot] = values[slot] + size * test.average(LAWS[cause](test))
         elif name in BIAS_LAWS:
-            totals[slot] = totals[slot] + size * test.average(BIAS_LAWS[name](test))
+            values[slot] = values[slot] + size * test.average(BIAS_LAWS[name](test))
         elif cause in RANDOM:
-            totals[slot] = totals[slot] + size * RANDOM[cause](test, slot_draws[slot])
-    return test, Truth(totals["bias"], totals["scale"], device.frequency_sum)
+            values[slot] = values[slot] + size * RANDOM[cause](test, slot_draws[slot])
+    return test, Truth(values["bias"], values["scale"], device.frequency_sum)
 
 
 def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> dict[str, Array]:
@@ -262,9 +262,9 @@ def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> di
 
 def _noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> Array:
     """Draw the noise of each reading, µg."""
-    white = test.plan.noise * generators["noise"].standard_normal(test.run.size)
+    white_noise = test.plan.noise * generators["noise"].standard_normal(test.run.size)
     if test.plan.noise_law == "white":
-        return white
+        return white_noise
     # Ornstein–Uhlenbeck noise of unit variance at the times of the readings, independent between runs.
     step = np.diff(test.average(test.time), prepend=-np.inf)
     step[np.diff(test.run, prepend=-1) != 0] = np.inf
@@ -273,4 +273,4 @@ def _noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> A
     wander, state = np.empty(test.run.size), 0.0
     for i, increment in enumerate(increments):
         wander[i] = state = decay[i] * state + increment
-    return white + test.plan.noise * wander
+    return white_noise + test.plan.noise * wander

@@ -25,10 +25,10 @@ class CandidatesPane(Pane):
         add = lambda effect, _: bench.act("add", effect)  # noqa: E731
         self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
         self.rows.param.watch(lambda event: bench.point(event.new), "pointed")
-        how: dict[str, Any] = {"placeholder": "supply: s * (supply_voltage - 5); s = 0.1 mV/V"}
+        options: dict[str, Any] = {"placeholder": "supply: s * (supply_voltage - 5); s = 0.1 mV/V"}
         room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90, "max_length": 500}
         self.formula = field(
-            pn.widgets.TextInput, "or type a formula: Enter draws it", **how, **room
+            pn.widgets.TextInput, "or type a formula: Enter draws it", **options, **room
         )
         self.formula.param.watch(lambda _: self._draw(), "value")
         self.add_typed = button("Add it", lambda _: self._add_typed(), disabled=True, align="end")
@@ -91,15 +91,15 @@ def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
         rows += [_row(by_name[name], group, "found") for name in names]
         placed |= set(alternatives.effects)
     others = [c for c in discovery.candidates if c.effect not in placed]
-    any_found = rows or any(c.kind == "lead" for c in others)
+    has_found = rows or any(c.kind == "lead" for c in others)
     kinds = {
         "lead": ("Leads", "lead"),
-        None: ("The others" if any_found else "Nothing is found; the candidates", ""),
+        None: ("The others" if has_found else "Nothing is found; the candidates", ""),
         "not visible": (NOT_VISIBLE, "quiet"),
         "not testable": (NOT_TESTABLE, "quiet"),
     }
-    for kind, how in kinds.items():
-        rows += [_row(c, *how) for c in others if (c.kind if c.kind in kinds else None) == kind]
+    for kind, labels in kinds.items():
+        rows += [_row(c, *labels) for c in others if (c.kind if c.kind in kinds else None) == kind]
     return rows
 
 

@@ -20,17 +20,17 @@ class ModelPane(Pane):
         self._calibration: Any = None
         self._chosen, self._shut = "", False
         room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
-        high: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
-        choose = lambda effect, _: self._open(effect)  # noqa: E731
-        take = lambda law, _: bench.act("noise", law)  # noqa: E731
-        self.effects = Rows(choose, kind="pair", label="Effects of the model", **high)
-        self.noise = Rows(take, kind="pair", label="Noise law", **high)
+        layout: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
+        open_effect = lambda effect, _: self._open(effect)  # noqa: E731
+        set_law = lambda law, _: bench.act("noise", law)  # noqa: E731
+        self.effects = Rows(open_effect, kind="pair", label="Effects of the model", **layout)
+        self.noise = Rows(set_law, kind="pair", label="Noise law", **layout)
         self.equation, self.verdict = words("", "small"), words("", "small")
         self.title, self.consequences = words("", "title"), words("", "small")
         self.coefficient = field(pn.widgets.Select, "unknown", **room)
         self.value = field(pn.widgets.FloatInput, "held at", **room)
         self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
-        self.buttons = out, fix, free, resize = (
+        self.buttons = remove, fix, free, resize = (
             button("Take out", lambda _: self._do("take_out", self._chosen)),
             button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
             button("Free", lambda _: self._do("free", self.coefficient.value)),
@@ -39,7 +39,7 @@ class ModelPane(Pane):
         self.form = column(
             self.title,
             self.consequences,
-            row(out, button("Close", lambda _: self._open(""))),
+            row(remove, button("Close", lambda _: self._open(""))),
             row(self.coefficient),
             row(self.value, fix, free),
             row(self.size, resize),

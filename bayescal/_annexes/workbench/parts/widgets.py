@@ -111,9 +111,9 @@ def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) 
     return pn.Column(*children, css_classes=list(kinds), stylesheets=[INSIDE], **settings)
 
 
-def halves(first: Any, second: Any) -> pn.Column:
+def halves(left: Any, right: Any) -> pn.Column:
     """Lay out two widgets side by side, the left one narrower, or stacked if the page is too narrow."""
-    return column(first, second, kinds=("halves",))
+    return column(left, right, kinds=("halves",))
 
 
 def plot(fig: Any) -> pn.pane.Bokeh:
