@@ -161,7 +161,7 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
 def require_parquet(path: Path) -> Path:
     """Return the path of a file to save a batch to; raise InputError if its suffix is not .parquet."""
     if path.suffix != ".parquet":
-        raise bc.InputError(f"a batch is saved as Parquet: name it ….parquet, not {path.name!r}")
+        raise bc.InputError(f"{path.name!r}: a batch is saved as Parquet: give a name in .parquet")
     return path
 
 

@@ -67,4 +67,4 @@ ANNEX = {"commands": (BatchCommand,)}
 def _refuse_output_among_inputs(out: Path, files: list[Path]) -> None:
     """Raise InputError if the output file exists in a folder of readings."""
     if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
-        raise bc.InputError(f"--out {out} is a file in a folder of readings: name another")
+        raise bc.InputError(f"--out {out} is in a folder of readings: choose another")

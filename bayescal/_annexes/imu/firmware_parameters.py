@@ -388,7 +388,7 @@ def _common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in axes.items())
         raise bc.InputError(
-            f"these axes have no common temperature range: {ranges}. Calibrate them over one, or omit an axis"
+            f"these axes have no common temperature range: {ranges}: calibrate them over one, or omit an axis"
         )
     return low, high
 
@@ -403,18 +403,18 @@ def _device_ids(
         labels = readings.groups("device")[0] if readings.has("device") else ()
         if len(labels) > 1:
             raise bc.InputError(
-                f"{a}: the calibration is of several devices ({', '.join(labels)}), but firmware parameters are of one"
+                f"{a}: the calibration has several devices ({', '.join(labels)}), but firmware parameters apply to one"
             )
         device = int(labels[0]) if labels and labels[0].isdecimal() else None
         if device is not None and device_ids.setdefault(a.sensor, device) != device:
             raise bc.InputError(
-                f"{a} has the device_id {device}, but another axis of its sensor has {device_ids[a.sensor]}: give "
+                f"{a} has the device_id {device}, but another axis of that sensor has {device_ids[a.sensor]}: give "
                 "calibrations of one sensor"
             )
     sensors = dict.fromkeys(a.sensor for a in by_axis)
     if unknown := stated.keys() - sensors:
         raise bc.InputError(
-            f"device_id of {min(unknown)!r}, which is not among the sensors given: {', '.join(sensors)}"
+            f"a device_id is given for {min(unknown)!r}, which is not one of the sensors: {', '.join(sensors)}"
         )
     return device_ids | dict(stated)
 
@@ -431,7 +431,7 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
                 f"{p.low:.1f} to {p.high:.1f} °C."
             )
         if p.offsets.has_scale:
-            notes.append(f"{a}: these parameters have no scale factor: that calibrated is omitted.")
+            notes.append(f"{a}: the calibrated scale factor is omitted: no parameter holds it.")
         if why_not := compensators[a].why_not:
             notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
     return [*notes, "Outside these ranges the correction keeps its value at the nearest end."]
@@ -474,11 +474,11 @@ def _by_axis(
     for name, path, compensator in candidates:
         if name is None:
             raise bc.InputError(
-                f"{path}: its readings do not contain the name of its axis: give --axis gyro_x={path} instead"
+                f"{path}: the readings do not name the axis: give --axis gyro_x={path} instead"
             )
         if name in compensators:
             raise bc.InputError(
-                f"{path} and another file are of {name}: give one only, or name its axis (--axis gyro_y={path})"
+                f"{path} and another file calibrate {name}: give only one, or name its axis (--axis gyro_y={path})"
             )
         compensators[name] = compensator
     return compensators

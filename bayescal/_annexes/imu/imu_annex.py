@@ -36,7 +36,7 @@ class Triad(NamedTuple):
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     """Options of the commands that calibrate one triad, or both triads of a unit."""
 
-    shortest: float | None = ws.opt("Minimum pose in a log, s; 2, or 1 if many are brief.", min=0.1)
+    shortest: float | None = ws.opt("Minimum duration of a pose, s; default: 2 or 1.", min=0.1)
     baseline: bool = ws.opt("Fit bias, scale, misalignment only, without a search.", False)
     time_limit: float | None = ws.Shared.time_limit
     seed: int = ws.Shared.seed
@@ -95,7 +95,7 @@ class TriadCommand(TriadOptions, ws.Command):
     def answer(self) -> ws.Answer:
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
         if self.poses and self.shortest is not None:
-            raise bc.InputError("--shortest applies to logs: leave it out, or --poses")
+            raise bc.InputError("--shortest applies to logs: omit it or --poses")
         if ws.instrument_named(self.instrument).vector is None:
             raise bc.InputError(
                 f"--instrument {self.instrument} has one output: use `bayescal calibrate`"
@@ -145,7 +145,7 @@ class ImuCommand(TriadOptions, ws.Command):
                 logs.append((instrument, bc.read(self.files, instrument, **options)))
             except bc.InputError as error:
                 unit = instrument.unit
-                predicate = f"has no three columns named as usual for {sensors}, in a unit convertible to {unit}"
+                predicate = f"has no three columns with common names for {sensors} in a unit convertible to {unit}"
                 remedy = (
                     f"Name them ({ws.option(f'--{sensors}', 'X,Y,Z')}), or use a log that has them"
                 )

@@ -89,7 +89,7 @@ def align_channels(
     elif base.temperature is not None:
         columns["temperature [degC]"] = base.temperature[rows]
     if omitted := len(base.time) - len(time):
-        notes.append(f"{file}: {omitted} samples omitted: not all channels were logged then")
+        notes.append(f"{file}: {omitted} samples omitted: not all channels were logged")
     for name in names:
         sensor = sensor_by_channel[name]
         midpoints = 0.5 * (sensor.time[1:] + sensor.time[:-1])
@@ -227,7 +227,7 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
     try:
         importlib.import_module(package)
     except ModuleNotFoundError:
-        reason = f"is a {title}, which needs the package {package}, which is not installed"
+        reason = f"is a {title}: install the package {package} to read it"
         raise ws.unusable(file, reason, "pip install 'bayescal[logs]'") from None
     printed = io.StringIO()  # libraries print; standard output is the command's own
     with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):

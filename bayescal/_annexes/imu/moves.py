@@ -259,7 +259,7 @@ def _fit_run(
     deviation = np.max(np.abs(origin - session.prior_mean[:N_INTEGRATED])[3:])
     if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
-            "the outputs integrated over the moves do not lead from pose to pose, or not by one matrix: turn the unit "
+            "the outputs integrated over the moves are inconsistent with the poses for any matrix: turn the unit "
             f"less between two poses, about all three axes, and hold it still for longer. {MOVES_ADVICE}"
         )
     ends = {k: " to ".join(ws.number(end, 5) for end in session.spans[k]) for k in sorted(outliers)}

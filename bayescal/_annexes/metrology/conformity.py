@@ -101,7 +101,7 @@ def parse_limit(text: str) -> StatedLimit:
 def _parse_tolerance(interval: str, text: str) -> tuple[float, float, str]:
     match = _TOLERANCE.fullmatch(interval)
     if match is None:
-        raise bc.InputError(f"limit {text!r}: {interval!r} are not limits: {FORM}")
+        raise bc.InputError(f"limit {text!r}: {interval!r} states no limits: {FORM}")
     unit = _parse_limit_unit(match["unit"], text)
     if match["half"]:
         centre, half_width = float(match["centre"] or 0.0), float(match["half"])

@@ -69,7 +69,7 @@ class Recalibration:
         if self.after is None:
             return self.why_not
         if self.after == 0:
-            return f"the probability of conformity is below {self.stated:g} already"
+            return f"the probability of conformity is already below {self.stated:g}"
         when = f"{in_words(self.after)} after the last reading" + f", {self.date}" * bool(self.date)
         return f"the probability of conformity falls below {self.stated:g} {when}"
 
@@ -133,7 +133,7 @@ def _find_reason(quantity: LimitedQuantity, calibration: bc.Calibration, stated:
     if not quantity.place:
         return f"{name} is a constant of the model, which does not change in time"
     if not quantity.follows_time:
-        return f"no interval can be derived: no term of the model lets {name} change with time"
+        return f"no interval can be derived: no term of the model makes {name} change with time"
     # A placeholder curve in time is defined within the record only.
     probabilities = calibration.inclusion
     for effect in calibration.model.effects:
@@ -292,7 +292,7 @@ def statement_lines(d: Decision) -> list[str]:
         worst_point = _format_point({n: p for n, p in d.worst_at.items() if p != d.at[n]})
         worst_point = f", least favourable at {worst_point}" * bool(worst_point)
         scatter = f"{ws.number(d.scatter)} {ws.unit_label(d.unit)}"
-        scatter_note = f"; single readings scatter by {scatter}: u and p are of one reading"
+        scatter_note = f"; single readings scatter by {scatter}: u and p apply to one reading"
         lines.append(f"  at {_format_point(d.at)}{scatter_note * (d.scatter > 0)}{worst_point}")
     if (g := d.global_risks) is not None:
         moments = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""

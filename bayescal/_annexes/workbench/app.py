@@ -152,7 +152,7 @@ class Workbench:
         if state.discovery is not None:
             return
         if not state.calibration.verdict.ok:
-            reason = "Result not reliable: there is no search before the fit has converged."
+            reason = "The result is not reliable: a search requires a reliable fit."
             self.missing.show(state, reason)
             return
         self.run(self.session.look, self._show_missing)

@@ -158,7 +158,7 @@ def load_session(folder: Path) -> SavedSession:
         return ws.read_json(folder / SESSION, SavedSession)
     except (OSError, ValueError) as error:
         raise bc.InputError(
-            f"{folder} has no session that can be resumed ({error}): begin one in another folder"
+            f"{folder} has no session that can be resumed ({error}): start one in another folder"
         ) from None
 
 

@@ -20,7 +20,7 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
 
     example = "bayescal workbench readings.csv --instrument mems_gyro"
     out: Path = ws.opt(
-        "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
+        "Folder in which every step is saved; a session that is already in it is resumed.",
         Path("workbench_output"),
     )
     no_open: bool = ws.opt("Print the address, and open no browser.", False)

@@ -24,7 +24,7 @@ RATIO_RANGE = (0.25, 0.95)  # 95 % prior range of this ratio for v
 DISTURBANCE = 1000.0  # µg rms, of u
 SENSITIVITY_SD = 0.2  # standard deviation of λd over devices of one type
 SHARE_RANGE = (0.012, 0.21)  # 95 % prior range of the rms of v relative to that of u
-SOURCE = "source 3; sizes assumed by us"
+SOURCE = "source 3; sizes ours"
 
 SENSITIVITY_NAME = "environment.shared[sensitivity]"
 DEPARTURE_SHARE_NAME = "departure.device.share"
@@ -32,8 +32,8 @@ DEPARTURE_SHARE_NAME = "departure.device.share"
 
 def order_sds() -> NDArray[np.float64]:
     """Return the prior sds of the polynomial orders of the environment u, µg; their squares sum to 1 mg²."""
-    sd_ratios = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
-    return DISTURBANCE * sd_ratios / np.sqrt(np.sum(sd_ratios**2))
+    falling = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
+    return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
 
 def legendre_polynomials(progress: Any, count: int) -> list[Any]:
@@ -63,9 +63,9 @@ def _departure_basis(r: bc.Frame) -> Any:
     return xp.stack(legendre_polynomials(r.progress, ORDERS), axis=-1)
 
 
-def _departure_sds(share: Any, sd_ratios: Any) -> Any:
+def _departure_sds(share: Any, falling: Any) -> Any:
     """Return the prior sds of the orders of v relative to the rms of u, (…, 6), from shapes (…, 1) or scalars."""
-    powers = sd_ratios ** np.arange(ORDERS)
+    powers = falling ** np.arange(ORDERS)
     return share * powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
 
 

@@ -85,7 +85,7 @@ def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
     for i, alternatives in enumerate(discovery.findings):
         which = "Missing" if i == 0 else "Also missing"
         if len(alternatives.effects) > 1:
-            which = "One of these; these readings cannot tell which"
+            which = "One of these, which the readings do not distinguish"
         group = f"{which}: probability {ws.probability(alternatives.probability)}"
         names = [n for n in alternatives.effects if n in by_name and n not in placed]
         rows += [_row(by_name[name], group, "found") for name in names]

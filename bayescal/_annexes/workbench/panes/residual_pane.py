@@ -243,7 +243,7 @@ def _add_glyphs(
 PANELS_IN_A_ROW = 4  # panels side by side, at most
 LEGEND_RUNS = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
-HINT = "Drag over a panel to select readings; they light up in the others."
+HINT = "Drag over a panel to select readings; the other panels highlight them."
 
 
 class ResidualPane(Pane):

@@ -111,7 +111,7 @@ class VerdictPane(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        about = "Whether this model may be used as it is, fitted as bayescal calibrate fits it."
+        about = "Verdict on this model, fitted as by `bayescal calibrate`: whether it may be used."
         self.answer = answer_text()
         self.view = column(words(about, "small"), self.answer)
 
