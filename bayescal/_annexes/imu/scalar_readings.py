@@ -99,7 +99,7 @@ def _component_readings(
     direction = np.zeros_like(outputs)
     if all(name in values for name in ws.DIRECTION):
         direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
-    length = _require_lengths(direction, NO_DIRECTION, file, needed=values[ws.RATE] != 0)
+    length = _require_lengths(direction, NO_DIRECTION, file, is_required=values[ws.RATE] != 0)
     direction = direction / np.where(length > 0, length, 1.0)[:, None]
     across = np.broadcast_to(np.eye(3), (len(outputs), 3, 3))
     readings = _repeat(values, direction, across, outputs, ws.AXES)
