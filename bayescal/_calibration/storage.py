@@ -39,7 +39,7 @@ from bayescal._model.prior import KINDS
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
-REPAIR_ADVICE = "Use a backup, or fit the readings again"
+REPAIR_ADVICE = "Give what fit or calibrate saved (--out), or a backup of it"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 GROUPS = ("observed_data", "constant_data", "draws", "mode")

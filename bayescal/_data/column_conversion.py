@@ -375,7 +375,7 @@ class ColumnReader:
         if units.same_dimension(unit, target):
             if units.needs_gravity(unit, target):
                 self.converted.by_gravity.add(self.name)
-                self._flag(f"converted to local g with {gravity:g} m/s²")
+                self._flag(f"converted to units of g = {gravity:g} m/s²")
             try:
                 return units.convert(values, unit, target, **settings)
             except InputError as error:  # a difference of temperatures, say
@@ -390,8 +390,8 @@ class ColumnReader:
             alternative = f", or {scale.unit} (by the nominal scale)" if scale else ""
             unit_divisor = f"({target})" if "/" in target else target
             scale_option = option("--nominal-scale", f"250 {unit}/{unit_divisor}")
-            hint = f" Or give the raw output in {unit} per {target}, such as {scale_option}"
-        cure = f"Correct the header, or give the correct unit.{hint}"
+            hint = f"Give the scale factor of the raw output, such as {scale_option}, or the correct unit"
+        cure = hint or "Correct the header, or give the correct unit"
         expected = f"{target} or a unit that converts to it{alternative}"
         self._report(f"its unit is [{unit}]", expected, cure, suggestion)
         return None

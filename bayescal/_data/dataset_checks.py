@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, ConvertedColumns, Place, file_names
-from bayescal._data.records import PAUSE_STEPS, RECORD, Columns, Records, distinct, equal_runs
+from bayescal._data.records import RECORD, Columns, Records, distinct, equal_runs
 from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
 
@@ -103,7 +103,7 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
         median_step = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
         for name, period in CLOCK_PERIODS.items():
             unwrapped_step = step[is_backward] + period
-            if np.all((unwrapped_step > 0) & (unwrapped_step <= PAUSE_STEPS * median_step)):
+            if np.all((unwrapped_step > 0) & (unwrapped_step <= 2.0 * median_step)):
                 fault += f", as a clock that wraps around at {name}"
                 cure, suggestion = "If so, unwrap it", option("--unwrap", f"time={name}")
                 break

@@ -559,10 +559,10 @@ class MatchedFile:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
             absent = [n for n in needs_none if n not in self.positions]
             advice = " or ".join(option("--columns", f"{n}={without_unit[0]}") for n in absent)
-            advice = f"to assign one to a column: {advice}; " * bool(absent)
+            advice = f"to use one as such: {advice}; " * bool(absent)
             message = (
                 f"{file}: columns ignored because they have no unit: {', '.join(without_unit)} "
-                f"({advice}to keep one besides the instrument's columns, write 'name [unit]' or give units=)"
+                f"({advice}to keep one, write its unit in the header, 'name [unit]', or give units=)"
             )
             flags.append(Flag(message, "column.ignored", *without_unit))
         return columns, flags

@@ -52,7 +52,7 @@ from bayescal._search.walk import explore
 # Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
 SEARCH_TIME_SHARE = 2 / 3
 UNSTATED = "not stated, as the search was ended early"
-LOG_BF = "log BF: log Bayes factor of the model with the effect against without it"
+LOG_BF = "log BF: log Bayes factor of this effect alone, added to the fitted model; probability: over all structures"
 MAX_RIVALS = 4  # effects to be distinguished by an experiment
 REMARKS = {"not visible": "not detectable in this experiment"}
 
@@ -165,8 +165,8 @@ class Discovery(Printed):
         note = f"± standard uncertainty (k = 1); detectable: with probability {100 * settings().power:g} %"
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
-            lines += [table, note, LOG_BF + "; * by refit, others by score test" * refits]
-        lines += [folded(f"confounded: {', '.join(group)}") for group in group_confounded(rows)]
+            lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
+        lines += [folded(f"confounded (collinear): {', '.join(g)}") for g in group_confounded(rows)]
         by_reason = group_untested(rows).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]

@@ -29,7 +29,7 @@ from bayescal._search.structure_average import StructureShare
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
 FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an rms as fitted can be a little below it"
-COMPLETE_NOTE = "P(complete): probability that no effect is missing"
+COMPLETE_NOTE = "P(complete): probability that no testable effect is missing"
 
 
 @renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")

@@ -39,8 +39,8 @@ from bayescal._use.compensation_program import PAST, clock_note
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
 
-REMAINDER = "scatter between runs, time constants, nonlinearity"
-STRUCTURES = "choice of effects (average over structures)"
+REMAINDER = "between-run sd, time constants, second-order terms"
+STRUCTURES = "model average against the most probable structure"
 FORM = "form of the model: effects outside the candidates"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed

@@ -57,9 +57,9 @@ def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "
 # Heads of printed tables.
 HEADS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
 HEADS |= {"typical sd": "standard uncertainty (median)"}
-EFFECT_HEADS = {"devices": "devices with it", "possible": "devices with it or a rival"}
+EFFECT_HEADS = {"devices": "found, by device", "possible": "it or a rival found"}
 EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
-EFFECT_HEADS |= {"share": "expected share", "low": "share, if any: 2.5 %", "high": "97.5 %"}
+EFFECT_HEADS |= {"share": "expected share", "low": "95 % share if any: from", "high": "to"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:

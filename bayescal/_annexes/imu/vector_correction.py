@@ -295,7 +295,7 @@ class TermRow(NamedTuple):
 def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
-        ws.TableColumn("correction", lambda r: r.name),
+        ws.TableColumn("outputs = offset + matrix · inputs", lambda r: r.name),
         ws.TableColumn(
             "value ± standard uncertainty", lambda r: ws.with_error(r.value, r.uncertainty)
         ),
