@@ -242,13 +242,13 @@ CEILINGS = {
     "bayescal/_annexes/fleet": 1_697,
     "bayescal/_annexes/imu": 2_713,
     "bayescal/_annexes/metrology": 1_578,
-    "bayescal/_annexes/validation": 745,
+    "bayescal/_annexes/validation": 744,
     "bayescal/_annexes/workbench": 2_495,
     "models": 8_133,
     "tests": 22_444,
     "benchmarks": 10_609,
 }
-WORDS = 48_590  # of docs/, README.md and CHANGELOG.md together
+WORDS = 48_599  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)

@@ -61,5 +61,5 @@ def test_with_flat_priors_all_of_a_budget_comes_from_the_readings() -> None:
     fit = fitted((0.0, 1.0, 2.0, 3.0), (1.0, 3.0, 4.0, 6.0), (1.0,) * 4)
     sources = {s.name: s for s in bc.budget(fit, {"x": 2.0}).sources}
     readings = "noise of the calibration's readings"
-    assert set(sources) == {readings, "scatter between runs, time constants, nonlinearity"}
+    assert set(sources) == {readings, "between-run sd, time constants, second-order terms"}
     np.testing.assert_allclose(sources[readings].share, 1.0, atol=1e-7)

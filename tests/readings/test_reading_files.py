@@ -69,7 +69,7 @@ def test_local_gravity_is_used_and_said(put):
     path = put("temperature [degC],output [deg/s],pull [m/s^2]\n20,1,9.81\n30,2,-9.81\n")
     m = bc.read(path, GYRO, local_gravity=9.81)
     np.testing.assert_allclose(m["pull"], [1e6, -1e6])
-    assert m.unit("pull") == "ug" and "converted to local g with 9.81 m/s²" in m.flags[0]
+    assert m.unit("pull") == "ug" and "converted to units of g = 9.81 m/s²" in m.flags[0]
 
 
 def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):

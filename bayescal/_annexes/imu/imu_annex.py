@@ -85,7 +85,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
 
 
 class TriadCommand(TriadOptions, ws.Command):
-    """Calibrate a three-axis sensor from poses at rest or known rates."""
+    """Calibrate three axes from poses at rest or known rates."""
 
     example = "bayescal triad log.csv --instrument gyro_triad --out result"
     instrument: str = ws.opt("Or gyro_triad, magnetometer_triad.", "accelerometer_triad")
