@@ -185,8 +185,8 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
     if (others := len(shares) - MAX_STRUCTURES) > 1:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
     texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
-    text = f"predictions, corrections and budgets average {len(path.shares)} structures: {texts}"
-    return folded(f"{text}; the table is of the first, as is --structure best")
+    text = f"coefficients, corrections and budgets average {len(path.shares)} structures: {texts}"
+    return folded(f"{text}; --structure best uses the first alone")
 
 
 def _reason_not_tested(step: Step) -> str:
