@@ -476,7 +476,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
     in_place = "file"
     calibration: Path = Shared.calibration
     file: Path = Argument(help="Readings: text, .parquet, .xlsx or .mat.")
-    out: Path = opt("Output file (.csv, or .parquet for a .parquet file).", ..., "--out", "-o")
+    out: Path = opt("Output file (.csv, or .parquet if the input is .parquet).", ..., "--out", "-o")
     first_order: bool = opt("Propagate mean and covariance instead of draws.", False)
     without_noise: bool = opt("Exclude the noise of a reading from the uncertainty.", False)
 

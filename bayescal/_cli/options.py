@@ -364,7 +364,7 @@ class OwnParts(Options):
 
 
 class UsedParts(OwnParts):
-    """Options of a result in use: the average over structures, or the most probable structure."""
+    """Options that select the result to use: the model average, or the most probable structure."""
 
     one_structure: str = opt(
         "'average' over structures, or the 'best' structure.", "average", "--structure"

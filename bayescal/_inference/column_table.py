@@ -110,7 +110,7 @@ class ColumnTable:
         return Products(gram, end_products)
 
     def clear(self) -> None:
-        """Clear all blocks except those subtracted from the residual."""
+        """Clear all cached blocks except those whose fit was subtracted from the residual."""
         protected = {RESIDUAL, *self.fitted_coefficients}
         self._blocks = {i: block for i, block in self._blocks.items() if i in protected}
         self._products, self._bytes = {}, 0

@@ -278,7 +278,7 @@ def _list_lower_indices(dim: int) -> list[tuple[int, int]]:
 
 @cache
 def _get_factors(dim: int, rank: int) -> Factors:
-    """Return the factors of a Taylor series at its point: value (1, 0, …), gradient and Hessian unit vectors."""
+    """Return the Taylor monomials at the expansion point, (1, 0, …), and their gradient and Hessian there."""
     gradient, hessian = np.zeros((dim, rank)), np.zeros((dim, dim, rank))
     if rank > 1:
         gradient = np.eye(rank)[1 : 1 + dim]

@@ -481,7 +481,7 @@ class _StructureRows:
 
     @cached_property
     def _dynamic_rows(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Return each φ-dependent effect's index, its rows, and the expansion term of each row."""
+        """Return for each φ-dependent effect its index, its rows of the table, and each row's Taylor term."""
         entries = []
         for i, (block, columns) in enumerate(zip(self.blocks, self.slices, strict=True)):
             if block.shape_indices:
@@ -491,7 +491,7 @@ class _StructureRows:
         return entries
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
-        """Return the element of D in each row at several φ (b, R), for unit prior deviations."""
+        """Return the diagonal elements d (b, R) of the rows at several φ (b, d), for unit prior deviations."""
         factors = np.tile(self.multipliers, (len(vs), 1))
         for i, rows, terms in self._dynamic_rows:
             shape_values = vs[:, self.blocks[i].shape_indices]

@@ -315,7 +315,7 @@ def build_frame(
 
 
 def origins_of(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the origins subtracted from outputs, output unit, as reference constant → coefficient → value."""
+    """Return the offsets subtracted from outputs, output unit, by reference constant and coefficient."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 

@@ -168,7 +168,7 @@ class Noise(abc.ABC):
         return False
 
     def shared_variance(self, values: Parameters) -> Any:
-        """Return the common variance of all readings if `even`, output unit squared."""
+        """Return the variance common to all readings, output unit squared, of homoscedastic noise (`even`)."""
         raise NotImplementedError(f"{self.name} noise has no common variance")
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:

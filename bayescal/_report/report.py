@@ -82,7 +82,7 @@ class Pictures:
         ]
 
     def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
-        """Draw the errors of steps, as in result.json."""
+        """Draw the errors of each search step, from the steps of result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
 

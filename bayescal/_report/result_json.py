@@ -297,8 +297,8 @@ def read_chapter(
     missing = [n for n in (RESULT, CALIBRATION) if not (folder / n).is_file()]
     if missing:
         raise InputError(
-            f"The folder {folder} has no {' and no '.join(missing)}: give a folder that `bayescal calibrate --out` "
-            "wrote, or a saved calibration (…nc)"
+            f"The folder {folder} lacks {' and '.join(missing)}: give a folder that `bayescal calibrate --out` "
+            "wrote, or a saved calibration (.nc)"
         )
     try:
         data = read_json(folder / RESULT)

@@ -127,7 +127,7 @@ class EvaluatedStructure:
 
 @dataclass(eq=False)
 class Structures:
-    """All structures over one model on one record, with the evaluated ones."""
+    """The candidate structures of one model on one record, and those evaluated so far."""
 
     base: Model  # the model that effects are added to
     layout: Layout  # of the base, with the numbers of group members
@@ -235,7 +235,7 @@ class Structures:
         return self.noise_laws.get(structure.noise, self.base.noise)
 
     def excluded_candidates(self, structure: Structure) -> set[str]:
-        """Return excluded candidates: other forms, a second body, and with correlated noise a curve in time."""
+        """Return the candidates that may not be added: other forms, a second body, a curve in time if noise correlates."""
         candidates, excluded = self.candidates.items(), set[str]()
         if not self.noise_law(structure).independent:
             excluded = {n for n, e in candidates if e.kind == "curve" and e.covariate == "time"}

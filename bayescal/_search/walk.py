@@ -312,9 +312,9 @@ def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structu
 def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = False) -> Evaluations:
     """Evaluate a structure with other forms of its effects that have no score, one form replaced at a time.
 
-    Nothing is evaluated where the structure is too improbable for any form to matter. Two kinds of form are left to the
-    `last` pass: with several shapes, which take ten times as long; and tried elsewhere with such a loss of log
-    posterior that as much would put this structure outside of Occam's window.
+    Nothing is evaluated if the structure is too improbable for any form to matter. The `last` pass also evaluates forms
+    with several shapes, which take ten times as long, and forms that lost much log posterior beside other effects: so
+    much that this structure would leave Occam's window.
     """
     structure = fit.structure
     window = structures.window_nats if structures.near_best_only else LAW_WINDOW_NATS
@@ -351,9 +351,9 @@ def correlated_laws(structures: Structures) -> list[str]:
 
 
 def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, None, bool]:
-    """Evaluate finer noise laws with the best structure's effects and with fewer; return whether there were any.
+    """Evaluate noise laws of more terms with the best effects and with fewer; return whether any was left.
 
-    A finer law may explain without an effect what that effect explains under plain noise.
+    A law of more terms may explain what an effect explains under the law of fewer terms.
     """
     best = structures.best
     moves = sorted(_propose_finer(structures, best), key=lambda move: -move.log_posterior)

@@ -193,9 +193,9 @@ def build_common_model(
 def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
     """Return one row per effect, the most frequent first.
 
-    Columns: effect; number of devices whose structure has it; number in which it is in a set of effects of which one is
-    missing. From all devices jointly: probability that any has it, expected number with it, their share, and the
-    share's 95 % interval if any device has it.
+    Columns: effect; number of devices whose structure has it; number where it is one of several indistinguishable
+    effects, one of which is missing. From all devices jointly: probability that any has it, expected number with it,
+    their share, and the share's 95 % interval if any device has it.
     """
     in_structure = Counter(name for structure in structures for name in structure.families)
     possible = Counter(name for structure in structures for name in structure.possible)

@@ -188,7 +188,7 @@ def _cut_moves(
 
 
 def _attitude(path: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from each sample's body axes to those at the begin."""
+    """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from each sample's body axes to those at its start."""
     inverse = np.linalg.inv(matrix).T
     rate, h = (path.rate - bias) @ inverse, path.step[..., None]
     # Fourth order in the step: corrections of the trapezoidal rule, and for coning.

@@ -268,7 +268,7 @@ def _build_model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
 
 
 def of_circuit(order: int) -> bc.Model:
-    """Return the model with polynomials of t1 for bias and scale factor: the first earlier method in source 2."""
+    """Return the model with bias and scale factor as polynomials of the circuit's temperature t1 (source 2)."""
     return _build_model("constant_circuit", *CIRCUIT_ROWS[:order])
 
 

@@ -233,7 +233,7 @@ def _add_glyphs(
     muted: dict[str, Any],
     selected: dict[str, Any] | None = None,
 ) -> Any:
-    """Add points with their style outside and in a selection; `figure.scatter` makes twice as many models."""
+    """Add points styled apart when selected, by one renderer; `figure.scatter` makes twice as many Bokeh models."""
     glyphs = {"nonselection_glyph": Scatter(**{**drawn, **muted})}
     if selected:
         glyphs["selection_glyph"] = Scatter(**{**drawn, **selected})
