@@ -235,7 +235,7 @@ class Structures:
         return self.noise_laws.get(structure.noise, self.base.noise)
 
     def excluded_candidates(self, structure: Structure) -> set[str]:
-        """Return the candidates that may not be added: other forms, a second body, a curve in time if noise correlates."""
+        """Return candidates that may not be added: other forms, a second body, time curves under correlated noise."""
         candidates, excluded = self.candidates.items(), set[str]()
         if not self.noise_law(structure).independent:
             excluded = {n for n, e in candidates if e.kind == "curve" and e.covariate == "time"}
