@@ -544,17 +544,17 @@ class ExportCommand(InUse, DecisionRule, Command):
             return writers[self.format_](self)
         corrections = [correction for _, correction in self.load_corrections()]
         is_triad = corrections and not isinstance(corrections[0], bc.Compensator)
-        if not is_triad or any((self.axis, self.device_id, self.local_gravity)):
+        if self.local_gravity:
+            raise InputError("--local-gravity is for parameters and certificates: leave it out")
+        if not is_triad or self.axis or self.device_id:
             self.require_one()
         return self.write_corrections(corrections)
 
     def require_one(self) -> None:
         """Raise InputError unless exactly one calibration is given."""
-        if len(self.calibrations) != 1 or any((self.axis, self.device_id, self.local_gravity)):
-            raise InputError(
-                "a program is exported for one calibration, without --axis, --device-id and --local-gravity; several "
-                "axes are exported as parameters (--format px4-params or ardupilot-params)"
-            )
+        if len(self.calibrations) != 1 or self.axis or self.device_id:
+            message = "one calibration is exported, without --axis and --device-id"
+            raise InputError(f"{message}; several only as --format px4-params or ardupilot-params")
 
     @property
     def gravity(self) -> float:
