@@ -34,7 +34,7 @@ def test_the_loop_by_clicking(begun: Bench, tmp_path: Path) -> None:
     with opened(begun.url) as seen:
         seen.looked().add("bias.drift").looked()
         seen.add("bias.thermal_lag")
-        held_out = [float(cells[2].split()[0]) for cells in seen.steps()]
+        held_out = [float(cells[3].split()[0]) for cells in seen.steps()]
         assert held_out[0] > 4 * FLOOR
         assert held_out[-1] == pytest.approx(FLOOR, rel=0.2)
 

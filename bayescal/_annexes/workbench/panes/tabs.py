@@ -68,12 +68,12 @@ class ErrorPane(Pane):
         self.progress.object = text
 
 
-COLUMNS = ("step", "as fitted", "new run", "held-out", "noise floor", "P(complete)")
+COLUMNS = ("step", "rms as fitted", "new run", "held-out", "noise floor", "P(complete)")
 STEP_ACTIONS = [
     {"id": "compare", "label": "Compare", "title": "with the current step"},
     {"id": "go", "label": "Go back", "title": "further changes branch off here"},
 ]
-TITLES = {"P(complete)": "probability that the model is complete"}
+TITLES = {"P(complete)": "probability that no testable effect is missing"}
 
 
 def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
