@@ -158,7 +158,7 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
         assert fields.field(len(fields) - 1).metadata == {b"units": b"ug"}
 
 
-def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
+def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path) -> None:
     out = tmp_path / "out.csv"
     out.write_text("precious")
     good = "temperature [degC],output [deg/s]\n" + "40,1\n" * 5

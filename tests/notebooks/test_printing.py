@@ -91,7 +91,7 @@ def test_former_names_warn_and_are_the_new_ones(results) -> None:
         assert results["discovery"].sets is results["discovery"].findings
 
 
-def test_names_of_files_models_and_effects_are_escaped(results) -> None:
+def test_names_of_files_models_and_effects_are_escaped() -> None:
     effect = bc.Effect(
         f"bias.{SCRIPT}", "bias", lambda r: 1.0, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"
     )

@@ -26,7 +26,7 @@ def test_a_good_file_is_read_in_its_order_and_units(put):
 
 
 @pytest.mark.parametrize("order", ["in stretches", "alternating"])
-def test_groups_are_numbered_as_they_appear(put, order):
+def test_groups_are_numbered_as_they_appear(order):
     runs = ["b"] * 3 + ["a"] * 3 if order == "in stretches" else ["b", "a"] * 3
     m = bc.Measurements.from_arrays(GYRO, output=range(6), temperature=range(6), run=runs)
     assert m.groups("run")[0] == ("b", "a")

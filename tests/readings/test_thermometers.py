@@ -43,7 +43,7 @@ def in_runs(columns: Columns, change: Callable[[np.ndarray], np.ndarray]) -> np.
     return new
 
 
-def test_temperatures_typed_in_as_they_were_set_are_not_held(ramps: Columns) -> None:
+def test_temperatures_typed_in_as_they_were_set_are_not_held() -> None:
     """Plateaus at three set-points, half an hour apart, ten readings a minute at each."""
     time = (1800.0 * np.arange(9)[:, None] + 6.0 * np.arange(10)).ravel()
     plateaus = np.repeat(np.tile([-20.0, 20.0, 60.0], 3), 10)

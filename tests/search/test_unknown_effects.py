@@ -171,6 +171,8 @@ def test_jump_is_found_with_its_position_and_height(jumped: bc.SearchPath) -> No
     assert beside[0] - 0.01 < place < beside[1] + 0.01
     height = final.samples("unknown(time, jump)[1]")
     assert abs(height.mean() - HEIGHT) < 4 * height.std()
+    (note,) = (n for n in final.verdict.notes if getattr(n, "code", "") == "level.which")
+    assert note.numbers["apart"] == pytest.approx(abs(float(height.mean())), rel=0.02)
     assert jumped.final.rmse == pytest.approx(0.05, rel=0.15)
 
 

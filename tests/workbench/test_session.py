@@ -95,9 +95,7 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
 
 
 @pytest.mark.slow
-def test_effect_found_by_a_search_is_added_at_its_most_probable_size(
-    campaign: Campaign, tmp_path: Path
-) -> None:
+def test_effect_found_by_a_search_is_added_at_its_most_probable_size(tmp_path: Path) -> None:
     """A drift ten times its plausible size would be held back, and leave what looks like something else."""
     instrument = mems_gyro.INSTRUMENT
     stated = instrument.effect("bias.drift").coefficients[0].size
