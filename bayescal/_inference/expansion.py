@@ -255,7 +255,7 @@ class Expansions:
         return None
 
     def _expand(self, v: Float[np.ndarray, "d"]) -> Expansion:
-        """Return the second-order Taylor series about v: columns, gradient, Hessian (`_lower_indices`)."""
+        """Return the second-order Taylor series about v: columns, gradient, Hessian (`_list_lower_indices`)."""
         h, dim = DIFF_STEP, self.dim
         unit = h * np.eye(dim)
         mixed = [unit[i] + unit[j] for i, j in _list_lower_indices(dim) if i != j]

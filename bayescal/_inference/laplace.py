@@ -22,7 +22,7 @@ from bayescal._inference.newton import FTOL_NATS, NOWHERE, HessianGuess, fit_gau
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 
-XTOL_SD = 1e-4  # tolerance: change per round, posterior standard deviations
+XTOL_SD = 1e-4  # tolerance: change per round, standard deviations
 MAX_ROUNDS = 12  # alternations of x̂ and φ̂ at most
 START_COUNT = 64  # prior draws of φ among which the starting point is selected
 SCAN_COORDINATES = np.arange(-3.5, 3.5, 0.02)  # coordinates scanned along a shape with many modes
@@ -59,7 +59,7 @@ def find_mode(
     Args:
         starts: candidate starting points, coordinates of φ; default: prior draws.
         x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
-        xtol: convergence tolerance, posterior standard deviations; the log evidence is accurate to about xtol²/2.
+        xtol: convergence tolerance, prior standard deviations of φ, posterior of x; log evidence is to about xtol²/2.
         start: additional starting point, φ by name; absent entries are at their prior medians.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         guess: curvature of a similar density, as a first estimate of the Hessian.

@@ -203,8 +203,8 @@ def explained_sum_of_squares(
     is_nan = np.isnan(chol).any(axis=(-2, -1))
     chol = np.where(is_nan[..., None, None], np.eye(u.shape[-1]), chol)
     scores = np.linalg.solve(chol, u[..., None])[..., 0]
-    half_log_det = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.where(is_nan, np.inf, half_log_det), np.where(is_nan, 0.0, np.sum(scores**2, axis=-1))
+    half_logdet = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.where(is_nan, np.inf, half_logdet), np.where(is_nan, 0.0, np.sum(scores**2, axis=-1))
 
 
 def linearise_model(problem: Problem, mode: Mode) -> LinearModel:

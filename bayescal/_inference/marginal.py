@@ -30,7 +30,7 @@ UNRELIABLE_WEIGHTS = "Importance weights of φ are unreliable ({}): exact NUTS i
 SAMPLING_STOPPED = (
     "The posterior was not sampled ({}): this is the Gaussian approximation about its mode."
 )
-NUTS_UNFINISHED = "Importance weights are unreliable ({}), and exact NUTS did not finish ({})."
+NUTS_UNFINISHED = "Importance weights are unreliable ({}), and NUTS was not run to its end ({})."
 FEW_EFFECTIVE_DRAWS = "Only {:.0f} effective draws ({})."
 TOO_SHORT = "{:g} s were too short; give a longer time limit"
 # Largest number of proposals if k̂ is acceptable but the effective sample size too small: NUTS would be slower.
@@ -47,8 +47,8 @@ class Marginal(Method):
         rounds: largest number of adaptation rounds; adaptation ends earlier when half of the draws are effective, or
             when Pareto k̂ is below 0.7 after the third round.
         sampler: "importance", with a fallback to NUTS, limited to five minutes unless a time limit is given, if
-            k̂ > 0.7 (for a nonlinear model, k̂ > 0.5 after a second proposal with heavier tails); "nuts" for NUTS on all
-            unknowns, with whitened coefficients.
+            k̂ > 0.7 (coefficients of a nonlinear model are first proposed anew with heavier tails where k̂ is above 0.5);
+            "nuts" for NUTS on all unknowns, with whitened coefficients.
         chains: whether to fall back to NUTS chains; if not, unreliable weighted draws are returned with a note.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None: chosen by the size of the second-order term.

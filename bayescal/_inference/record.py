@@ -32,8 +32,8 @@ from bayescal._model.terms import ColumnSpec
 MAX_CACHE_BYTES = 256 * 2**20  # of columns of effects with shapes, and of expansions
 DIFF_STEP_RANGES = 1e-4  # difference step of a column over the column's range
 AFFINE_TOLERANCE = 1e-9  # largest relative change of the derivatives of an affine response
-MAX_CALL_DRAWS = 48  # per call of a program
-MIN_CALL_ELEMENTS = 16_384  # draws × readings below which the overhead of a call dominates
+CALL_DRAWS = 48  # largest number of draws per call of a program,
+CALL_ELEMENTS = 16_384  # or, if more, this many draws × readings: of fewer, overhead dominates
 
 Arrays = Mapping[str, np.ndarray]  # by name of a slot or column: (n,), or (b, n) for b draws
 
@@ -357,8 +357,8 @@ class Record:
             for arrays in sources
         ]
         # Full and half batches, and a sixth for long records: few batch sizes to compile.
-        limit = max(MAX_CALL_DRAWS, MIN_CALL_ELEMENTS // self.padded_size)
-        parts = (6, 2, 1) if MAX_CALL_DRAWS * self.padded_size > 2 * MIN_CALL_ELEMENTS else (2, 1)
+        limit = max(CALL_DRAWS, CALL_ELEMENTS // self.padded_size)
+        parts = (6, 2, 1) if CALL_DRAWS * self.padded_size > 2 * CALL_ELEMENTS else (2, 1)
         size = next((limit // n for n in parts if count <= limit // n), limit)
         result = None
         for start in range(0, count, size):

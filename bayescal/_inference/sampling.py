@@ -33,7 +33,7 @@ from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 # Excess over the mode's log density that reveals a higher mode; the error of polynomial columns is 0.02.
 HIGHER_MODE_MARGIN_NATS = 1.0
 
-MIN_ROUNDS = 3  # rounds of adaptation; more only if the latest weights are unsound
+K_HAT_ROUNDS = 3  # round of adaptation from which sound weights end it
 MAX_ROUNDS = 4  # of `draw_by_importance`
 KERNEL_COUNT = 256  # mixture components, around resampled draws
 MIN_KERNEL_COUNT = 128  # in up to three dimensions
@@ -42,8 +42,8 @@ KERNEL_WIDTH = 0.7  # width of a component, in standard deviations of φ: the mi
 AXIS_WIDTH_LIMITS = 0.25, 4.0
 WIDE_RATIO = 1.7  # width of the defensive component over the Laplace approximation's
 PRIOR_WEIGHT = 0.2  # probability of proposals from the prior: no weight exceeds likelihood over 0.2 times evidence
-# Weights of the prior and of the wide kernel at the mode if each proposal costs a pass over the readings.
-COSTLY_PRIOR_WEIGHT, WIDE_WEIGHT = 0.05, 0.05
+# Weights of the prior and of the kernel at the mode if each proposal costs a pass over the readings.
+COSTLY_PRIOR_WEIGHT, KERNEL_WEIGHT = 0.05, 0.05
 # Ratio of effective to actual sample size at which adaptation ends.
 ESS_RATIO = 0.5
 MAX_ARRAY_ELEMENTS = 1_000_000  # per batch, to bound memory
@@ -76,17 +76,17 @@ class WeightedDraws(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Mixture of Student-t kernels of equal weight and scale matrix, and one wide, defensive component.
+    """Mixture of Student-t kernels of equal weight and scale matrix, and one split-t component, mostly the wider.
 
-    The wide component is a split t: two widths along each axis (split normal: G. Fechner 1897; multivariate: M. Villani
+    That one has two widths along each axis (split normal: G. Fechner 1897; multivariate: M. Villani
     and R. Larsson, Commun. Stat. 35 (2006) 1123).
     """
 
     centres: Float[np.ndarray, "m d"]  # of the kernels
     chol: Float[np.ndarray, "d d"]  # Cholesky factor of the kernels' scale matrix
-    middle: Float[np.ndarray, "d"]  # centre of the wide component
-    axes: Float[np.ndarray, "d d"]  # axes of the wide component, in columns
-    wide_weight: float  # weight of the wide component
+    middle: Float[np.ndarray, "d"]  # centre of the split-t component
+    axes: Float[np.ndarray, "d d"]  # axes of the split-t component, in columns
+    split_weight: float  # weight of the split-t component
     widths: tuple[Any, Any] = (1.0, 1.0)  # its relative widths below and above the centre
     dof: float = T_DOF  # degrees of freedom
 
@@ -96,14 +96,14 @@ class Mixture(NamedTuple):
         scale = np.sqrt(self.dof / rng.chisquare(self.dof, count))[:, None]
         normal = rng.standard_normal((count, dim))
         component = rng.integers(len(self.centres), size=count)
-        is_wide = rng.random(count) < self.wide_weight
+        is_split = rng.random(count) < self.split_weight
         kernel_draws = self.centres[component] + scale * normal @ self.chol.T
         # Split normal: the probability of a side is proportional to its width.
         down, up = self.widths
         below_centre = down * ndtri(np.minimum(ndtr(normal) * (down + up) / (2 * down), 0.5))
         above_centre = -up * ndtri(np.minimum(ndtr(-normal) * (down + up) / (2 * up), 0.5))
         wide_draws = self.middle + scale * (below_centre + above_centre) @ self.axes.T
-        return np.where(is_wide[:, None], wide_draws, kernel_draws)
+        return np.where(is_split[:, None], wide_draws, kernel_draws)
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centres.shape[1]
@@ -130,7 +130,7 @@ class Mixture(NamedTuple):
         log_wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / dof)
         log_wide -= _get_log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
         return norm + np.logaddexp(
-            log_kernels + math.log1p(-self.wide_weight), log_wide + math.log(self.wide_weight)
+            log_kernels + math.log1p(-self.split_weight), log_wide + math.log(self.split_weight)
         )
 
 
@@ -236,7 +236,7 @@ def adapt_proposal(
         sample = _Sample(v, log_density, np.zeros((len(v), 0)), log_density)
         pool.add(mixture, log_proposal, sample)
         mixture = _update_mixture(mixture, mode, pool.samples.v, pool.log_weight)
-        if k + 1 >= MIN_ROUNDS and smoothed(log_weight)[1] <= MAX_K_HAT:
+        if k + 1 >= K_HAT_ROUNDS and smoothed(log_weight)[1] <= MAX_K_HAT:
             break
     return mixture
 
@@ -373,7 +373,7 @@ def _make_axis_mixture(density: BatchedDensity) -> Mixture:
     drop = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
     down, up = np.clip(np.sqrt(2 / drop), *AXIS_WIDTH_LIMITS)
     root = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
-    return Mixture(mode.v[None], root, mode.v, axes, 1 - WIDE_WEIGHT, (down, up), T_DOF + dim)
+    return Mixture(mode.v[None], root, mode.v, axes, 1 - KERNEL_WEIGHT, (down, up), T_DOF + dim)
 
 
 def _fill_pool(
@@ -537,8 +537,8 @@ def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.
     # Systematic resampling without its random offset: equal steps of the cumulative weights.
     quantiles = (np.arange(kernel_count) + 0.5) / kernel_count
     indices = np.minimum(np.searchsorted(np.cumsum(weight), quantiles), weight.size - 1)
-    wide_weight = max(0.1, 1 - confidence) if mixture.dof > T_DOF else 0.1
-    return mixture._replace(centres=v[indices], chol=chol, wide_weight=wide_weight)
+    split_weight = max(0.1, 1 - confidence) if mixture.dof > T_DOF else 0.1
+    return mixture._replace(centres=v[indices], chol=chol, split_weight=split_weight)
 
 
 def draw_by_importance(

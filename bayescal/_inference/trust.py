@@ -71,7 +71,7 @@ def judge_weights(
 ) -> Verdict:
     """Return the verdict on weighted draws and their mode; `reasons`: known faults."""
     if mode is not None and not mode.change <= MAX_MODE_CHANGE_SD:
-        step = f"its last step was {float(mode.change):.2g} posterior standard deviations"
+        step = f"its last step was {float(mode.change):.2g} prior standard deviations"
         reasons = (*reasons, f"The search for the mode did not converge: {step}.")
     ess = effective_size(weights)
     return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=ess)
