@@ -122,7 +122,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     if not isinstance(calibrations, Mapping):
         calibrations = _name_by_effects(calibrations)
     if len(calibrations) < 2:
-        raise InputError(f"compare needs at least two structures, not {len(calibrations)}")
+        raise InputError(f"compare needs at least two calibrations, not {len(calibrations)}")
     (first_name, first_fit), *other_fits = calibrations.items()
     output = first_fit.readings["output"]
     for name, c in other_fits:

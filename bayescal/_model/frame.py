@@ -31,7 +31,7 @@ PATH = " path"  # suffix of a column replaced as a whole time series, as tempera
 Reference = dict[str, float | dict[str, float]]
 
 
-@renamed(only="select_columns", moved="shift_columns")
+@renamed(only="select_columns", moved="shift_columns", reordered="reorder")
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Readings as the argument of basis functions, with all columns in the instrument's fixed units.

@@ -70,7 +70,7 @@ def add_inadequacy(
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
     value = "unknown" if complete is None else f"{complete:.2f}"
     note = (
-        f"Model form: the model is complete with probability {value}; predictions, corrections and budgets therefore "
+        f"Model form: the probability that it is complete is {value}; predictions, corrections and budgets therefore "
         f"have {factor:.2f} times the standard uncertainty of the expected output. Tables of coefficients do not."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))

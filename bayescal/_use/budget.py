@@ -6,7 +6,7 @@ Two tables split the same variance, correlations included:
   to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
 - *by source*: origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
   between-run deviations (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
-  between-group standard deviations and nonlinear parameters ("shapes"), has its own row.
+  between-group standard deviations and nonlinear parameters, has its own row.
 """
 
 from __future__ import annotations
