@@ -210,14 +210,13 @@ def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTabl
     return [(CAPTION, terms_table(rows))]
 
 
-PACKAGE = "bayescal._annexes.imu"
 ANNEX = {
     "commands": (TriadCommand, ImuCommand),
-    "exports": f"{PACKAGE}.firmware_parameters:export_writers",
-    "corrections": f"{PACKAGE}.vector_files:CORRECTION_KINDS",
+    "exports": f"{__package__}.firmware_parameters:export_writers",
+    "corrections": f"{__package__}.vector_files:CORRECTION_KINDS",
     "corrected": "bayescal:vector_correction",
     "result": result_entries,
     "coefficient_tables": coefficient_tables,
-    "log": f"{PACKAGE}.logs:open_log",
-    "scalar_readings": f"{PACKAGE}.scalar_readings:scalar_readings",
+    "log": f"{__package__}.logs:open_log",
+    "scalar_readings": f"{__package__}.scalar_readings:scalar_readings",
 }

@@ -232,31 +232,28 @@ def _fit_run(
     origin, outliers = session.prior_mean[:N_INTEGRATED], frozenset[int]()
     closure = _integrate_moves(path, force, origin)
     for _ in range(MAX_ITERATIONS):
-        linear_model = _LinearModel.build(session, closure, origin, outliers)
+        linear_model = _LinearModel.build(session, closure, outliers)
         fit = linear_model.estimate_variances()
-        step = fit.mean[:N_INTEGRATED] - origin
+        step = fit.mean[:N_INTEGRATED] - closure.parameters
         size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
-        rss, accepted_closure = linear_model.weighted_rss(closure, origin, fit), None
+        max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit)
         for _ in range(MAX_STEP_HALVINGS if size >= CONVERGENCE_SD else 0):
-            candidate = _integrate_moves(path, force, origin + step)
-            if linear_model.weighted_rss(candidate, origin + step, fit) < MAX_RSS_RATIO * rss:
-                accepted_closure = candidate
+            candidate = _integrate_moves(path, force, closure.parameters + step)
+            if _LinearModel.build(session, candidate, outliers).weighted_rss(fit) < max_rss:
+                closure = candidate
                 break
             step = 0.5 * step
-        if accepted_closure is not None:
-            origin, closure = origin + step, accepted_closure
-            continue
-        # Converged; or the closure error of one move is too large to be linearised.
-        more_outliers = linear_model.find_outlier(fit, outliers)
-        if more_outliers == outliers:
-            break
-        outliers = more_outliers
-        if sum(k >= len(windows) for k in outliers) > max_outliers:
-            raise bc.InputError(
-                f"more than {max_outliers} of {len(path.rate)} moves are inconsistent with the others, beyond their "
-                f"scatter. {MOVES_ADVICE}"
-            )
-    deviation = np.max(np.abs(origin - session.prior_mean[:N_INTEGRATED])[3:])
+        else:  # converged; or the closure error of one move is too large to be linearised
+            more_outliers = linear_model.find_outlier(fit, outliers)
+            if more_outliers == outliers:
+                break
+            outliers = more_outliers
+            if sum(k >= len(windows) for k in outliers) > max_outliers:
+                raise bc.InputError(
+                    f"more than {max_outliers} of {len(path.rate)} moves are inconsistent with the others, beyond "
+                    f"their scatter. {MOVES_ADVICE}"
+                )
+    deviation = np.max(np.abs(closure.parameters - origin)[3:])
     if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over the moves are inconsistent with the poses for any matrix: turn the unit "
@@ -309,9 +306,7 @@ class _LinearModel(NamedTuple):
     duration: Float[np.ndarray, "r"]  # of the moves, s; infinite at rest
 
     @classmethod
-    def build(
-        cls, session: _Session, closure: _Closure, origin: np.ndarray, outliers: frozenset[int]
-    ) -> Self:
+    def build(cls, session: _Session, closure: _Closure, outliers: frozenset[int]) -> Self:
         poses, count = len(session.windows), len(closure.duration)
         owner = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
         is_kept = ~np.isin(owner, [*outliers])
@@ -320,8 +315,9 @@ class _LinearModel(NamedTuple):
         move_cov += session.white_variance * block_diag(*closure.noise_covariance)
         at_rest_cov = np.diag(np.repeat(session.white_variance / length, 3))
         known_cov = np.asarray(block_diag(at_rest_cov, move_cov))
-        output = closure.residual + closure.design[:, :N_INTEGRATED] @ origin
-        at_rest = _rest_design(origin[3:].reshape(3, 3), session.force, closure.world)
+        output = closure.residual + closure.design[:, :N_INTEGRATED] @ closure.parameters
+        matrix = closure.parameters[3:].reshape(3, 3)
+        at_rest = _rest_design(matrix, session.force, closure.world)
         duration = np.concatenate([np.full(3 * poses, np.inf), np.repeat(closure.duration, 2)])
         return cls(
             session,
@@ -372,13 +368,10 @@ class _LinearModel(NamedTuple):
             best[i] = float(candidates @ np.exp(density - logsumexp(density)))
         return self.estimate(best[0], best[1])
 
-    def weighted_rss(self, closure: _Closure, phi: np.ndarray, fit: _Estimate) -> float:
-        """Return the weighted rss of an integration with the parameters phi (12,) and the other parameters of `fit`."""
-        values = np.concatenate([phi, fit.mean[N_INTEGRATED:]])
+    def weighted_rss(self, fit: _Estimate) -> float:
+        """Return the weighted rss with the parameters of this model's integration, and the others of `fit`."""
+        values = np.concatenate([self.closure.parameters, fit.mean[N_INTEGRATED:]])
         residuals = self.output - self.design @ values
-        owner = len(self.session.windows) + np.repeat(np.arange(len(closure.duration)), 2)
-        move_residuals = closure.residual - closure.design[:, N_INTEGRATED:] @ values[N_INTEGRATED:]
-        residuals[self.is_move] = move_residuals[np.isin(owner, self.owner)]
         covariance = self.covariance(fit.bias_variance, fit.angle_variance)
         squares = residuals @ np.linalg.solve(covariance, residuals)
         return float(squares + np.sum(((values - self.session.prior_mean) / PRIOR_SD) ** 2))
@@ -422,6 +415,7 @@ class _LinearModel(NamedTuple):
 class _Closure(NamedTuple):
     """Closure errors of m moves, two readings each, as mean rates, and their Jacobians."""
 
+    parameters: Float[np.ndarray, "12"]  # bias and matrix of the integration
     residual: Float[np.ndarray, "2m"]  # rad/s
     design: Float[np.ndarray, "2m 27"]  # Jacobian with respect to the parameters
     force_jacobian: Float[np.ndarray, "2m 3k"]  # with respect to the specific forces in the poses
@@ -462,6 +456,7 @@ def _integrate_moves(
     slopes[move, :, move + 1] = q / size[1:, None, None] / duration
     slopes[move, :, move] = -q_begin / size[:-1, None, None] / duration
     return _Closure(
+        parameters,
         (residual / duration[..., 0]).ravel(),
         np.concatenate(design, axis=2).reshape(2 * m, -1),
         slopes.reshape(2 * m, -1),

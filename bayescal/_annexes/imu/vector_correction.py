@@ -27,7 +27,6 @@ TERM_COUNTS = (12, 30, 33)  # number of terms up to first, second and third orde
 # axes of the two factors of each second-order term
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST, SECOND = np.array(PAIRS).T
-RELATIVE_STEP = 1e-6  # of central differences, to a vector's length: relative error 1e-10
 NEWTON_STEPS = 4  # iterations of the inverse: each squares the error
 Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
@@ -52,8 +51,7 @@ class CorrectedVector:
     def magnitude(self) -> Uncertain:
         """Return |f̂| and its standard uncertainty, `unit`."""
         length = np.linalg.norm(self.vector, axis=1)
-        unit = self.vector / length[:, None]
-        return length, np.sqrt(np.einsum("ni,nij,nj->n", unit, self.covariance, unit))
+        return length, self._propagate(self.vector.T / length)
 
     @property
     def tilt(self) -> dict[str, Uncertain]:
@@ -61,22 +59,19 @@ class CorrectedVector:
 
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
         """
-        return {
-            "roll": self._propagate(lambda v: np.arctan2(v[:, 1], v[:, 2])),
-            "pitch": self._propagate(lambda v: np.arctan2(-v[:, 0], np.hypot(v[:, 1], v[:, 2]))),
-        }
+        x, y, z = self.vector.T
+        roll, across = np.arctan2(y, z), np.hypot(y, z)
+        roll_sd = self._propagate(np.array([0 * x, np.cos(roll), -np.sin(roll)]))
+        pitch_slope = np.array([-across, x * np.sin(roll), x * np.cos(roll)]) / (x**2 + across**2)
+        with np.errstate(
+            divide="ignore"
+        ):  # where x is vertical, the uncertainty of roll is infinite
+            tilt = {"roll": (roll, roll_sd / across)}
+        return tilt | {"pitch": (np.arctan2(-x, across), self._propagate(pitch_slope))}
 
-    def _propagate(self, quantity: Callable[[np.ndarray], np.ndarray]) -> Uncertain:
-        """Return an angle and its standard uncertainty, by central differences."""
-        step, by_axis = RELATIVE_STEP * np.linalg.norm(self.vector, axis=1), []
-        for axis in np.eye(3):
-            change = step[:, None] * axis
-            difference = quantity(self.vector + change) - quantity(self.vector - change)
-            # Wrap-around at ±π.
-            by_axis.append(np.angle(np.exp(1j * difference)) / (2 * step))
-        slope = np.stack(by_axis, axis=1)
-        variance = np.einsum("ni,nij,nj->n", slope, self.covariance, slope)
-        return quantity(self.vector), np.sqrt(np.maximum(variance, 0.0))
+    def _propagate(self, gradient: Float[np.ndarray, "3 n"]) -> np.ndarray:
+        """Return the standard uncertainty of a quantity with a gradient in f̂."""
+        return np.sqrt(np.einsum("in,nij,jn->n", gradient, self.covariance, gradient))
 
 
 @dataclass(frozen=True, eq=False)

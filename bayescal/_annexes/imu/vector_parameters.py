@@ -15,6 +15,7 @@ terms, and a scale factor of one.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import product
 
 import numpy as np
@@ -97,16 +98,15 @@ def fit_offset_and_scale(
     return offset, scale if has_scale else np.ones(3), omitted
 
 
-SENSOR_BY_UNIT = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
-# Names for the first sensor of a kind: offset and scale, with {} for the axis.
+# Names of offset and scale of the first sensor with outputs in a unit, with {} for the axis.
 PARAMETERS = {
     "px4-params": {
-        "accelerometer": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
-        "gyroscope": ("CAL_GYRO0_{}OFF",),
+        "m/s^2": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
+        "rad/s": ("CAL_GYRO0_{}OFF",),
     },
     "ardupilot-params": {
-        "accelerometer": ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
-        "gyroscope": ("INS_GYROFFS_{}",),
+        "m/s^2": ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
+        "rad/s": ("INS_GYROFFS_{}",),
     },
 }
 
@@ -115,13 +115,16 @@ def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
     """Return the parameters of an autopilot's first sensor by name, and a sentence on the omitted terms."""
-    factor, unit = find_si_unit(correction.unit)
-    if unit not in SENSOR_BY_UNIT:
+    for unit in PARAMETERS[autopilot]:
+        with suppress(bc.InputError):  # of another dimension
+            factor = float(ws.convert(1.0, correction.unit, unit))
+            break
+    else:
         raise bc.InputError(
             f"{autopilot} has parameters for accelerometers and gyroscopes only, but these outputs are in "
             f"[{correction.unit}]"
         )
-    names = PARAMETERS[autopilot][SENSOR_BY_UNIT[unit]]
+    names = PARAMETERS[autopilot][unit]
     offset, scale, omitted = fit_offset_and_scale(correction, has_scale=len(names) > 1)
     return {
         name.format(axis): float(value)
@@ -141,11 +144,3 @@ def parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
     comments = map(ws.c_comment, (*head, omitted or "No term is omitted."))
     return AUTOPILOTS[autopilot].text(comments, dict(values))
-
-
-def find_si_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from a unit to m/s² or rad/s, and that SI unit; 1 and the unit for other dimensions."""
-    for target in ("m/s^2", "rad/s"):
-        if ws.same_dimension(unit, target) or (target == "m/s^2" and ws.same_dimension(unit, "g")):
-            return float(np.asarray(ws.convert(np.ones(1), unit, target))[0]), target
-    return 1.0, unit

@@ -76,17 +76,14 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     residuals = residuals.reshape(len(grid) * len(taylor), -1)
     max_powers = np.max(np.abs(powers), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * max_powers <= ROUNDING * np.max(np.abs(taylor))] = 0.0
-    if not np.any(terms[:, :, 30:33]):
-        terms, residuals = (np.delete(a, slice(30, 33), axis=-1) for a in (terms, residuals))
-        if not np.any(terms[:, :, 12:30]):
-            terms, residuals = (np.delete(a, slice(12, 30), axis=-1) for a in (terms, residuals))
+    # The order of each term in the input; higher orders are omitted if all their terms are zero.
+    orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(gravity)])
+    is_kept = orders <= np.max(orders * np.any(terms, axis=(0, 1)), initial=1)
+    terms, residuals, orders = terms[:, :, is_kept], residuals[:, is_kept], orders[is_kept]
     flat_terms = terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(flat_terms.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += residuals.T @ residuals / len(residuals)
     scale_sd, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
-    n_terms = mean.shape[1] - 9 * bool(gravity)
-    orders = np.zeros(mean.shape[1])  # of each term in the input
-    orders[:n_terms] = np.repeat(range(4), [3, 9, 18, 3])[:n_terms]
     shift = scale_sd * (mean * orders).ravel()
     correction = VectorCorrection(
         outputs=vector.outputs,

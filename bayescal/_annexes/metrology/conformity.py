@@ -28,7 +28,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -43,8 +43,17 @@ _TOLERANCE = re.compile(
     rf"(?:(?P<centre>{_NUMBER})?\s*±\s*(?P<half>{_NUMBER})|≤\s*(?P<most>{_NUMBER})|≥\s*(?P<least>{_NUMBER})|{_RANGE})"
     r"(?P<unit>.*)"
 )
-_OVER = re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)")
-_AT = re.compile(rf"(?P<name>.+?)\s*=\s*(?P<value>{_NUMBER})(?P<unit>.*)")
+# Word → pattern of what follows it, and an example.
+_CLAUSES = {
+    "over": (
+        re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)"),
+        "over temperature -20..60 °C",
+    ),
+    "at": (
+        re.compile(rf"(?P<name>.+?)\s*=\s*(?P<low>(?P<high>{_NUMBER}))(?P<unit>.*)"),
+        "at temperature = 25 °C",
+    ),
+}
 _WRITTEN = {"+/-": "±", "+-": "±", "<=": "≤", ">=": "≥", "−": "-", "–": "-"}
 FORM = (
     'write "bias: ±0.5 °/s", "noise.white: ≤ 0.1 °/s", "scale: -300..300 ppm" or "corrected reading: ±0.1 °/s over '
@@ -111,11 +120,11 @@ def _parse_tolerance(interval: str, text: str) -> tuple[float, float, str]:
 
 
 def _parse_range(word: str, part: str, text: str) -> LimitedRange:
-    match = (_AT if word == "at" else _OVER).fullmatch(part)
+    pattern, example = _CLAUSES[word]
+    match = pattern.fullmatch(part)
     if match is None:
-        form = "at temperature = 25 °C" if word == "at" else "over temperature -20..60 °C"
-        raise bc.InputError(f"limit {text!r}: {part!r} is not a range or value: write {form}")
-    low, high = (float(match[end]) for end in (("value",) * 2 if word == "at" else ("low", "high")))
+        raise bc.InputError(f"limit {text!r}: {part!r} is not a range or value: write {example}")
+    low, high = float(match["low"]), float(match["high"])
     if word == "over" and not -math.inf < low < high < math.inf:
         raise bc.InputError(f"limit {text!r}: {part!r} is not a range of increasing numbers")
     return LimitedRange(match["name"], low, high, _parse_limit_unit(match["unit"], text))
@@ -329,36 +338,14 @@ class LimitedQuantity:
     draws: np.ndarray | None = None  # of an unknown (d,)
     compensator: bc.Compensator | None = None  # for a slot or an error, with all draws
     points: Mapping[str, np.ndarray] = field(default_factory=dict)  # stimulus and inputs, (g,)
+    acting: frozenset[str] = frozenset()  # stimulus and inputs that it depends on
 
     @property
     def place(self) -> dict[str, tuple[float, float, str]]:
         """Return the operating point: name → lowest value, highest value, unit; empty for an unknown."""
-        if (compensator := self.compensator) is None:
-            return {}
-        units = {compensator.stimulus: compensator.unit}
-        units |= {i.name: i.unit for i in compensator.inputs if i.kind != "lag slope"}
-        names = self._acting | ({compensator.stimulus} if self.is_error else set())
-        return {
-            n: (float(self.points[n].min()), float(self.points[n].max()), unit)
-            for n, unit in units.items()
-            if n in names
-        }
-
-    @cached_property
-    def _acting(self) -> set[str]:
-        """Return the names of the inputs and of the stimulus that the quantity depends on."""
-        if (compensator := self.compensator) is None:
-            return set()
-        equation = compensator.equation
-        if self.is_error:
-            return set(equation.inputs)
-        inputs = equation.graph.inputs([equation.slot_node(self.limit.quantity)])
-        return {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
-
-    @property
-    def follows_time(self) -> bool:
-        """Return whether the quantity depends on the time of the record."""
-        return "time" in self._acting
+        units = {} if self.compensator is None else _acting_units(self.compensator)
+        ends = {n: (float(v.min()), float(v.max())) for n, v in self.points.items()}
+        return {n: (*ends[n], unit) for n, unit in units.items() if n in self.acting}
 
     @property
     def is_error(self) -> bool:
@@ -383,6 +370,12 @@ class LimitedQuantity:
         _, slope, _ = equation.linearise(moments.mean, stimulus, points)
         scores = _noise_scores(compensator, points, np.outer(noise, DEVIATIONS))
         return DrawnQuantity(values, noise / np.abs(slope), scores)
+
+
+def _acting_units(compensator: bc.Compensator) -> dict[str, str]:
+    """Return the units of the stimulus and the inputs that a limit may state, by name."""
+    inputs = {i.name: i.unit for i in compensator.inputs if i.kind != "lag slope"}
+    return {compensator.stimulus: compensator.unit, **inputs}
 
 
 def _noise_scores(
@@ -432,16 +425,20 @@ def find_quantity(
         if name not in point:
             notes.append(f"{limit.quantity} does not depend on {name}.")
         spans.append((name, low, high))
-    varied = [(n, low, high) for n, low, high in spans if high > low and n in point]
-    if len(varied) > max(GRID_SIZES):
+    n_varied = sum(high > low and name in point for name, low, high in spans)
+    if n_varied > max(GRID_SIZES):
         raise bc.InputError(f"limit {limit.text!r} has more than {max(GRID_SIZES)} ranges")
-    point |= {n: low for n, low, high in spans if high == low and n in point}
-    grid = np.meshgrid(
-        *(np.linspace(low, high, GRID_SIZES[len(varied)]) for _, low, high in varied), indexing="ij"
-    )
-    size = grid[0].size if grid else 1
-    points = {n: np.full(size, v) for n, v in point.items()}
-    points |= {n: g.ravel() for (n, _, _), g in zip(varied, grid, strict=True)}
+    axes = {n: np.array([value]) for n, value in point.items()}
+    for name, low, high in spans:
+        if name in point:
+            axes[name] = np.linspace(low, high, GRID_SIZES[n_varied] if high > low else 1)
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    points = {n: values.ravel() for n, values in zip(axes, grid, strict=True)}
+    if limit.quantity in slots:
+        inputs = equation.graph.inputs([equation.slot_node(limit.quantity)])
+        acting = {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
+    else:
+        acting = {*equation.inputs, compensator.stimulus}
     # `not_covered` has the notes on ranges outside the calibration.
     notes += ws.notes_on(compensator, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
@@ -456,6 +453,7 @@ def find_quantity(
         not_covered=tuple(not_covered),
         compensator=compensator,
         points=points,
+        acting=frozenset(acting),
     )
 
 
@@ -465,14 +463,19 @@ def _convert_limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limi
         raise bc.InputError(
             f"limit {limit.text!r} has no unit: {limit.quantity} is in {ws.unit_label(unit)}"
         )
-    if not ws.same_dimension(limit.unit or "1", unit or "1"):
-        raise bc.InputError(
-            f"limit {limit.text!r}: {limit.quantity} is in {ws.unit_label(unit) or 'plain numbers'}, not in "
-            f"{ws.unit_label(limit.unit) or 'plain numbers'}"
-        )
-    ends, units = np.array([limit.low, limit.high]), (limit.unit or "1", unit or "1")
-    values = ws.convert(ends, *units, local_gravity=local_gravity, difference=True)
-    return Limits(*values.tolist())
+    options = {"local_gravity": local_gravity, "difference": True}
+    return Limits(*_convert_ends(limit, limit.quantity, limit, unit, **options))
+
+
+def _convert_ends(
+    limit: StatedLimit, name: str, span: StatedLimit | LimitedRange, unit: str, **options: Any
+) -> list[float]:
+    """Return the ends of a span of `name` in a unit; raise InputError if the span is of another dimension."""
+    units = span.unit or "1", unit or "1"
+    if not ws.same_dimension(*units):
+        stated, own = (ws.unit_label(u) or "plain numbers" for u in units)
+        raise bc.InputError(f"limit {limit.text!r}: {name} is in {own}, not in {stated}")
+    return ws.convert(np.array([span.low, span.high]), *units, **options).tolist()
 
 
 def _find_unknown(
@@ -503,9 +506,7 @@ def _resolve_range(
     compensator: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
     """Return the column of a range, and its ends in that column's unit."""
-    readings = compensator.calibration.readings
-    inputs = {i.name: i.unit for i in compensator.inputs if i.kind != "lag slope"}
-    acting = {compensator.stimulus: compensator.unit, **inputs}
+    readings, acting = compensator.calibration.readings, _acting_units(compensator)
     units = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
     units.pop("output", None)
     if span.name and span.name not in units:
@@ -523,14 +524,7 @@ def _resolve_range(
             f"named, and {several if names else 'no column is in that unit'}. Write: over temperature -20..60 °C"
         )
     (name,) = names
-    unit = units[name]
-    if not ws.same_dimension(span.unit or "1", unit):
-        raise bc.InputError(
-            f"limit {limit.text!r}: {name} is in {ws.unit_label(unit)}, not in "
-            f"{ws.unit_label(span.unit) or 'plain numbers'}"
-        )
-    ends = np.array([span.low, span.high])
-    low, high = ws.convert(ends, span.unit or "1", unit, local_gravity=local_gravity).tolist()
+    low, high = _convert_ends(limit, name, span, units[name], local_gravity=local_gravity)
     return name, low, high
 
 

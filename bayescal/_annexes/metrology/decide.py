@@ -132,7 +132,7 @@ def _find_reason(quantity: LimitedQuantity, calibration: bc.Calibration, stated:
     name = quantity.limit.quantity
     if not quantity.place:
         return f"{name} is a constant of the model, which does not change in time"
-    if not quantity.follows_time:
+    if "time" not in quantity.acting:
         return f"no interval can be derived: no term of the model makes {name} change with time"
     # A placeholder curve in time is defined within the record only.
     probabilities = calibration.inclusion

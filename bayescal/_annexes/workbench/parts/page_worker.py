@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from functools import partial
 from typing import Any
 
 import panel as pn
@@ -14,10 +13,6 @@ import panel as pn
 import bayescal as bc
 
 N_THREADS = 4  # for a job, a search, and previews
-
-
-def do_nothing() -> None:
-    """Do nothing."""
 
 
 def format_error(error: Exception) -> str:
@@ -63,7 +58,7 @@ class PageWorker:
         *,
         status: str = "",
         changes: bool = False,
-        failed: Callable[[], None] = do_nothing,
+        failed: Callable[[], None] = lambda: None,
         is_current: Callable[[], bool] = lambda: True,
     ) -> None:
         """Run a job in a thread, then call `then(result)`, or `failed()` after an error, on the page.
@@ -76,12 +71,22 @@ class PageWorker:
         """
 
         def work() -> None:
-            follow: Callable[[], None] = do_nothing
+            result, error = None, ""
             try:
-                follow = partial(then, job()) if is_current() else do_nothing
-            except Exception as error:
-                follow = partial(self._refuse, format_error(error), failed)
-            self.on_page(partial(self._finish, entry, follow if is_current() else do_nothing))
+                result = job() if is_current() else None
+            except Exception as caught:
+                error = format_error(caught)
+            self.on_page(lambda: finish(result, error))
+
+        def finish(result: Any, error: str) -> None:
+            if status:
+                self._under_way.remove(entry)
+                self._follow()
+            if error and is_current():
+                self._tell(error, True)
+                failed()
+            elif is_current():
+                then(result)
 
         entry = status, changes
         if status:
@@ -101,16 +106,6 @@ class PageWorker:
     def close(self) -> None:
         """Shut down the pool; jobs that have not begun are cancelled."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def _finish(self, entry: tuple[str, bool], follow: Callable[[], None]) -> None:
-        if entry in self._under_way:
-            self._under_way.remove(entry)
-            self._follow()
-        follow()
-
-    def _refuse(self, why: str, failed: Callable[[], None]) -> None:
-        self._tell(why, True)
-        failed()
 
     def _follow(self) -> None:
         """Disable or enable changes of the model, and show the running jobs."""
