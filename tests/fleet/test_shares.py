@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from tests.support.inside import Evidence, estimate_shares
+from tests.support.inside import DeviceStructure, estimate_shares
 
 NAMES, PRIOR, POINTS = ("lag", "voltage", "run"), 0.02, 40
 SETS = [s for count in range(4) for s in itertools.combinations(NAMES, count)]
@@ -23,7 +23,7 @@ def fleet(rng: np.random.Generator, devices: int, true: dict[str, float], size: 
         has = rng.random(3) < [true.get(name, 0.0) for name in NAMES]
         output = has @ curves + rng.standard_normal(POINTS)
         log = {s: -0.5 * np.sum((output - _sum(curves, s)) ** 2) for s in SETS}
-        told.append(Evidence(dict.fromkeys(NAMES, PRIOR), log))
+        told.append(DeviceStructure(dict.fromkeys(NAMES, PRIOR), log))
         held.append(has)
     return told, np.sum(held, axis=0)
 
@@ -34,7 +34,7 @@ def _sum(curves: np.ndarray, effects: tuple[str, ...]) -> np.ndarray:
 
 def test_a_fleet_of_one_device_is_its_search(rng) -> None:
     log = {s: float(rng.normal(0, 3)) for s in SETS}
-    found = estimate_shares([Evidence(dict.fromkeys(NAMES, 0.2), log)], seed=1, size=20_000)
+    found = estimate_shares([DeviceStructure(dict.fromkeys(NAMES, 0.2), log)], seed=1, size=20_000)
     weight = {s: v + len(s) * np.log(0.2 / 0.8) for s, v in log.items()}
     for name in NAMES:
         inside = logsumexp([v for s, v in weight.items() if name in s])
@@ -52,7 +52,7 @@ def test_substitutes_are_told_apart_by_many_devices(rng) -> None:
     assert found.high["voltage"] < 0.1
 
 
-def _alone(device: Evidence, name: str) -> float:
+def _alone(device: DeviceStructure, name: str) -> float:
     weight = {s: v + len(s) * np.log(PRIOR / (1 - PRIOR)) for s, v in device.log_evidence.items()}
     inside = logsumexp([v for s, v in weight.items() if name in s])
     return float(np.exp(inside - logsumexp(list(weight.values()))))  # pyright: ignore[reportOperatorIssue]
@@ -70,7 +70,7 @@ def test_intervals_of_shares_cover() -> None:
 
 
 def test_an_effect_that_a_device_cannot_show_is_not_counted_there() -> None:
-    shows = Evidence({"lag": PRIOR}, {(): 0.0, ("lag",): 40.0})
-    cannot = Evidence({}, {(): 0.0})
+    shows = DeviceStructure({"lag": PRIOR}, {(): 0.0, ("lag",): 40.0})
+    cannot = DeviceStructure({}, {(): 0.0})
     found = estimate_shares([shows] * 5 + [cannot] * 45).loc["lag"]
     assert found.expected == pytest.approx(5) and found.low > 0.5

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._annexes.fleet.find_devices import Evidence as Evidence
+from bayescal._annexes.fleet.find_devices import DeviceStructure as DeviceStructure
 from bayescal._annexes.fleet.find_devices import estimate_shares as estimate_shares
 from bayescal._annexes.imu.imu_annex import Triad as Triad
 from bayescal._annexes.imu.still_stretches import find_static_segments as find_static_segments

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import contextmanager, nullcontext
@@ -113,10 +114,11 @@ def run_tasks(
     # A task contains the readings of its devices.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
         futures = {executor.submit(run_guarded, function, t): i for i, t in enumerate(tasks)}
-    idle_seconds = 0.0  # without a worker
-    while futures and not end.over and idle_seconds <= WORKER_TIMEOUT_S:
+    last_active = now = time.monotonic()  # last time with a worker, s
+    while futures and not end.over and now <= last_active + WORKER_TIMEOUT_S:
         done, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
-        idle_seconds = 0.0 if done or client.nthreads() else idle_seconds + POLL_INTERVAL_S
+        now = time.monotonic()
+        last_active = now if done or client.nthreads() else last_active
         for future in done:
             index = futures.pop(future)
             try:

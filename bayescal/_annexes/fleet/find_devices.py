@@ -34,24 +34,17 @@ MAX_EFFECTS_PER_DEVICE = 3  # added by the search
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Log evidences of one device's structures, and prior probabilities of its effects."""
+class DeviceStructure:
+    """Log evidences of one device's structures, prior probabilities of its effects, and the effects found missing."""
 
     # effect → prior probability that a device has it; without effects that the readings cannot show
     prior: Mapping[str, float]
     # set of effects → natural logarithm of the evidence, summed over noise laws, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
-
-
-@dataclass(frozen=True)
-class DeviceStructure:
-    """Effects missing from one device's model."""
-
     # effects, families: of the median-probability structure, by form and by family of forms
-    effects: tuple[str, ...]
-    families: frozenset[str]
-    possible: frozenset[str]  # effects in sets of which one is missing with probability 0.95
-    evidence: Evidence  # of all its structures
+    effects: tuple[str, ...] = ()
+    families: frozenset[str] = frozenset()
+    possible: frozenset[str] = frozenset()  # in sets of which one is missing with probability 0.95
 
 
 def search_device(
@@ -83,10 +76,11 @@ def search_device(
     }
     prior = {name: float(expit(family_odds)) for name, family_odds in log_odds.items()}
     structure = DeviceStructure(
+        prior,
+        _log_evidences(posterior, log_odds),
         tuple(sorted(chosen.effects)),
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
-        Evidence(prior, _log_evidences(posterior, log_odds)),
     )
     return structure, evaluated.model, evaluated.phi
 
@@ -109,11 +103,13 @@ BURN_IN, SIZE = 200, 1000  # numbers of Gibbs samples: discarded, and averaged
 MIN_SHARE, MAX_SHARE = 1e-12, 1 - 1e-12  # limits of a share, so that its log odds are finite
 
 
-def estimate_shares(devices: Sequence[Evidence], seed: int = 0, size: int = SIZE) -> pd.DataFrame:
+def estimate_shares(
+    devices: Sequence[DeviceStructure], seed: int = 0, size: int = SIZE
+) -> pd.DataFrame:
     """Estimate the share of the fleet that has each effect, from all devices jointly.
 
     Args:
-        devices: evidence of each device.
+        devices: evidences of each device.
         seed: seed of the random numbers.
         size: number of Gibbs samples, without burn-in.
 
@@ -199,7 +195,7 @@ def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd
     """
     in_structure = Counter(name for structure in structures for name in structure.families)
     possible = Counter(name for structure in structures for name in structure.possible)
-    table = estimate_shares([structure.evidence for structure in structures], seed)
+    table = estimate_shares(structures, seed)
     table["effect"] = table.index
     table["devices"] = [in_structure[name] for name in table.index]
     table["possible"] = [possible[name] for name in table.index]

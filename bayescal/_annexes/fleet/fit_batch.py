@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, form
 from bayescal._annexes.fleet.devices import Devices, list_files, read_devices
 from bayescal._annexes.fleet.engine import run_tasks
 from bayescal._annexes.fleet.find_devices import build_common_model, search_device, tabulate_effects
-from bayescal._annexes.fleet.fit_devices import FitOptions, Reference, fit_devices, tailor_model
+from bayescal._annexes.fleet.fit_devices import Reference, Request, fit_devices
 from bayescal._annexes.fleet.odd_devices import find_outlying_devices
 
 if TYPE_CHECKING:
@@ -36,17 +36,6 @@ Paths = str | Path | Sequence[str | Path]
 Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] | Paths
 
 
-@dataclass(frozen=True)
-class Request:
-    """The model to fit to every device, and the options of its fit and search."""
-
-    model: bc.Model  # to fit
-    fit_options: FitOptions
-    find: bool  # whether to search each device for missing effects
-    candidates: tuple[bc.Effect, ...]  # user-defined effects for that search
-    settings: bc.Settings  # of the caller, for use on the workers
-
-
 def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
     """Search and fit one batch of devices."""
     with bc.use_settings(request.settings):
@@ -55,14 +44,14 @@ def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
         models, structures = dict.fromkeys(measurements, request.model), {}
         for name in [*measurements] if request.find else ():
             try:
-                arguments = measurements[name], request.candidates, request.fit_options.reference
+                arguments = measurements[name], request.candidates, request.reference
                 found = search_device(request.model, *arguments)
                 structures[name], models[name], starts[name] = found
             except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
                 results[name] = DeviceResult(reason=str(error))
                 del measurements[name]
         with ws.deadline.finishing() if request.find else nullcontext():
-            results |= fit_devices(models, measurements, request.fit_options, starts)
+            results |= fit_devices(models, measurements, request, starts)
         return [
             replace(results[name], device=name, structure=structures.get(name))
             for name in devices.names
@@ -119,11 +108,16 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
 
 
 def tailor_to_fleet(model: bc.Model, devices: Devices) -> bc.Model:
-    """Tailor a model to the readings of the first device that allows it; return it unchanged if none does."""
-    for readings in devices if model.instrument.tailor is not None else ():
+    """Tailor a model's instrument, with its default effects and noise, to the first device that allows it, if any."""
+    general = specific = model.instrument
+    for readings in devices if general.tailor is not None else ():
         with suppress(bc.InputError):
-            return tailor_model(model, readings)
-    return model
+            specific = general.for_readings(readings)
+            break
+    old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
+    effects = (tailored.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
+    noise = specific.noise if model.noise == general.noise else model.noise
+    return bc.Model(specific, tuple(effects), noise, model.fixed)
 
 
 def fit_batch(
@@ -175,7 +169,6 @@ def fit_batch(
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # without chains, which take minutes per device
         method = replace(method, chains=False)
-    options = FitOptions(method, ws.seed_of(seed), dict(reference or {}))
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
     paths, missing, left_out = _list_paths(readings), dict[str, str](), dict[str, str]()
     ws.check_files_exist([path for path in paths if not path.is_dir()])
@@ -192,7 +185,8 @@ def fit_batch(
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
             )
         model = tailor_to_fleet(model, devices)
-        request = Request(model, options, find, tuple(effects), ws.settings())
+        options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
+        request = Request(model, *options, ws.settings())
         result = _fit(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
     if out is not None:
@@ -207,16 +201,16 @@ def _fit(
     missing: dict[str, str],
 ) -> BatchResult:
     """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
-    model, options = request.model, request.fit_options
+    model, reference = request.model, request.reference
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
     about = {
         "instrument": model.instrument.name,
         "effects": list(model.names),
         "noise": model.noise.law,
-        "method": options.method.name,
-        "seed": options.seed,
-        "reference": {k: v for k, v in options.reference.items() if not isinstance(v, dict)},
+        "method": request.method.name,
+        "seed": request.seed,
+        "reference": {k: v for k, v in reference.items() if not isinstance(v, dict)},
     }
     about |= {"settings": settings} if (settings := ws.unusual()) else {}
     result = BatchResult(results, about)
@@ -225,17 +219,17 @@ def _fit(
         lines = "\n".join(format_reasons(reasons)).strip()
         raise bc.InputError(f"no device can be used: {lines or 'there are no devices'}")
     structures = [fit.structure for fit in results if fit.structure is not None]
-    effects = tabulate_effects(structures, options.seed)
+    effects = tabulate_effects(structures, request.seed)
     common_model = build_common_model(model, structures, effects, request.candidates)
     if shapes := _median_shapes(common_model, model, results):
         common_model = common_model.fix(shapes)
     t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
-    t0_differs = "T0" not in options.reference and t0.dropna().nunique() > 1
+    t0_differs = "T0" not in reference and t0.dropna().nunique() > 1
     if t0_differs:  # offsets are compared at one temperature
-        reference = {**options.reference, "T0": float(t0.median().round())}
-        options = replace(options, reference=reference, method=bc.LeastSquares())
+        reference = {**reference, "T0": float(t0.median().round())}
+        request = replace(request, reference=reference, method=bc.LeastSquares())
     if t0_differs or common_model is not model:
-        request = replace(request, model=common_model, fit_options=options, find=False)
+        request = replace(request, model=common_model, find=False)
         comparable_fits = fit_all(client, request, devices)
     outliers = find_outlying_devices(comparable_fits, t0, common_model.noise.parameters())
     return replace(result, odd=outliers, checked=len(structures), effects=effects)

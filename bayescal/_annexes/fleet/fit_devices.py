@@ -23,6 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -45,12 +46,16 @@ NOISE_NAME = "noise.white"
 
 
 @dataclass(frozen=True)
-class FitOptions:
-    """Options of each device's fit."""
+class Request:
+    """The model to fit to every device, and the options of its fit and search."""
 
+    model: bc.Model  # to fit
     method: ws.Method  # fitting method
     seed: int  # of the random numbers
     reference: Reference  # constants of the bases, in place of each device's own
+    find: bool  # whether to search each device for missing effects
+    candidates: tuple[bc.Effect, ...]  # user-defined effects for that search
+    settings: bc.Settings  # of the caller, for use on the workers
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the reference constants of a device's basis functions, computed from its readings unless given."""
@@ -58,32 +63,22 @@ class FitOptions:
         return constants | {n: v for n, v in self.reference.items() if n in constants}
 
 
-def tailor_model(model: bc.Model, readings: bc.Measurements) -> bc.Model:
-    """Tailor a model's instrument, with its default effects and noise, to one device's readings."""
-    general = model.instrument
-    specific = general.for_readings(readings)
-    old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
-    effects = (tailored.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
-    noise = specific.noise if model.noise == general.noise else model.noise
-    return bc.Model(specific, tuple(effects), noise, model.fixed)
-
-
 def fit_devices(
     models: Mapping[str, bc.Model],
     devices: Mapping[str, bc.Measurements],
-    options: FitOptions,
+    request: Request,
     starts: Mapping[str, Mapping[str, float]],
 ) -> dict[str, DeviceResult]:
     """Fit each device with its model, from `starts`, regular devices jointly; reject those after the deadline."""
     results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
-        for group_results in _fit_regular_devices(models, devices, options):
+        for group_results in _fit_regular_devices(models, devices, request):
             results |= group_results
             deadline.defer_interrupt()
             deadline.ask()
         for name in [name for name in devices if name not in results]:
             start = starts.get(name, {})
-            results[name] = fit_device(models[name], devices[name], options, start)
+            results[name] = fit_device(models[name], devices[name], request, start)
             deadline.defer_interrupt()
             deadline.ask()
     not_processed = DeviceResult(reason=NOT_PROCESSED.format(deadline.why))
@@ -91,13 +86,13 @@ def fit_devices(
 
 
 def fit_device(
-    model: bc.Model, readings: bc.Measurements, options: FitOptions, start: Mapping[str, float]
+    model: bc.Model, readings: bc.Measurements, request: Request, start: Mapping[str, float]
 ) -> DeviceResult:
     """Fit one device by `fit`; return its posterior moments and failed checks."""
-    reference = options.reference_for(readings)
-    fit_options: dict[str, Any] = {"seed": options.seed, "reference": reference, "start": start}
+    reference = request.reference_for(readings)
+    options: dict[str, Any] = {"seed": request.seed, "reference": reference, "start": start}
     try:
-        fitted = bc.fit(model, readings, options.method, strict=False, **fit_options)
+        fitted = bc.fit(model, readings, request.method, strict=False, **options)
     except bc.BayescalError as error:
         return DeviceResult(reason=str(error))
     draws, unknowns = fitted.values.reshape(-1, len(fitted.unknowns)), fitted.unknowns
@@ -123,11 +118,11 @@ def _failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
 
 
 def _fit_regular_devices(
-    models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], options: FitOptions
+    models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], request: Request
 ) -> Iterator[dict[str, DeviceResult]]:
     """Fit the regular devices jointly if all have the same model, linear in its coefficients; yield each group."""
     distinct_models = {id(model): model for model in models.values()}
-    if not isinstance(options.method, bc.LeastSquares) or len(distinct_models) != 1:
+    if not isinstance(request.method, bc.LeastSquares) or len(distinct_models) != 1:
         return
     (model,) = distinct_models.values()
     columns = ({c.name for c in model.instrument.columns} | model.columns) - {ws.UNCERTAINTY}
@@ -140,7 +135,7 @@ def _fit_regular_devices(
         group = [devices[name] for name in names]
         if model.with_nuisances(group[0]) is not model:
             continue
-        references = [options.reference_for(device) for device in group]
+        references = [request.reference_for(device) for device in group]
         frames = [build_frame(d, r) for d, r in zip(group, references, strict=True)]
         problem = _bind_jointly(model, group[0], frames)
         if problem is None:
@@ -159,13 +154,6 @@ def _fit_regular_devices(
         }
 
 
-def _stack(arrays: Sequence[Any]) -> Any:
-    """Stack arrays of several devices along a leading axis, also within dictionaries."""
-    if not isinstance(arrays[0], Mapping):
-        return np.stack(arrays)
-    return {name: _stack([array[name] for array in arrays]) for name in arrays[0]}
-
-
 def _bind_jointly(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
@@ -180,7 +168,7 @@ def _bind_jointly(
     if not (has_fixed_priors and is_determined and is_white):
         return None
     try:
-        stacked = bc.Frame(**_stack([*map(vars, frames)]))
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
         constants = {n: v[:, None] for n, v in stacked.reference.items()}
         frame = replace(stacked, reference=constants, silence=stacked.silence[:, None])
         problem, single_problem = (
