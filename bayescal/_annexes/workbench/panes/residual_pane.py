@@ -14,21 +14,19 @@ from bokeh.models import (
     BoxAnnotation,
     ColumnDataSource,
     HoverTool,
+    NoOverlap,
     PlainText,
     Range1d,
     Scatter,
     Span,
 )
+from bokeh.plotting import figure
 
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.widgets import (
-    FIT,
-    MARKERS,
-    RUNS,
     Pane,
     column,
-    new_figure,
     plot,
     row,
     set_axis_range,
@@ -112,10 +110,27 @@ class ResidualsOfState:
         ).replace("-", "−")
 
 
+# Colours of figures, legible on a light and on a dark page.
+INK, FIT, GRID_LINE = "#7a838b", "#d1007a", "#8a939b55"
+RUNS = ws.plot_colours.CYCLE
+MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 MAX_LABEL_LETTERS = 48  # of an axis label
 MAX_LARGE_POINTS = 600  # number of readings up to which points are large
 NOISE, CURVE, FITTED, AT = "#8a939b", "curve", "fit", "at "
+# Styles of a reading, of one of the compared step (hollow), and of the dots of a curve.
+POINT = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
+COMPARED = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
+DOT = {"line_color": None, "fill_color": FIT}
+# Quantity that is drawn → its style, and the changes of style while other readings are selected.
+STYLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "measured": (POINT, {"fill_alpha": 0.12}),
+    "residual": (POINT, {"fill_alpha": 0.12}),
+    "fit before": (COMPARED, {"line_alpha": 0.2}),
+    "before": (COMPARED, {"line_alpha": 0.2}),
+    FITTED: ({**DOT, "size": 2.5}, {"fill_alpha": 0.9}),
+    CURVE: ({**DOT, "size": 3.5}, {"fill_alpha": 0.9}),
+}
 
 
 class ColumnPanel:
@@ -148,10 +163,9 @@ class ColumnPanel:
         measured = set_axis_range(state.measured)
         output = _figure(state, name, f"output [{state.unit}]", self._x_range, measured)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
-        _draw_points(output, x, "measured", source)
-        _draw_compared(output, x, "fit before", source)
-        _draw_curve(output, x, FITTED, source)
-        figure = _figure(state, name, f"residual [{state.unit}]", self._x_range, y_range)
+        for y in ("measured", "fit before", FITTED):
+            _draw(output, x, y, source)
+        residuals = _figure(state, name, f"residual [{state.unit}]", self._x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
         self._worst = BoxAnnotation(
@@ -159,11 +173,10 @@ class ColumnPanel:
         )
         zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
         for annotation in (self._noise, zero, self._worst):
-            figure.add_layout(annotation)
-        _draw_compared(figure, x, "before", source)
-        _draw_points(figure, x, "residual", source)
-        _draw_curve(figure, x, CURVE, curves)
-        self.room: Any = column(plot(output), plot(figure), kinds=("stack",))
+            residuals.add_layout(annotation)
+        for y in ("before", "residual", CURVE):
+            _draw(residuals, x, y, curves if y == CURVE else source)
+        self.room: Any = column(plot(output), plot(residuals), kinds=("stack",))
         self.show(state)
 
     def show(self, state: ResidualsOfState) -> None:
@@ -179,65 +192,69 @@ class ColumnPanel:
 def _figure(
     state: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
 ) -> Any:
-    unit = state.units[name]
-    figure = new_figure(
-        name[:MAX_LABEL_LETTERS]
-        if name in state.levels
-        else f"{name[:MAX_LABEL_LETTERS]} [{unit or '1'}]",
-        label,
+    """Make an empty figure that fills its container; `$$` in a label is not read as a formula."""
+    title, levels = name[:MAX_LABEL_LETTERS], state.levels.get(name)
+    fig: Any = figure(
+        name=f"panel {name}",
+        x_axis_label=PlainText(text=title if levels else f"{title} [{state.units[name] or '1'}]"),
+        y_axis_label=PlainText(text=label),
+        x_range=x_range,
+        y_range=y_range,
         tools=TOOLS,
         active_drag="box_select",
         active_scroll="xwheel_zoom",
-        x_range=x_range,
-        y_range=y_range,
+        toolbar_location=None,
         output_backend="webgl",
+        sizing_mode="stretch_both",
         # Otherwise the container's minimum would be their sum, and its change another layout of the page.
         min_width=0,
         min_height=0,
+        min_border=6,
+        border_fill_alpha=0,
+        background_fill_alpha=0,
+        outline_line_color=None,
     )
-    figure.name = f"panel {name}"
-    if levels := state.levels.get(name):
-        figure.xaxis.ticker = list(range(len(levels)))
+    for axis in fig.axis:
+        axis.update(
+            axis_label_text_font_style="normal",
+            axis_label_text_font_size="12px",
+            axis_label_text_color=INK,
+            axis_label_standoff=4,
+            axis_line_color=INK,
+            major_label_text_font_size="11px",
+            major_label_text_color=INK,
+            major_label_policy=NoOverlap(),
+            major_tick_line_color=INK,
+            minor_tick_line_color=None,
+        )
+    fig.grid.grid_line_color = GRID_LINE
+    fig.xaxis.ticker.desired_num_ticks = 5
+    fig.yaxis.ticker.desired_num_ticks = 6
+    if levels:
+        fig.xaxis.ticker = list(range(len(levels)))
         texts = {k: PlainText(text=v[:12]) for k, v in enumerate(levels)}
-        figure.xaxis.major_label_overrides = texts
-    return figure
+        fig.xaxis.major_label_overrides = texts
+    return fig
 
 
-def _draw_compared(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    """Draw the points of the compared step as hollow markers."""
-    hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
-    _add_glyphs(figure, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
-
-
-def _draw_curve(figure: Any, x: str, name: str, source: ColumnDataSource) -> None:
-    """Draw a curve as one dot per reading."""
-    dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None, "fill_color": FIT}
-    _add_glyphs(figure, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9})
-
-
-def _draw_points(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    size = 5 if len(source.data["row"]) <= MAX_LARGE_POINTS else 3.5
-    plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
-    drawn = {"x": x, "y": y, "size": size, **plain}
-    points = _add_glyphs(figure, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
+def _draw(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
+    """Draw a quantity against a column, by one renderer; `figure.scatter` makes twice as many Bokeh models."""
+    style, muted = STYLES[y]
+    drawn = {"x": x, "y": y, **style}
+    if style is not POINT:
+        figure.add_glyph(source, Scatter(**drawn), nonselection_glyph=Scatter(**{**drawn, **muted}))
+        return
+    drawn["size"] = 5 if len(source.data["row"]) <= MAX_LARGE_POINTS else 3.5
+    points = figure.add_glyph(
+        source,
+        Scatter(**drawn),
+        nonselection_glyph=Scatter(**{**drawn, **muted}),
+        selection_glyph=Scatter(**{**drawn, "fill_alpha": 1.0}),
+    )
     fields = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
     figure.add_tools(
         HoverTool(renderers=[points], tooltips=fields, point_policy="follow_mouse", limit=1)
     )
-
-
-def _add_glyphs(
-    figure: Any,
-    source: ColumnDataSource,
-    drawn: dict[str, Any],
-    muted: dict[str, Any],
-    selected: dict[str, Any] | None = None,
-) -> Any:
-    """Add points styled apart when selected, by one renderer; `figure.scatter` makes twice as many Bokeh models."""
-    glyphs = {"nonselection_glyph": Scatter(**{**drawn, **muted})}
-    if selected:
-        glyphs["selection_glyph"] = Scatter(**{**drawn, **selected})
-    return figure.add_glyph(source, Scatter(**drawn), **glyphs)
 
 
 PANELS_IN_A_ROW = 4  # panels side by side, at most

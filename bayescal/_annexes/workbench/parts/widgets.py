@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import panel as pn
 import param
-from bokeh.models import NoOverlap, PlainText, Range1d
-from bokeh.plotting import figure
+from bokeh.models import Range1d
 from panel.custom import JSComponent
 
 from bayescal import workshop as ws
@@ -25,43 +24,6 @@ CSS = (FOLDER / "page.css").read_text("utf-8")  # the grid and the colours, of t
 INSIDE = (FOLDER / "inside.css").read_text("utf-8")  # Panel's own widgets within it
 PLAIN = (FOLDER / "plain.css").read_text("utf-8")  # text
 RADIO = (FOLDER / "radio.css").read_text("utf-8")  # choices
-
-
-# Colours of figures, legible on a light and on a dark page.
-INK, FIT, LINE = "#7a838b", "#d1007a", "#8a939b55"
-RUNS = ws.plot_colours.CYCLE
-MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
-
-
-def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
-    """Make an empty Bokeh figure that fills its container; `$$` in a label is not read as a formula."""
-    fig: Any = figure(
-        **{
-            "sizing_mode": "stretch_both",
-            "min_width": 120,
-            "min_height": 110,
-            "toolbar_location": None,
-            "x_axis_label": PlainText(text=x_label),
-            "y_axis_label": PlainText(text=y_label),
-            **settings,
-        }
-    )
-    fig.border_fill_alpha = fig.background_fill_alpha = 0
-    fig.outline_line_color = None
-    fig.min_border = 6
-    for axis in fig.axis:
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = "12px"
-        axis.major_label_text_font_size = "11px"
-        axis.minor_tick_line_color = None
-        axis.axis_label_standoff = 4
-        axis.major_label_policy = NoOverlap()
-        axis.axis_label_text_color = axis.major_label_text_color = INK
-        axis.axis_line_color = axis.major_tick_line_color = INK
-    fig.grid.grid_line_color = LINE
-    fig.xaxis.ticker.desired_num_ticks = 5
-    fig.yaxis.ticker.desired_num_ticks = 6
-    return fig
 
 
 def set_axis_range(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
