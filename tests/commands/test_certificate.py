@@ -111,7 +111,7 @@ def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -
     assert len(Decimal(expanded).as_tuple().digits) == 2
     assert Decimal(value).as_tuple().exponent == Decimal(expanded).as_tuple().exponent
     assert float(found["T0, to which coefficients refer"][0][0]) == calibration.reference["T0"]
-    for said in ("2026-0117", "4711", "R. Weiss", "Pt-9", "(23.0 ± 0.5) °C", "M. Kern"):
+    for said in ("2026-0117", "4711", "R. Weiss", "90125", "(23.0 ± 0.5) °C", "M. Kern"):
         assert said in written
 
 

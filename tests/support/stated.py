@@ -29,7 +29,7 @@ country = "GB"
 temperature = "(23.0 ± 0.5) °C"
 [[standards]]
 name = "platinum thermometer"
-serial = "Pt-9"
+serial = 90125
 certificate = "PTB-2025-33"
 [[standards]]
 name = "levelled table"

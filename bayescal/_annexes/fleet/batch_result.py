@@ -66,12 +66,13 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
     """Format a table with `digits` significant digits and the column headers `headers`."""
 
     def format_cell(v: Any) -> str:
-        number = "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
-        return ws.unit_label(v) if isinstance(v, str) and v in units else number
+        return "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
 
-    units = {*table.get("unit", ())}
-    rows = [[*map(format_cell, row)] for row in table.to_numpy()]
-    return str(ws.plain_table([headers.get(n, n) for n in table.columns], rows))
+    columns = (
+        ws.TableColumn(headers.get(n, n), n, ws.unit_label if n == "unit" else format_cell)
+        for n in table.columns
+    )
+    return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
 NO_SEARCH = "no device was searched for missing effects (--find, in Python find=True)"

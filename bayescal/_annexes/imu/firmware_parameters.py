@@ -244,25 +244,20 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
     expected = np.broadcast_to(expected, no_stimulus.shape)
     _, sd, slope = program.run(expected, inputs)
     sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
-
-    def convert_unit(values: np.ndarray) -> np.ndarray:
-        try:
-            return ws.convert(values, calibration.unit, axis.unit, local_gravity=local_gravity)
-        except bc.InputError:
-            raise bc.InputError(
-                f"{axis}: the calibration's output is in {ws.unit_label(calibration.unit)}, but the firmware's "
-                f"parameter is in {ws.unit_label(axis.unit)}: give a calibration whose output has that dimension"
-            ) from None
-
-    def rms(variances: np.ndarray) -> float:
-        return float(convert_unit(np.sqrt(np.mean(variances, keepdims=True)))[0])
-
+    noise_variance = compensator.noise_variance({**inputs, compensator.stimulus: no_stimulus})
+    try:
+        factor = ws.convert(1.0, calibration.unit, axis.unit, local_gravity=local_gravity)
+    except bc.InputError:
+        raise bc.InputError(
+            f"{axis}: the calibration's output is in {ws.unit_label(calibration.unit)}, but the firmware's "
+            f"parameter is in {ws.unit_label(axis.unit)}: give a calibration whose output has that dimension"
+        ) from None
     return RestOffsets(
         temperature=np.asarray(inputs["temperature"], float),
-        offset=convert_unit(expected),
+        offset=factor * expected,
         unit=axis.unit,
-        noise=rms(compensator.noise_variance({**inputs, compensator.stimulus: no_stimulus})),
-        uncertainty=rms(sd**2),
+        noise=float(factor * np.sqrt(np.mean(noise_variance))),
+        uncertainty=float(factor * np.sqrt(np.mean(sd**2))),
         has_scale=compensator.equation.is_slope_calibrated,
     )
 

@@ -58,14 +58,20 @@ class Certificate:
     stated: dict[str, Any]  # section → key → value; `standards`: a list; `conditions`: by name
     file: str = "the certificate"  # name of its file, for messages
 
+    def entries(self, section: str) -> list[dict[str, str]]:
+        """Return a section's entries as texts: one, several of a list, or none if it is not stated."""
+        stated = self.stated.get(section, [])
+        entries = stated if isinstance(stated, list) else [stated]
+        return [{key: str(value).strip() for key, value in entry.items()} for entry in entries]
+
     def get(self, section: str, key: str) -> str:
         """Return a stated value as text; "" if there is none."""
-        return str(self.stated.get(section, {}).get(key, "")).strip()
+        return next((entry.get(key, "") for entry in self.entries(section)), "")
 
     @property
     def conditions(self) -> dict[str, str]:
         """Return the values of the ambient conditions as text, by condition."""
-        return {name: str(value) for name, value in self.stated.get("conditions", {}).items()}
+        return next(iter(self.entries("conditions")), {})
 
     def require(self, *needed: str) -> None:
         """Require keys such as "device.serial"; raise InputError with all missing keys."""
@@ -89,10 +95,8 @@ class Certificate:
         """Return (section, [(label, text), …]) of the stated data, with labels for readers."""
         rows = []
         for section, keys in SECTIONS.items():
-            fields = self.stated.get(section, {})
-            for entry in fields if section in LISTS else [fields]:
-                texts = {label: str(entry.get(key, "")).strip() for key, label in keys.items()}
-                filled = [(label, text) for label, text in texts.items() if text]
+            for entry in self.entries(section):
+                filled = [(label, entry[key]) for key, label in keys.items() if entry.get(key)]
                 rows += [(section, filled)] * bool(filled)
             if section == "calibration" and self.conditions:
                 rows.append(("ambient conditions", list(self.conditions.items())))
@@ -180,7 +184,7 @@ def dcc_text(
         stated=stated,
         standards=[
             {key: entry.get(key, "") for key in SECTIONS["standards"]}
-            for entry in stated.stated.get("standards", [])
+            for entry in stated.entries("standards")
             if "name" in entry
         ],
         conditions={name: value for name, value in conditions.items() if value},
