@@ -23,7 +23,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -154,6 +153,13 @@ def _fit_regular_devices(
         }
 
 
+def _stack(arrays: Sequence[Any]) -> Any:
+    """Stack arrays of several devices along a leading axis, also within dictionaries."""
+    if not isinstance(arrays[0], Mapping):
+        return np.stack(arrays)
+    return {name: _stack([array[name] for array in arrays]) for name in arrays[0]}
+
+
 def _bind_jointly(
     model: bc.Model, first: bc.Measurements, frames: Sequence[bc.Frame]
 ) -> ws.Problem | None:
@@ -168,7 +174,7 @@ def _bind_jointly(
     if not (has_fixed_priors and is_determined and is_white):
         return None
     try:
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+        stacked = bc.Frame(**_stack([*map(vars, frames)]))
         constants = {n: v[:, None] for n, v in stacked.reference.items()}
         frame = replace(stacked, reference=constants, silence=stacked.silence[:, None])
         problem, single_problem = (
