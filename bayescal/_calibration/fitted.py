@@ -33,7 +33,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import CoefficientBlock, Layout
-from bayescal._model.prior import Known
 from bayescal._model.terms import Term
 from bayescal._model.unknowns import Unknowns
 
@@ -287,15 +286,15 @@ class Fitted:
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to `limit`."""
-        arrays = [flatten(a) for a in (self.joint.x, self.joint.v)]
-        step = 1 if limit is None else max(1, -(-len(arrays[0]) // limit))
-        return Vectors(*(a[::step] for a in arrays))
+        x, v = np.concatenate(self.joint.x), np.concatenate(self.joint.v)
+        step = 1 if limit is None else max(1, -(-len(x) // limit))
+        return Vectors(x[::step], v[::step])
 
     def thin_draws(self, limit: int) -> tuple[Vectors, int]:
         """Thin each chain so that draws times readings stay within a limit; return draws and chain count."""
         chains, length = self.joint.x.shape[:2]
         step = -(-length // max(1, min(length, limit // max(1, chains * len(self.readings)))))
-        arrays = (flatten(a[:, ::step]) for a in (self.joint.x, self.joint.v))
+        arrays = (np.concatenate(a[:, ::step]) for a in (self.joint.x, self.joint.v))
         return Vectors(*arrays), chains
 
     def samples(self, name: str) -> np.ndarray:
@@ -307,7 +306,7 @@ class Fitted:
         by_key = self.unknowns.by_key
         if name not in by_key and name not in self.unknowns.index:
             raise InputError(f"no unknown is called {name!r}; the fit has: {', '.join(by_key)}")
-        return self.unknowns.select(flatten(self.values), name)
+        return self.unknowns.select(np.concatenate(self.values), name)
 
     def log_likelihood(self, limit: int = MAX_CELLS) -> xr.Dataset:
         """Return the pointwise log likelihood, draws thinned to at most `limit` numbers.
@@ -349,11 +348,6 @@ def has_effect(
     return np.any(nonzero, axis=0) if nonzero else np.ones(len(x), dtype=bool)
 
 
-def flatten(values: np.ndarray) -> np.ndarray:
-    """Concatenate the chains: (chains, draws, …) to (chains·draws, …)."""
-    return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
-
-
 class PredictiveMoments(NamedTuple):
     """Posterior predictive moments of readings, (n,) each, output unit or its square."""
 
@@ -365,31 +359,33 @@ class PredictiveMoments(NamedTuple):
 
 @run_on_one_thread
 def predictive_moments(
-    problem: Problem, draws: Vectors, noise_mean: Callable[[np.ndarray], np.ndarray] | None = None
+    problem: Problem, draws: Vectors, noise: Callable[[np.ndarray], tuple[Any, Any]] | None = None
 ) -> PredictiveMoments:
     """Return predictive moments of readings, with noise on inputs and unseen group members (code −1).
 
-    Draws are evaluated in chunks, and sums taken of differences from the first draw. `noise_mean` maps expected outputs
-    (b, n) to the mean of correlated noise given earlier readings, whose variance the result then excludes.
+    Draws are evaluated in chunks, and sums taken of differences from the first draw. `noise` maps residuals (b, n) to
+    conditional mean (b, n) and variance (n,) of correlated noise; each draw has its own, since a level may belong to
+    noise or to a coefficient, but their sum is known.
     """
     count, size = len(draws.x), problem.record.size
     offset_sum, offset_squares, noise_sum, input_variance = np.zeros((4, size))
     offset0: Any = None
-    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
-        terms = [t for t in structure.terms if t.place == "input" or _is_unseen(structure, t).any()]
-        mean, sds = _mean_and_input_sds(structure, sample, hyper, terms)
+    terms = [t for t in problem.terms if t.place == "input" or _is_unseen(problem, t).any()]
+    for _, sample, hyper in _iterate_chunks(problem, draws):
+        mean, sds = _mean_and_input_sds(problem, sample, hyper, terms)
         noise_var = variances(problem.noise, hyper, problem.record)
-        if noise_mean is not None:
-            mean = mean + noise_mean(mean)
-            noise_var = noise_var - np.atleast_1d(problem.noise.slow_variance(hyper))[:, None]
+        if noise is not None:
+            noise_mean, conditional_var = noise(problem.record.y - mean)
+            slow_var = np.reshape(problem.noise.slow_variance(hyper), (-1, 1))
+            mean, noise_var = mean + noise_mean, noise_var - slow_var + conditional_var
         offset0 = mean[0].copy() if offset0 is None else offset0
         offset = mean - offset0
         offset_sum += np.sum(offset, axis=0)
         offset_squares += np.einsum("bn,bn->n", offset, offset)
-        noise_sum += len(chunk) * np.mean(noise_var, axis=0)
+        noise_sum += len(sample.x) * np.mean(noise_var, axis=0)
         if sds:
             input_squares = np.broadcast_to(sum(s**2 for s in sds), mean.shape)
-            input_variance += len(chunk) * np.mean(input_squares, axis=0)
+            input_variance += len(sample.x) * np.mean(input_squares, axis=0)
     offset = offset_sum / count
     variance = np.maximum(offset_squares / count - offset**2, 0.0)
     return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
@@ -399,9 +395,9 @@ def predictive_moments(
 def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     """Return each reading's log likelihood under each draw; with correlated noise, given the earlier readings."""
     densities = np.empty((len(draws.x), problem.record.size))
-    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
-        record, (mean, input_var) = structure.record, structure.expected_and_extra(sample.x, hyper)
-        densities[chunk] = log_densities(structure.noise, record, record.y - mean, hyper, input_var)
+    for chunk, sample, hyper in _iterate_chunks(problem, draws):
+        record, (mean, input_var) = problem.record, problem.expected_and_extra(sample.x, hyper)
+        densities[chunk] = log_densities(problem.noise, record, record.y - mean, hyper, input_var)
     return densities
 
 
@@ -417,9 +413,9 @@ def replicate(
     Deviations of unseen group members are drawn from their prior; `members`: each reading's member code (n,) by group.
     """
     outputs, members = np.empty((len(draws.x), problem.record.size)), members or {}
-    for chunk, structure, sample, hyper in _iterate_chunks(problem, draws):
-        uncertain_terms = [t for t in structure.terms if t.place == "input" or t.per in members]
-        mean, sds = _mean_and_input_sds(structure, sample, hyper, uncertain_terms)
+    uncertain_terms = [t for t in problem.terms if t.place == "input" or t.per in members]
+    for chunk, sample, hyper in _iterate_chunks(problem, draws):
+        mean, sds = _mean_and_input_sds(problem, sample, hyper, uncertain_terms)
         for t, sd in zip(uncertain_terms, sds, strict=True):
             codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
@@ -429,47 +425,15 @@ def replicate(
     return outputs
 
 
-def _iterate_chunks(
-    problem: Problem, draws: Vectors
-) -> Iterator[tuple[np.ndarray, Problem, Vectors, Batch]]:
-    """Yield chunks of draws of one structure: their indices, its problem, the draws in its layout, φ by name."""
+def _iterate_chunks(problem: Problem, draws: Vectors) -> Iterator[tuple[slice, Vectors, Batch]]:
+    """Yield chunks of draws: their indices, x and v, φ by name."""
     count = max(1, MAX_CELLS // max(1, problem.record.size))
-    for indices, structure, structure_draws in _group_by_structure(problem, draws):
-        for start in range(0, len(indices), count):
-            part = slice(start, start + count)
-            sample = Vectors(*(np.asarray(a)[part] for a in structure_draws))
-            values = structure.hyper(sample.v.T)
-            parameters = {k: np.broadcast_to(value, len(sample.x)) for k, value in values.items()}
-            yield indices[part], structure, sample, parameters
-
-
-def _group_by_structure(
-    problem: Problem, draws: Vectors
-) -> Iterator[tuple[np.ndarray, Problem, Vectors]]:
-    """Group draws by the presence of effects with known coefficients: yield indices, problem, draws in its layout."""
-    layout = problem.layout
-    fixed_blocks = [b for b in layout.x_blocks if b.index in b.effect.constant_indices]
-    if not fixed_blocks:
-        yield np.arange(len(draws.x)), problem, draws
-        return
-    is_present = np.asarray(draws.x)[:, [b.start for b in fixed_blocks]] != 0
-    patterns, pattern_index = np.unique(is_present, axis=0, return_inverse=True)
-    for k, pattern in enumerate(patterns):
-        absent = {b.effect.name for b, has in zip(fixed_blocks, pattern, strict=True) if not has}
-        effects = tuple(_fix_known(e) for e in layout.model.effects if e.name not in absent)
-        sublayout = replace(layout, model=replace(layout.model, effects=effects))
-        x_indices, v_indices = layout.shared_indices(sublayout)
-        indices = np.flatnonzero(pattern_index.reshape(-1) == k)
-        structure_draws = Vectors(draws.x[indices][:, x_indices], draws.v[indices][:, v_indices])
-        yield indices, Problem(sublayout, problem.record), structure_draws
-
-
-def _fix_known(effect: Effect) -> Effect:
-    coefficients = (
-        replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
-        for c in effect.coefficients
-    )
-    return replace(effect, coefficients=tuple(coefficients))
+    for start in range(0, len(draws.x), count):
+        chunk = slice(start, start + count)
+        sample = Vectors(draws.x[chunk], draws.v[chunk])
+        values = problem.hyper(sample.v.T)
+        parameters = {k: np.broadcast_to(value, len(sample.x)) for k, value in values.items()}
+        yield chunk, sample, parameters
 
 
 def _mean_and_input_sds(

@@ -85,30 +85,17 @@ def predict(
     calibration = calibration.with_columns(readings.columns)
     calibration.model.require(readings)
     readings = calibration.on_clock(readings)
-    is_correlated = not calibration.model.noise.independent
 
     def predict_frame(part: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
         """Return residuals, standard uncertainties of the expected output and of a reading (3, n), output unit."""
-        count, noise_of, slow = len(past), None, 0.0
-        if count and is_correlated:
-            continuation = part.select(np.arange(count, len(part)))
-            noise = _conditional_noise(calibration, past, continuation)
-            output = frame["output"][:count]
-            slow = np.append(np.zeros(count), noise(np.zeros((count, 1)))[1])
-
-            def conditional_mean(expected: np.ndarray) -> np.ndarray:
-                # Conditional on each draw's residuals: a level may belong to noise or to a coefficient, but their sum
-                # is known. The noise at past readings is not needed.
-                noise_mean = noise((np.asarray(output) - expected[:, :count]).T)[0].T
-                return np.concatenate([np.zeros_like(expected[:, :count]), noise_mean], axis=1)
-
-            noise_of = conditional_mean
-        problem = calibration.problem_on(frame)
-        moments = predictive_moments(problem, calibration.draws(draws), noise_of)
+        problem, noise = calibration.problem_on(frame), None
+        if len(past) and not calibration.model.noise.independent:
+            noise = _conditional_noise(calibration, part, frame, past)
+        moments = predictive_moments(problem, calibration.draws(draws), noise)
         model_var = calibration.form_factor**2 * moments.variance + moments.unknown
         model_var += _unseen_member_variance(calibration, problem)
         residual = np.asarray(frame["output"]) - moments.mean
-        return np.stack([residual, np.sqrt(model_var), np.sqrt(model_var + moments.noise + slow)])
+        return np.stack([residual, np.sqrt(model_var), np.sqrt(model_var + moments.noise)])
 
     if new_groups and not is_fitted:
         residual, model_sd, sd = _evaluate_with_past(calibration, readings, predict_frame)
@@ -188,30 +175,28 @@ def _mark_as_new(frame: Frame) -> Frame:
 
 
 def _conditional_noise(
-    calibration: Calibration, past: np.ndarray, readings: Measurements
-) -> Callable[[Float[np.ndarray, "n b"]], tuple[np.ndarray, np.ndarray]]:
-    """Return the conditional distribution of correlated noise at `readings` given fitted readings `past` of their runs.
+    calibration: Calibration, record: Measurements, frame: Frame, past: np.ndarray
+) -> Callable[[Float[np.ndarray, "b n"]], tuple[np.ndarray, np.ndarray]]:
+    """Return the distribution of correlated noise in a record given its first readings, the fitted ones in rows `past`.
 
-    The returned function maps residuals of the past (n, b) to conditional mean (m, b) and variance (m,), at the mode.
+    The returned function maps residuals (b, n) to conditional mean (b, n) and variance (n,), at the mode; they are zero
+    at the fitted readings, where they are not needed.
     """
-    fitted, record = calibration.readings.select(past), calibration.problem.record
+    fit_record, count = calibration.problem.record, len(past)
     model, parameters = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
-    total = variance(model, parameters, record)
+    total = variance(model, parameters, fit_record)
     white = np.maximum(total - model.slow_variance(parameters), MIN_WHITE_SHARE * total)[past]
-    fitted_runs, new_runs = fitted.records, readings.records
-    time, time_new = fitted["time"], readings["time"]
-    past_x, new_x = (model.followed(calibration.frame_of(part)) for part in (fitted, readings))
+    x, time = model.followed(frame), record["time"]
 
-    def conditional_moments(residuals: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
-        mean, variances = np.empty((len(time_new), residuals.shape[1])), np.empty(len(time_new))
-        for name, new_rows in zip(new_runs.names, new_runs.rows, strict=True):
-            rows = fitted_runs.rows[fitted_runs.names.index(name)]
-            covariates = None
-            if past_x is not None and new_x is not None:
-                covariates = np.asarray(past_x)[rows], np.asarray(new_x)[new_rows]
-            mean[new_rows], variances[new_rows] = model.slow_part(
-                parameters, time[rows], residuals[rows], white[rows], time_new[new_rows], covariates
+    def conditional_moments(residuals: Float[np.ndarray, "b n"]) -> tuple[np.ndarray, np.ndarray]:
+        mean, variances = np.zeros_like(residuals), np.zeros(len(record))
+        for rows in record.records.rows:
+            old, new = rows[rows < count], rows[rows >= count]
+            covariates = None if x is None else (np.asarray(x)[old], np.asarray(x)[new])
+            mean_new, variances[new] = model.slow_part(
+                parameters, time[old], residuals[:, old].T, white[old], time[new], covariates
             )
+            mean[:, new] = mean_new.T
         return mean, variances
 
     return conditional_moments
