@@ -270,7 +270,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         file=readings.file,
         unit=unit,
         step=step,
-        terms=sums.noises[0].terms,
+        terms=sums.noises[0].model.terms,
         probabilities={SummedNoise(1.0, 2.0, t).in_words: p for t, p in sums.probabilities.items()},
         figures=_summarise_figures(sums, unit, draws),
         measured=measured,
@@ -288,15 +288,15 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
 class RestNoise(NamedTuple):
     """A sum of noise terms fitted to a channel at rest."""
 
-    terms: Terms  # besides white noise
-    draws: dict[str, np.ndarray]  # equally weighted posterior draws (d,), output unit and seconds
-    model: SummedNoise  # with these parameters
+    model: SummedNoise
+    draws: dict[str, np.ndarray]  # equally weighted posterior draws (d,) of its parameters
+    walk: np.ndarray  # draws of K (d,); of the most probable sum plus a walk if it has none
 
     @property
     def processes(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return standard deviation, output unit, and correlation time, s, of each Ornstein–Uhlenbeck process (d,)."""
         parameters = {**self.draws, **self.model.derived(self.draws)}
-        names = (f"noise.correlated{k + 1}" for k in range(self.terms.count("correlated")))
+        names = (f"noise.correlated{k + 1}" for k in range(self.model.terms.count("correlated")))
         return [(parameters[f"{name}.size"], parameters[f"{name}.time"]) for name in names]
 
     def density(self, step: float) -> Float[np.ndarray, "d"]:
@@ -350,7 +350,6 @@ class EvaluatedSums(NamedTuple):
     """Sums of noise terms with their probabilities and draws."""
 
     noises: Sequence[RestNoise]  # the probable sums, draws in proportion to their probability
-    walk_draws: np.ndarray  # draws of K in the most probable sum, with a walk added if it has none
     probabilities: dict[Terms, float]  # the most probable first
     claims: tuple[Claim, ...]  # processing of the record
     readings: Measurements  # the record, or means of it
@@ -381,13 +380,11 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
     variance, _ = allan.allan_variances(output, runs)
     max_duration = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
-    tone_units = dict(zip(TONE, (1.0, 1 / runs.step, runs.step), strict=True))
-    line = {name: tone_units[name] * value for name, value in line.items()}
     channel_fields = scale, max_duration, runs.factors * runs.step, variance, line
     model, parameters = SummedNoise(runs.step, max_duration, ("walk",)), {WHITE: scale}
     parameters["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
     random, weights = np.random.default_rng(seed), Counter[Terms]()
-    imputations = list[tuple[list[RestNoise], np.ndarray, dict[Terms, float]]]()
+    imputations = list[tuple[list[RestNoise], dict[Terms, float]]]()
     time_limit = deadline.current()
     time_limit.defer_interrupt()
     for k in range(IMPUTATIONS if runs.lost else 1):
@@ -408,12 +405,12 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
             break
     # The mixture over imputations of lost readings.
     imputations = imputations[-(IMPUTATIONS - 1) :]
-    for *_, probabilities in imputations:
+    for _, probabilities in imputations:
         weights.update({terms: p / len(imputations) for terms, p in probabilities.items()})
-    noises = sorted((n for run, *_ in imputations for n in run), key=lambda n: -weights[n.terms])
-    walk_draws = np.concatenate([walk_draws for _, walk_draws, _ in imputations])
+    noises = [noise for sampled, _ in imputations for noise in sampled]
+    noises.sort(key=lambda noise: -weights[noise.model.terms])
     probable_sums: dict[Terms, Any] = dict(weights.most_common())
-    return EvaluatedSums(noises, walk_draws, probable_sums, tuple(claims), readings, runs, count)
+    return EvaluatedSums(noises, probable_sums, tuple(claims), readings, runs, count)
 
 
 def _enumerate_sums(
@@ -436,16 +433,15 @@ def _enumerate_sums(
 
 def _sample_sums(
     channel: _RestRecord, fits: dict[Terms, GaussianFit], seed: int
-) -> tuple[list[RestNoise], np.ndarray, dict[Terms, float]]:
-    """Draw the parameters of the probable sums; return the fitted sums with draws, draws of the random walk K in the
-    most probable sum (with a random walk added if it has none), and the probabilities of all sums."""
+) -> tuple[list[RestNoise], dict[Terms, float]]:
+    """Draw the parameters of the probable sums; return these with draws, and the probabilities of all sums."""
     sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
-    def sample(terms: Terms) -> float:
+    def sample(terms: Terms) -> None:
+        """Draw the parameters of a sum, which corrects the Laplace evidence of a skewed posterior."""
         log_density = channel.log_density(terms)
         v, weights, evidence = draw_by_importance(log_density, fits[terms], seed, DRAWS_PER_SUM)
-        sampled[terms] = v, weights
-        return evidence
+        sampled[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
 
     while True:
         totals = _log_posteriors(fits)
@@ -454,19 +450,20 @@ def _sample_sums(
         likely = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
         if not (unsampled_sums := [t for t in likely if t not in sampled]):
             break
-        # Importance sampling corrects the Laplace evidence of skewed posteriors.
         for terms in unsampled_sums:
-            fits[terms] = fits[terms]._replace(log_evidence=sample(terms))
-    noises = [_draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in likely]
-    walk_sum = noises[0]
-    if "walk" not in walk_sum.terms:
-        extended_terms = _sort_terms((*walk_sum.terms, "walk"))
-        if extended_terms not in fits:
-            fits[extended_terms] = _fit_sum(channel, extended_terms, fits)
-        if extended_terms not in sampled:
-            sample(extended_terms)
-        walk_sum = _draw_parameters(channel, extended_terms, *sampled[extended_terms], seed, 1.0)
-    return noises, walk_sum.draws["noise.walk"], probabilities
+            sample(terms)
+    draws = {t: _draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in likely}
+    walk = draws[likely[0]].get("noise.walk")
+    if walk is None:
+        terms = _sort_terms((*likely[0], "walk"))
+        if terms not in fits:
+            fits[terms] = _fit_sum(channel, terms, fits)
+        if terms not in sampled:
+            sample(terms)
+        walk = _draw_parameters(channel, terms, *sampled[terms], seed, 1.0)["noise.walk"]
+    walks = [d.get("noise.walk", np.resize(walk, len(d[WHITE]))) for d in draws.values()]
+    models = map(channel.model, likely)
+    return [*map(RestNoise, models, draws.values(), walks)], probabilities
 
 
 def _count_readings_per_mean(
@@ -479,8 +476,9 @@ def _count_readings_per_mean(
     """
     variance, _ = allan.allan_variances(output, runs)
     if z > LINE_Z:
-        law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
-        variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE_RMS] ** 2, runs.factors, 1.0)
+        law = SummedNoise(runs.step, 2 * runs.step * len(output), ("tone",))
+        values, line_variance = {WHITE: 0.0, **line}, line[TONE_RMS] ** 2
+        variance -= law.allan_variance(values, line_variance, runs.factors, runs.step)
     upper_limit = 4.0 ** (2 * WHITE_SLOPE) * variance[:-2]
     dof = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
     upper_limit[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
@@ -516,27 +514,25 @@ def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> 
     The variogram, half the mean square of differences at lag k, is γ₀ − γₖ, linear in k under slow noise: if its value
     at k = 1 is above (below) the extrapolation from k ≥ 2, neighbours are correlated negatively (positively).
     """
-    squares, counts = np.zeros(len(LAG_WEIGHTS) + 1), np.zeros(len(LAG_WEIGHTS) + 1)
-    for run in runs.arrange(output):
-        for k in range(1, min(len(run), len(squares) + 1)):
-            differences = run[k:] - run[:-k]
-            differences = differences[np.isfinite(differences)]
-            squares[k - 1] += 0.5 * float(differences @ differences)
-            counts[k - 1] += len(differences)
-    variogram = squares / counts
+    lags = np.arange(1, len(LAG_WEIGHTS) + 2)
+    padded = [np.append(run, np.full(lags[-1], np.nan)) for run in runs.arrange(output)]
+    values = np.concatenate(padded)
+    differences = [values[k:] - values[:-k] for k in lags]
+    variogram = np.array([0.5 * np.nanmean(d**2) for d in differences])
+    count = np.isfinite(differences[0]).sum()
     expected = float(LAG_WEIGHTS @ variogram[1:])
     # The estimate of γₖ from n readings of white noise with variance γ₀ has the variance γ₀²/n.
-    sd = abs(expected) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / counts[0])
+    sd = abs(expected) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / count)
     return float(variogram[0] - expected) / sd
 
 
 def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
-    """Find the longest run's strongest spectral line: return its z, and starting values of a tone per reading.
+    """Find the longest run's strongest spectral line: return its z, and starting values of a tone.
 
     The power at a frequency is divided by the geometric mean of that on both sides, which cancels a sloping background;
     averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
-    run, best_z, line = max(runs.arrange(output), key=len), 0.0, dict[str, float]()
+    run, best_z, line = max(runs.arrange(output), key=len), 0.0, (0.0, 0, 0)
     run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = MIN_WINDOW
     while (count := len(run) // length) >= MIN_WINDOWS:
@@ -550,15 +546,17 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
         z = np.log(power[bins] / background) / (1 / math.sqrt(count) + BACKGROUND_CURVATURE)
         if z[k := int(np.argmax(z))] > best_z:
             # A Hann window spreads a line over 1.5 bins.
-            amplitude = math.sqrt(1.5 * float(power[bins[k]] - background[k]) / length)
-            best_z, entries = float(z[k]), (amplitude, float(bins[k]) / length, float(length))
-            line = dict(zip(TONE, entries, strict=True))
+            rms = math.sqrt(1.5 * float(power[bins[k]] - background[k]) / length)
+            best_z, line = float(z[k]), (rms, int(bins[k]), length)
         length *= 2
-    if line:  # at the maximum of the full run's spectrum within that window's width
-        power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))
-        low, high = (round((line[TONE_FREQ] + s / line[TONE_TIME]) * len(run)) for s in (-1, 1))
-        line[TONE_FREQ] = (max(low, 1) + float(np.argmax(power[max(low, 1) : high]))) / len(run)
-    return best_z, line
+    if not best_z:
+        return 0.0, {}
+    # The frequency is that of the maximum of the full run's spectrum within the window's width.
+    rms, k, length = line
+    low, high = max(round((k - 1) * len(run) / length), 1), round((k + 1) * len(run) / length)
+    power = np.abs(np.fft.rfft((run - run.mean()) * np.hanning(len(run))))[low:high]
+    frequency = (low + float(np.argmax(power))) / (len(run) * runs.step)
+    return best_z, dict(zip(TONE, (rms, frequency, length * runs.step), strict=True))
 
 
 def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
@@ -709,10 +707,10 @@ def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
 
 def _draw_parameters(
     channel: _RestRecord, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
-) -> RestNoise:
+) -> dict[str, np.ndarray]:
     """Resample parameters by the weights of v to equal probability; `share` of all resampled draws."""
-    rows, law = resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed), channel.model(terms)
-    chosen, priors = v[rows], law.parameters()
+    chosen = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
+    priors = channel.model(terms).parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
@@ -723,7 +721,7 @@ def _draw_parameters(
             error = error * np.random.default_rng(seed).standard_normal(len(error))
             amplitude = np.abs(_fit_line_rms(run, frequency) + error)
             parameters[TONE_RMS] = np.where(is_coherent, amplitude, parameters[TONE_RMS])
-    return RestNoise(terms, parameters, law)
+    return parameters
 
 
 def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
@@ -732,21 +730,19 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
     walk_factor = step * (2 * factors**2 + 1) / (6 * factors)
     densities, walk_draws = [], []
     for noise in sums.noises:
-        n = noise.density(step) / step**0.5
+        terms = {*noise.model.terms}
         quantisation = noise.draws.get("noise.quantisation", 0.0) / step
-        n = np.sqrt(n**2 + 3 * quantisation**2)  # falls more slowly than Q, and is as much at first
-        if not {*noise.terms} - {QUANTISATION, AVERAGING}:
-            densities.append(n * step**0.5)
-            walk_draws.append(np.resize(sums.walk_draws, len(n)))
-            continue
+        # Quantisation noise falls more slowly than Q, and is as much at first.
+        white = noise.density(step) ** 2 / step + 3 * quantisation**2
         allan_variance = noise.allan_variance(factors, step)
         required = FILTER_RATIO**2 * allan_variance
         # Candidate densities reach the required deviation at one averaging time each; the chosen one, with its random
         # walk, has the least excess over all times (d, densities, times).
-        white_var = np.maximum(np.column_stack([0 * n, required * factors]), n[:, None] ** 2)
+        white_var = np.maximum(np.column_stack([0 * white, required * factors]), white[:, None])
         required_walk = (required[:, None] - white_var[..., None] / factors) / walk_factor
-        fitted_walk = np.square(noise.draws.get("noise.walk", 0.0))[..., None]
-        walk = np.maximum(required_walk.max(axis=2), fitted_walk)
+        is_correlated = bool(terms - {QUANTISATION, AVERAGING})
+        least_walk = 0 * white if is_correlated and "walk" not in terms else noise.walk**2
+        walk = np.maximum(required_walk.max(axis=2), least_walk[:, None])
         variance = white_var[..., None] / factors + walk[..., None] * walk_factor
         index = np.argmin(np.log(variance / allan_variance[:, None]).sum(axis=2), axis=1)[:, None]
         densities.append(np.sqrt(np.take_along_axis(white_var, index, 1)[:, 0] * step))
@@ -772,16 +768,13 @@ def _summarise_figures(
     floor = np.sqrt(np.min(curve, axis=1) / FLICKER_FLOOR) if has_minimum else None
     walks = pooled_draws("noise.walk")
     # If most sums have no random walk, the bound pools all sums, with the fitted or the added walk.
-    bound = [
-        noise.draws.get("noise.walk", np.resize(sums.walk_draws, len(noise.draws[WHITE])))
-        for noise in sums.noises
-    ]
+    bound = np.concatenate([noise.walk for noise in sums.noises])
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
         ("N", density, of_density, f"{base}/Hz^0.5", white_density),
         ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
         ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),
-        ("K", walk, of_walk, f"{base}/s^0.5", np.concatenate(bound) if walks is None else walks),
+        ("K", walk, of_walk, f"{base}/s^0.5", bound if walks is None else walks),
         ("", "tone, rms", of_bias, base, pooled_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),
         ("", "tone, correlation time", "s", "s", pooled_draws("noise.tone.time")),
