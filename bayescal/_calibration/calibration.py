@@ -10,18 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.fitted import MAX_CELLS, Fitted, replicate, to_xarray
 from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few_readings
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._core.atomic_file import encode_name
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import folded
 from bayescal._core.result_table import Printed, ResultTable
+from bayescal._inference.sampling import draw_prior
 from bayescal._model.model import format_model
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+PRIOR_DRAWS = 1000  # of the group `prior`: enough to plot a prior density
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,9 +114,26 @@ class Calibration(Printed, Fitted):
 
         Groups: posterior, prior, posterior_predictive, observed_data, constant_data.
         """
-        from bayescal._calibration.posterior_tree import build_tree  # and xarray with it
+        import xarray as xr
 
-        return build_tree(self)
+        readings, dims = self.readings, ("chain", "draw", "reading")
+        units = {"units": readings.unit("output")}
+        draws, chains = self.thin_draws(MAX_CELLS)
+        outputs = replicate(self.problem, draws, np.random.default_rng([self.seed, 1]))
+        outputs = outputs.reshape(chains, -1, len(readings))
+        outputs += readings["output"] - self.frame["output"]
+        groups = {
+            "posterior": self.posterior,
+            "posterior_predictive": xr.Dataset({"output": (dims, outputs, units)}),
+            "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
+            "constant_data": readings.to_xarray().drop_vars("output"),
+        }
+        count = self.joint.x.shape[1]
+        groups = {name: _for_netcdf(group, count) for name, group in groups.items()}
+        if not self.layout.is_improper:
+            prior = to_xarray(self.unknowns, self.unknowns.values(*_prior_draws(self)))
+            groups["prior"] = _for_netcdf(prior, PRIOR_DRAWS)
+        return xr.DataTree.from_dict(groups)
 
     def with_log_likelihood(self) -> xr.DataTree:
         """Return a copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo`.
@@ -120,10 +141,40 @@ class Calibration(Printed, Fitted):
         Not cached; above two million numbers (draws × readings) the draws of all groups are thinned.
         Under correlated noise it is conditional on the earlier readings of the run.
         """
-        from bayescal._calibration.posterior_tree import with_log_likelihood
+        import xarray as xr
 
-        return with_log_likelihood(self.tree, self)
+        count = self.joint.x.shape[1]
+        density = _for_netcdf(self.log_likelihood(), count)
+        groups = {name: child.to_dataset() for name, child in self.tree.children.items()}
+        for name, group in groups.items():
+            if name != "prior" and group.sizes.get("draw") == count:
+                groups[name] = group.isel(draw=density["draw"].values)
+        return xr.DataTree.from_dict({**groups, "log_likelihood": density})
 
     def save(self, path: str | Path) -> Path:
         """Write draws, mode and readings to NetCDF, atomically. `bc.load` reads them back."""
         return save(self, Path(path))
+
+
+def _for_netcdf(group: xr.Dataset, count: int) -> xr.Dataset:
+    """Rename a group's variables for NetCDF and add chain and draw coordinates; thinned draws keep their index."""
+    import pandas as pd
+
+    if "draw" in group.sizes:  # ArviZ's plots need the coordinates
+        step = -(-count // group.sizes["draw"])
+        # Indices of pandas: xarray would load Dask to look at arrays.
+        draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
+        group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)
+    names = {str(n): encode_name(str(n)) for n in (*group.variables, *group.dims)}
+    return group.rename({name: new_name for name, new_name in names.items() if name != new_name})
+
+
+def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Draw (x, v) from the prior, as one chain."""
+    random = np.random.default_rng([c.seed, 2])
+    v = np.zeros((PRIOR_DRAWS, len(c.layout.hypers)))
+    for i, h in enumerate(c.layout.hypers):
+        v[:, i] = draw_prior(h.prior, random, PRIOR_DRAWS)
+    sd = c.problem.prior(c.problem.hyper(v.T), np.ones(c.problem.size), (PRIOR_DRAWS,)).sd
+    x = c.problem.mean_of_x + sd * random.standard_normal(sd.shape)
+    return x[None], v[None]

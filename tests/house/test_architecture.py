@@ -234,7 +234,7 @@ CEILINGS = {
     "bayescal/_model": 5_467,
     "bayescal/effects": 651,
     "bayescal/_inference": 6_020,
-    "bayescal/_calibration": 4_561,
+    "bayescal/_calibration": 4_476,
     "bayescal/_use": 2_808,
     "bayescal/_search": 5_678,
     "bayescal/_report": 1_668,
