@@ -308,8 +308,11 @@ class Structures:
         return fit_law
 
     def _fit_structure(self, structure, neighbour, known_starts) -> EvaluatedStructure:
-        problem = self._bind_structure(structure, neighbour)
-        log_prior = self.log_prior(structure)
+        layout = replace(self.layout, model=self.build_model(structure))
+        # A fit with the prior scales of its neighbour starts near its mode; `average_over_scales` tries the others.
+        factors = (neighbour and neighbour.problem.size_factors) or {}
+        factors = {n: factor for n, factor in factors.items() if n in structure.effects}
+        problem, log_prior = Problem(layout, self.record, factors), self.log_prior(structure)
         # A structure that far behind needs no exact evidence.
         min_log_posterior = self.best.log_posterior - COARSE_NATS if self.visited else -math.inf
         coarse_below = min_log_posterior - log_prior
@@ -317,8 +320,7 @@ class Structures:
             first_mode = find_mode(problem, xtol=XTOL_SD, coarse_below=coarse_below)
         else:
             source, mode = neighbour.problem, neighbour.mode
-            coordinates = transfer_coordinates(problem, source, mode)
-            points = starting_points(problem, source, coordinates, known_starts)
+            points = starting_points(problem, source, mode, known_starts)
             x, curvature = problem.map_x(source, mode.x), None
             if self.record.nodes(problem.noise) is None:
                 # The neighbour's mode is exact if it was not found coarsely.
@@ -334,14 +336,6 @@ class Structures:
         if fit.has_unnamed_noise:
             fit = replace(fit, log_prior=log_prior + math.log(UNNAMED_PRIOR_SHARE))
         return fit
-
-    def _bind_structure(self, structure, neighbour: EvaluatedStructure | None) -> Problem:
-        """Bind a structure to the record, its prior scales as in a neighbour."""
-        # A fit with the prior scales of its neighbour starts near its mode; `average_over_scales` tries the others.
-        factors = (neighbour and neighbour.problem.size_factors) or {}
-        factors = {n: factor for n, factor in factors.items() if n in structure.effects}
-        layout = replace(self.layout, model=self.build_model(structure))
-        return Problem(layout, self.record, factors)
 
     def unnamed_effects(self, structure: Structure) -> frozenset[str]:
         """Return the unnamed effects of a structure, such as curves."""
@@ -360,27 +354,22 @@ class Structures:
         substantial_names = set[str]()
         for name in self.unnamed_effects(fit.structure):
             linear = self.linearise(fit)
-            is_own = np.array([owner == name for owner in linear.owners])
             contribution = linear.whiten(linear.contribution(name)[:, None])[:, 0]
-            residual = linear.deflate(contribution, ~is_own)
+            # Ridge regression of the contribution c on the other columns: (AᵀA + W)⁻¹Aᵀc, prior standard deviations.
+            is_other = np.array([owner != name for owner in linear.owners])
+            columns, shift = linear.white_nuisance[:, is_other], np.zeros(is_other.size)
+            precision = columns.T @ columns + np.diag(linear.weight[is_other])
+            solution = np.linalg.lstsq(precision, columns.T @ contribution, 1e-12)[0]
+            shift[is_other] = solution * linear.sd[is_other]
+            residual = contribution - columns @ solution
             ratio = math.sqrt(float(residual @ residual) / linear.size)
-            if ratio > MAX_UNNAMED_RMS or self._shifts_coefficients(linear, is_own, contribution):
+            single = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
+            ungrouped = (t.x_slice.start for t in single if t.effect.weights is None)
+            if ratio > MAX_UNNAMED_RMS or any(
+                abs(shift[i]) > linear.uncertainty(i) for i in ungrouped
+            ):
                 substantial_names.add(name)
         return frozenset(substantial_names)
-
-    def _shifts_coefficients(
-        self, linear: LinearModel, is_own: np.ndarray, white: Float[np.ndarray, "n"]
-    ) -> bool:
-        """Return whether a named effect's coefficient would shift beyond its uncertainty without a contribution."""
-        other_indices = np.flatnonzero(~is_own)
-        columns = linear.white_nuisance[:, other_indices]
-        inner = columns.T @ columns + np.diag(linear.weight[other_indices])
-        # Ridge regression of the contribution c on the other columns: (AᵀA + W)⁻¹Aᵀc, prior standard deviations.
-        shift, solution = np.zeros(len(is_own)), np.linalg.lstsq(inner, columns.T @ white, 1e-12)[0]
-        shift[other_indices] = solution * linear.sd[other_indices]
-        single = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
-        ungrouped = (t.x_slice.start for t in single if t.effect.weights is None)
-        return any(abs(shift[i]) > linear.uncertainty(i) for i in ungrouped)
 
     def clear_cache(self) -> None:
         """Drop cached columns, Jacobians and the structures over block means; they are recomputed on demand."""
@@ -414,17 +403,6 @@ class Structures:
         return max(self.visited.values(), key=lambda w: w.log_posterior)
 
 
-def transfer_coordinates(problem: Problem, source: Problem, mode: Mode) -> dict[str, float]:
-    """Return the mode φ̂ of a source problem by name, in the coordinates of a target problem's priors."""
-    coordinates, source_index = {}, source.layout.index_in_phi
-    for hyper in problem.hypers:
-        if (j := source_index.get(hyper.name)) is not None:
-            prior, other, v = hyper.prior, source.hypers[j].prior, mode.v[j]
-            v = v if prior == other else prior.coordinate(other.value(v))
-            coordinates[hyper.name] = float(v)
-    return coordinates
-
-
 def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> HessianGuess | None:
     """Map the Hessian at the mode of a source problem to a target problem, in the coordinates that they share."""
     if not np.all(np.isfinite(mode.covariance)):
@@ -441,26 +419,25 @@ def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> H
 
 
 def starting_points(
-    problem: Problem,
-    neighbour: Problem,
-    coordinates: Mapping[str, float],
-    starts: Sequence[Mapping[str, float]],
+    problem: Problem, source: Problem, mode: Mode, starts: Sequence[Mapping[str, float]]
 ) -> list[Float[np.ndarray, "d"]]:
-    """Return starting coordinates: the neighbour's (`transfer_coordinates`), given starts, and others along shapes."""
-    names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in neighbour.hypers}
-    base = {n: coordinates.get(n, 0.0) for n in names}
-    known_starts = ({n: v for n, v in start.items() if n in names} for start in starts)
-    points = [base, *({**base, **start} for start in known_starts)]
+    """Return starting coordinates of φ: the mode of a source problem, changed to given starts, and along shapes."""
+    base, others = dict[str, float](), dict[str, tuple[float, ...]]()
     for h in problem.hypers:
         # Shapes are tried to either side; a new spread or noise parameter below and above its scale.
-        offsets: tuple[float, ...] = ()
-        if h.kind == "shape" and h.name in coordinates:
-            has_same_prior = h.prior == priors[h.name]
-            offsets = (base[h.name] - 1.0, base[h.name] + 1.0) if has_same_prior else (0.0,)
-        elif h.kind in ("group_sd", "noise") and h.name not in coordinates:
-            offsets = (-1.5, 1.0)
-        points += [{**base, h.name: v} for v in offsets]
-    return [np.array([start[n] for n in names]) for start in points]
+        if (i := source.layout.index_in_phi.get(h.name)) is None:
+            base[h.name] = 0.0
+            others[h.name] = (-1.5, 1.0) if h.kind in ("group_sd", "noise") else ()
+        elif (prior := source.hypers[i].prior) == h.prior:
+            v = base[h.name] = float(mode.v[i])
+            others[h.name] = (v - 1.0, v + 1.0) if h.kind == "shape" else ()
+        else:
+            base[h.name] = float(h.prior.coordinate(prior.value(mode.v[i])))
+            others[h.name] = (0.0,) if h.kind == "shape" else ()
+    known_starts = ({n: v for n, v in start.items() if n in base} for start in starts)
+    points = [base, *({**base, **start} for start in known_starts)]
+    points += [{**base, name: v} for name, values in others.items() for v in values]
+    return [np.array([*point.values()]) for point in points]
 
 
 def has_prior_scale(effect: Effect) -> bool:
@@ -482,25 +459,20 @@ def average_over_scales(
         coarse_below: log density below which no new mode is found for other scales.
     """
     initial = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in effects}
-    scales = ScaleEvidence.from_mode(problem, mode, initial)
-    if scales is None:
+    if (scales := ScaleEvidence.from_mode(problem, mode, initial)) is None:
         return problem, mode, -math.inf
     factors = scales.most_probable_factors()
-    log_change = scales.evidence_change(factors)
-    if mode.log_density + log_change < coarse_below:
-        log_evidence = mode.log_evidence + log_change
-    else:
-        if factors != initial:
-            problem = Problem(problem.layout, problem.record, dict(factors))
-            curvature = map_hessian(problem, problem, mode, True)
-            mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, guess=curvature)
-            scales = ScaleEvidence.from_mode(problem, mode, factors)
-            if scales is None:
-                return problem, mode, -math.inf
-            log_change = scales.evidence_change(factors)
-        log_evidence = mode.log_evidence
+    is_coarse = mode.log_density + scales.evidence_change(factors) < coarse_below
+    if factors != initial and not is_coarse:
+        problem = Problem(problem.layout, problem.record, factors)
+        curvature = map_hessian(problem, problem, mode, True)
+        mode = find_mode(problem, [mode.v], mode.x, XTOL_SD, guess=curvature)
+        if (scales := ScaleEvidence.from_mode(problem, mode, factors)) is None:
+            return problem, mode, -math.inf
     # Sum over the scales of one effect, the others at their most probable, as if ratios of evidence multiplied. They
     # do where effects do not overlap; where effects overlap, one of them mostly sets the scale of the other.
+    log_change = scales.evidence_change(factors)
+    log_evidence = mode.log_evidence + log_change
     for name in factors:
         log_changes = [*scales.changes_along(name, factors).values()]
         log_evidence += float(np.logaddexp.reduce(log_changes)) - log_change
