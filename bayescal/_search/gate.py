@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -19,39 +18,33 @@ WORSE = "step.predicts_worse"
 
 
 def assess_last(steps: Sequence[Step]) -> Gate:
-    """Return whether the last model is fit for use, with all reasons if it is not."""
-    if reasons := list_reasons(steps):
+    """Return whether the last model is fit for use, with all reasons if it is not, those of earlier checks first."""
+    last = steps[-1]
+    claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
+    earlier_claims = (as_claim(w) for w in last.calibration.verdict.against if w not in claims)
+    if reasons := (*dict.fromkeys(earlier_claims), *claims):
         return Gate(False, " ".join(reasons), reasons)
     # With fewer readings no correlation reaches the limit, in standard deviations.
-    if len(steps[-1].calibration.readings) < int(limit("noise.correlated", "z") ** 2) + 1:
+    if len(last.calibration.readings) < int(limit("noise.correlated", "z") ** 2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
 
-def list_reasons(steps: Sequence[Step]) -> tuple[Claim, ...]:
-    """Return the reasons why the last model is not fit for use, those of earlier checks first."""
-    last = steps[-1]
-    claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
-    earlier_claims = (w for w in last.calibration.verdict.against if w not in claims)
-    return (*dict.fromkeys(map(as_claim, earlier_claims)), *claims)
-
-
 def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
-    last_step, first_model = steps[-1], steps[0].calibration.model
-    fields: dict[str, Any] = {n: getattr(last_step, n) for n in ("check", "leave_one_group_out")}
-    fields |= {"mode_claims": last_step.multimodality, "remedy": _choose_remedy(last_step)}
-    subject = judgement.Subject(last_step.calibration, **fields, first_model=first_model)
-    replaced_claims = [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
-    return [
-        *(*last_step.outlying_groups, *judgement.residual_claims(subject)),
-        *(*undecided_claims(steps), *equivalent_claims(steps, "doubt")),
-        *(*judgement.thermometer_anomalies(subject), *replaced_claims, *worsened_claims(steps)),
-        *(
-            *judgement.outlying_groups(subject),
-            *unlike_run_claims(steps),
-            *contradicted_claims(steps),
-        ),
-    ]
+    last = steps[-1]
+    subject = judgement.Subject(
+        last.calibration,
+        check=last.check,
+        leave_one_group_out=last.leave_one_group_out,
+        mode_claims=last.multimodality,
+        first_model=steps[0].calibration.model,
+        remedy=_choose_remedy(last),
+    )
+    claims = [*last.outlying_groups, *judgement.residual_claims(subject), *undecided_claims(steps)]
+    claims += [*equivalent_claims(steps, "doubt"), *judgement.thermometer_anomalies(subject)]
+    claims += [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
+    claims += [*worsened_claims(steps), *judgement.outlying_groups(subject)]
+    return [*claims, *unlike_run_claims(steps), *contradicted_claims(steps)]
 
 
 def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:

@@ -16,7 +16,6 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from bayescal._core.renamed import renamed
-from bayescal._inference.density import Density
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import Scorer
@@ -212,24 +211,15 @@ def _distinct(v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 def _score_shape(library: Library, fit: EvaluatedStructure, name: str) -> Float[np.ndarray, "k"]:
     """Return an effect's log Bayes factor, up to a constant, from its score at each grid point of its shape.
 
-    An effect that corrects a column has no score: its log density over the shape is used instead, other φ fixed.
+    An effect that corrects a column has no score: the log density of φ without the prior of its shape is used instead,
+    other φ fixed.
     """
     if name not in library.points:
-        shape = library.structures.candidates[name].column_shapes[0]
-        return _log_density_along(fit, name, shape.prior.value(library.grids[name][:, 0]))
+        candidate_shape = library.structures.candidates[name].column_shapes[0]
+        shape = fit.model.effect(name).column_shapes[0]
+        values = candidate_shape.prior.value(library.grids[name][:, 0])
+        v = np.array([shape.prior.coordinate(float(value)) for value in values])
+        log_prior = np.asarray(shape.prior.log_density(v))
+        return fit.log_density_along(f"{name}.{shape.name}", v) - log_prior
     scored = Scorer(library, fit).reduced_model(name).score_candidates([name])[name]
     return np.array([s.log_bayes_factor for s in sorted(scored, key=lambda s: s.point.block.start)])
-
-
-def _log_density_along(
-    fit: EvaluatedStructure, name: str, values: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
-    """Return the log density of φ, without the prior of an effect's single shape, at values of it; other φ fixed."""
-    effect_shape = fit.model.effect(name).column_shapes[0]
-    coordinates = np.array([effect_shape.prior.coordinate(float(value)) for value in values])
-    index = fit.problem.layout.index_in_phi[f"{name}.{effect_shape.name}"]
-    vs = np.tile(fit.mode.v, (len(coordinates), 1))
-    vs[:, index] = coordinates
-    prior = np.asarray(effect_shape.prior.log_density(coordinates))
-    density = Density(fit.problem, fit.mode.x, fit.mode.flat, fit.mode.v)
-    return density.values(vs) - prior

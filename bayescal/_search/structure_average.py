@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import starmap
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
-from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.problem import ZERO_SD_COORDINATE
@@ -89,17 +89,13 @@ def _run_spreads(
     names &= calibration.model.instrument.known.keys()  # others cannot be looked up by name
     for name, effect in structures.candidates.items():
         p_absent = 1 - calibration.inclusion.get(name, 0.0)
-        has_spread = effect.coefficients[0].group_sd is not None
-        if p_absent and has_spread and name in names and effect.columns == ("run",):
+        prior = effect.coefficients[0].group_sd
+        if p_absent and prior is not None and name in names and effect.columns == ("run",):
             fit = structures.evaluate(structure.with_effects(name))
-            problem, mode = fit.problem, fit.mode
-            index = problem.layout.index_in_phi[effect.group_sd_name(0)]
-            points = np.tile(mode.v, (len(LOG_SPREADS), 1))
-            points[:, index] = LOG_SPREADS
-            density = Density(problem, mode.x, mode.flat, mode.v)
-            log_density = density.values(points) - LOG_SPREADS  # prior density 1/τ
+            log_density = fit.log_density_along(effect.group_sd_name(0), LOG_SPREADS)
+            log_density = log_density - LOG_SPREADS  # prior density 1/τ
             weight = np.exp(log_density - log_density.max())
-            squares = problem.hypers[index].prior.value(LOG_SPREADS) ** 2
+            squares = prior.value(LOG_SPREADS) ** 2
             spreads[name] = float(np.sqrt(p_absent * (weight @ squares) / weight.sum()))
     return {name: size for name, size in spreads.items() if np.isfinite(size)}
 
@@ -113,7 +109,7 @@ def average_models(
     last_effects = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
-    random, draws_by_structure, models = np.random.default_rng(seed), [], []
+    random, parts = np.random.default_rng(seed), list[tuple[Model, _Values]]()
     with stage("averaging over structures"):
         for share in shares:
             deadline.current().ask()
@@ -122,13 +118,12 @@ def average_models(
                 # The last structure was sampled already: take from its draws, without repetition if there are enough.
                 x, v = last.draws()
                 indices = random.choice(len(x), count, replace=count > len(x))
-                draws_by_structure.append(_draws_by_name(last.layout, x[indices], v[indices]))
-                models.append(last.model)
-                continue
-            fit = structures.evaluate(Structure(frozenset(share.effects), noise))
-            draws_by_structure.append(_draw_structure(fit, count, share.probability, seed))
-            models.append(fit.sized_model)
-    mixture = _combine_draws(last, _union_model(structures, models), models, draws_by_structure)
+                parts.append((last.model, _draws_by_name(last.layout, x[indices], v[indices])))
+            else:
+                fit = structures.evaluate(Structure(frozenset(share.effects), noise))
+                draws = _draw_structure(fit, count, share.probability, seed)
+                parts.append((fit.sized_model, draws))
+    mixture = _combine_draws(last, _union_model(structures, [model for model, _ in parts]), parts)
     texts = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
     note = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(texts)}."
     mixture = mixture.with_verdict(notes=(*last.verdict.notes, note))
@@ -155,7 +150,7 @@ def add_latent_effects(
     latent_covariance = covariance[np.ix_(is_latent, is_latent)]
     # Regression coefficients of each unknown on the latent effects: its shift per unit.
     regression = np.linalg.solve(latent_covariance, covariance[is_latent]) * linear.sd
-    by_name = {b.name: regression[:, b.start : b.start + b.size] for b in layout.x_blocks}
+    by_name = {b.name: regression[:, b.x_slice] for b in layout.x_blocks}
     hypers = ((layout.hypers[i].name, layout.size + k) for k, i in enumerate(layout.nonlinear_phi))
     by_name |= {name: regression[:, column] for name, column in hypers}
 
@@ -173,7 +168,7 @@ def add_latent_effects(
         for b in extended.layout.x_blocks:
             if b.name in by_name:
                 mask = 1.0 if b.effect.name in latent else inclusion[b.effect.name][:, None]
-                x[:, b.start : b.start + b.size] += mask * (values @ by_name[b.name])
+                x[:, b.x_slice] += mask * (values @ by_name[b.name])
         for name in by_name.keys() & extended.layout.index_in_phi:
             v[:, extended.layout.index_in_phi[name]] += values @ by_name[name]
         mode = _average_mode(calibration, extended.layout, x, v)
@@ -186,7 +181,7 @@ def add_latent_effects(
 def _extend_model(calibration: Calibration, model: Model) -> Calibration:
     """Return a calibration of a model with further effects, which are zero in all draws."""
     draws = _draws_by_name(calibration.layout, *calibration.draws())
-    return _combine_draws(calibration, model, [calibration.model], [draws], shuffled=False)
+    return _combine_draws(calibration, model, [(calibration.model, draws)], shuffled=False)
 
 
 def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
@@ -243,36 +238,37 @@ def _union_model(structures: Structures, models: Sequence[Model]) -> Model:
 def _combine_draws(
     last: Calibration,
     model: Model,
-    models: Sequence[Model],
-    parts: Sequence[_Values],
+    parts: Sequence[tuple[Model, _Values]],
     shuffled: bool = True,
 ) -> Calibration:
-    """Combine the draws of all structures as draws of one model, in random order if `shuffled`."""
+    """Combine the draws of several models as draws of one with all their effects, in random order if `shuffled`."""
     # Groups of labels that another structure has and the last model lacks.
     new_groups = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
     members = tuple((group, len(names)) for group, names in new_groups.items())
     layout = replace(last.layout, model=model, counts=(*last.layout.counts, *members), promoted=())
-    counts = [len(next(iter(part.values()))) for part in parts]
-    total = sum(counts)
-    # An effect that a structure lacks has the coefficient zero in its draws, not its prior's mean.
-    x, v = np.zeros((total, layout.size)), np.full((total, len(layout.hypers)), np.nan)
-    for member, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
-        rows = slice(end - count, end)
+
+    def in_layout(member: Model, draws: _Values) -> tuple[np.ndarray, np.ndarray]:
+        # An effect that a structure lacks has the coefficient zero in its draws, not its prior's mean.
+        count = len(next(iter(draws.values())))
+        x, v = np.zeros((count, layout.size)), np.full((count, len(layout.hypers)), np.nan)
         for b in layout.x_blocks:
-            if b.name in part:
-                x[rows, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
+            if b.name in draws:
+                x[:, b.x_slice] = draws[b.name].reshape(count, -1) - b.origin
             elif b.index in b.effect.constant_indices and b.effect.name in member.names:
-                x[rows, b.start] = b.coefficient.mean
+                x[:, b.start] = b.coefficient.mean
         for i, h in enumerate(layout.hypers):
-            if h.name in part:
-                v[rows, i] = h.prior.coordinate(part[h.name])
+            if h.name in draws:
+                v[:, i] = h.prior.coordinate(draws[h.name])
+        return x, v
+
+    x, v = map(np.concatenate, zip(*starmap(in_layout, parts), strict=True))
     # Shapes and spreads of absent effects have no influence: the median leaves summaries unchanged.
     spreads = {b.group_sd_name for b in layout.blocks}
     for values, h in zip(v.T, layout.hypers, strict=True):
         fill_value = ZERO_SD_COORDINATE if h.name in spreads else np.nanmedian(values)
         values[np.isnan(values)] = fill_value
-    order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
-    order = order[: CHAINS * (total // CHAINS)]
+    order = np.random.default_rng(last.seed).permutation(len(x)) if shuffled else np.arange(len(x))
+    order = order[: CHAINS * (len(x) // CHAINS)]
     return replace(
         last,
         model=model,
@@ -287,7 +283,7 @@ def _combine_draws(
 def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
     """Return the expansion point of the average: means of the draws of x, medians of φ."""
     blocks = last.layout.x_blocks
-    scales = {b.name: last.mode.flat[b.start : b.start + b.size] for b in blocks}
+    scales = {b.name: last.mode.flat[b.x_slice] for b in blocks}
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     medians = np.median(v, axis=0)
     # Absent spreads have the coordinate −30, which must not count in its variance.

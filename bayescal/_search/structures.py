@@ -113,6 +113,13 @@ class EvaluatedStructure:
         corrections = (c for t in self.problem.terms for c in t.columns.corrections)
         return {c: tuple(phi[n] for n in c.shape_names) for c in corrections}
 
+    def log_density_along(self, name: str, v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+        """Return the log density of φ with one entry, by name, at coordinates v, and all others at the mode."""
+        points = np.tile(self.mode.v, (len(v), 1))
+        points[:, self.problem.layout.index_in_phi[name]] = v
+        density = Density(self.problem, self.mode.x, self.mode.flat, self.mode.v)
+        return density.values(points)
+
     @property
     def sized_model(self) -> Model:
         """Return the model with the most probable prior scales of the instrument's own effects."""
