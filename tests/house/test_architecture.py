@@ -236,7 +236,7 @@ CEILINGS = {
     "bayescal/_inference": 6_020,
     "bayescal/_calibration": 4_476,
     "bayescal/_use": 2_808,
-    "bayescal/_search": 5_678,
+    "bayescal/_search": 5_636,
     "bayescal/_report": 1_668,
     "bayescal/_cli": 1_675,
     "bayescal/_annexes/fleet": 1_684,
