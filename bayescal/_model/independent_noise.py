@@ -89,7 +89,10 @@ class Heteroscedastic(Noise):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return columns_for(self.column)
+        if self.column == "elapsed":
+            return ("time",)
+        base_column = strip_rate(self.column)
+        return (base_column,) if base_column == self.column else (base_column, "time")
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -135,24 +138,12 @@ class Heteroscedastic(Noise):
         return (values[WHITE] * relative_scatter(values, place)) ** 2
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
-        if not self.proportional:
-            return scatter_variance(parameters, frame, self.column)
-        base_variance = white_variance(parameters, frame)
-        return base_variance + (parameters[PROPORTIONAL] * self._scale_column(frame)) ** 2
-
-
-def columns_for(column: str) -> tuple[str, ...]:
-    """Return the columns of the readings that a covariate is computed from: a column, "elapsed" or a rate."""
-    if column == "elapsed":
-        return ("time",)
-    base_column = strip_rate(column)
-    return (base_column,) if base_column == column else (base_column, "time")
-
-
-def scatter_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
-    """Return each reading's white variance under the log-linear law of `Heteroscedastic`, output unit squared."""
-    relative_sd = relative_scatter(parameters, scale_covariate(frame, column))
-    return white_variance({WHITE: parameters[WHITE] * relative_sd}, frame)
+        position = self._scale_column(frame)
+        if self.proportional:
+            return white_variance(parameters, frame) + (parameters[PROPORTIONAL] * position) ** 2
+        return white_variance(
+            {WHITE: parameters[WHITE] * relative_scatter(parameters, position)}, frame
+        )
 
 
 def scale_covariate(frame: Frame, column: str) -> Float[Array, "n"]:

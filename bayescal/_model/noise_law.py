@@ -27,12 +27,14 @@ from bayescal._core.renamed import renamed
 from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
+from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.prior import KINDS, Positive
 from bayescal._model.static import static
 
 Parameters = Mapping[str, Any]  # values by name, in their units
 WHITE = "noise.white"  # standard deviation of the white noise, output unit
 LOG_2PI = math.log(2 * math.pi)
+AVERAGING_TIMES = np.geomspace(0.1, 0.5, 9)  # for Allan deviations, in lengths of the longest run
 
 
 @renamed(known="registry")
@@ -65,8 +67,6 @@ class Noise(abc.ABC):
     words: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     refines: ClassVar[str] = ""
-    several_states: ClassVar[bool] = False  # whether the Kalman filter has more than one state
-    stationary: ClassVar[bool] = False  # has a power spectrum on evenly spaced readings
 
     # Class name, as saved in calibration files → class.
     registry: ClassVar[dict[str, type[Noise]]] = {}
@@ -89,6 +89,11 @@ class Noise(abc.ABC):
         """Return whether the law named `law` or `law(column)` has correlated readings."""
         law = name.partition("(")[0]
         return any(k.law == law and not k.independent for k in Noise.registry.values())
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """Return the terms of correlated noise (`NoiseTerm`) that are added to independent noise."""
+        return ()
 
     # names, parameters and required columns ---------------------------------------------------------------------
 
@@ -136,7 +141,8 @@ class Noise(abc.ABC):
 
     def derived(self, values: Parameters) -> dict[str, Any]:
         """Return quantities derived from the parameters, by name, output unit."""
-        return {}
+        arrays = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
+        return {n: value for part in self.parts for n, value in part.derived(arrays).items()}
 
     # computations in JAX ----------------------------------------------------------------------------------------
 
@@ -216,19 +222,44 @@ class Noise(abc.ABC):
     def allan_variance(
         self, values: Parameters, variance: Any, factors: Float[np.ndarray, "k"], step: float
     ) -> Float[np.ndarray, "... k"]:
-        """Return the Allan variance of evenly spaced readings, output unit squared; σ²/m where they are independent.
+        """Return the Allan variance of evenly spaced readings, output unit squared: σ²/m, plus that of each part.
 
         variance: of a reading about the expected output. factors: averaging factors m. step: time between readings, s.
         """
-        return np.asarray(variance)[..., None] / factors
+        phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
+        slow_variance = np.asarray(self.slow_variance(phi), float)
+        white = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
+        return white / factors + sum(p.allan(phi, factors, step) for p in self.parts)
 
     def slow_variance(self, values: Parameters) -> Any:
         """Return the variance of the correlated part of the noise, output unit squared."""
-        return 0.0
+        return sum((part.variance(values) for part in self.parts), 0.0)
 
     def lasting_deviation(self, values: Parameters) -> float:
         """Return the largest Allan deviation of the correlated part over 0.1 to 0.5 of the longest run, output unit."""
-        return 0.0
+        if not self.parts:
+            return 0.0
+        step = self.parts[0].shortest
+        factors = self.parts[0].longest / step * AVERAGING_TIMES
+        phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
+        allan = self.allan_variance(phi, self.slow_variance(phi), factors, step)
+        return float(np.sqrt(np.max(allan)))
+
+    @property
+    def several_states(self) -> bool:
+        """Return whether the Kalman filter has more than one state."""
+        return len(self.parts) > 1
+
+    @property
+    def stationary(self) -> bool:
+        """Return whether the noise has a power spectrum on evenly spaced readings."""
+        return bool(self.parts) and not self.covariates
+
+    def spectrum(
+        self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
+    ) -> list[SpectralTerm]:
+        """Return the cosine transforms of the parts' covariances, for readings `step` seconds apart; values (s, 1)."""
+        return [t for p in self.parts for t in p.spectrum(values, step, lam)]
 
     def slow_part(
         self,

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,24 +52,17 @@ def transform_end(n: int, sign: int) -> Float[np.ndarray, "n"]:
     return np.where(k % 2 == (0 if sign == 1 else 1), math.sqrt(2) * first, 0.0)
 
 
-def exponential(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the transformed covariance of an Ornstein–Uhlenbeck process of correlation exp(−Δt/time)."""
-    x = -step / np.asarray(time)
+def exponential(variance: Any, rate: Any, step: float, lam: Lambda) -> SpectralTerm:
+    """Return the transformed covariance of a process of correlation Re exp(−rate·Δt); complex: a narrow line."""
+    x = -np.asarray(rate) * step
     symbol = variance * _compute_symbol(x, lam)
-    m = partial(_compute_end_coefficient, variance, x)
-    return SpectralTerm(symbol, (symbol,), lambda n, sign: m(n, sign)[None, None])
-
-
-def tone(variance: Any, time: Any, frequency: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the transformed covariance of a narrow spectral line, of correlation exp(−Δt/time)·cos(2πf·Δt)."""
-    x = -step / np.asarray(time) + 2j * math.pi * np.asarray(frequency) * step
-    symbol = variance * _compute_symbol(x, lam)
+    count = 2 if np.iscomplexobj(x) else 1
 
     def correction(n: int, sign: int) -> Any:
         m = _compute_end_coefficient(variance, x, n, sign)
-        return np.array([[m.real, -m.imag], [-m.imag, -m.real]])
+        return np.array([[m.real, -m.imag], [-m.imag, -m.real]])[:count, :count]
 
-    return SpectralTerm(symbol.real, (symbol.real, symbol.imag), correction)
+    return SpectralTerm(symbol.real, (symbol.real, symbol.imag)[:count], correction)
 
 
 def _compute_symbol(x: Any, lam: Lambda) -> Any:

@@ -10,7 +10,7 @@ import abc
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -45,55 +45,49 @@ WALK_LIMIT = 1e-5
 FLICKER_FLOOR = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
-class Bounds(NamedTuple):
-    """Correlation times that a record can resolve, and the prior of a correlated term's standard deviation."""
+@static
+class NoiseTerm(abc.ABC):
+    """One term of a noise sum, on a record.
 
-    shortest: float  # correlation time, s: the median step
-    longest: float  # correlation time, s: the longest run
-    correlated: Positive  # prior of a correlated term's standard deviation, output unit
-    column: str = ""  # covariate of a tone's frequency; empty: constant frequency
+    Attributes:
+        shortest, longest: correlation times that the record can resolve, s: the median step and the longest run.
+        correlated: prior of a correlated term's standard deviation, output unit.
+        column: covariate of a tone's frequency; empty: constant frequency.
+    """
 
-    @property
-    def geometric_mean(self) -> float:
-        return math.sqrt(self.shortest * self.longest)
+    shortest: float
+    longest: float
+    correlated: Positive
+    column: str
+    label: ClassVar[str]  # name in printed text
+    needs_bounds: ClassVar[bool] = False  # whether its states depend on `shortest` or `longest`
 
     @property
     def diffusion(self) -> Positive:
         """Return the prior of the coefficient q for which q·√(τ/2) has the prior `correlated`, τ the geometric mean."""
-        return scale_prior(self.correlated, math.sqrt(2 / self.geometric_mean))
-
-
-@static
-class NoiseTerm(abc.ABC):
-    """One term of a noise sum; in `units`, parameter name → unit, "{}" stands for the output unit."""
-
-    label: ClassVar[str]  # name in printed text
-    units: ClassVar[Mapping[str, str]] = {}
-    needs_bounds: ClassVar[bool] = False  # whether its states depend on the bounds of the record
+        mean_time = math.sqrt(self.shortest * self.longest)
+        return scale_prior(self.correlated, math.sqrt(2 / mean_time))
 
     @abc.abstractmethod
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        """Return the prior of each parameter, by name; the first parameter is the amplitude."""
-
-    def unit(self, name: str, output: str) -> str:
-        return self.units.get(name, "{}").format(output)
+    def parameters(self) -> dict[str, tuple[Any, str]]:
+        """Return prior and unit of each parameter, the amplitude first; "{}" stands for the output unit."""
 
     @abc.abstractmethod
-    def block(self, values: Values, bounds: Bounds, h: Float[Array, "n"]) -> Block:
+    def block(self, values: Values, h: Float[Array, "n"]) -> Block:
         """Return the state-space form over time steps h, s; `values` includes the covariate scaled to −1 … 1 (n,)."""
 
     @abc.abstractmethod
-    def variance(self, values: Values, bounds: Bounds) -> Any:
+    def variance(self, values: Values) -> Any:
         """Return the stationary variance of the term, output unit squared."""
 
     def spectrum(
-        self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
+        self, values: Values, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
         """Return the cosine transform of the covariance of readings `step` seconds apart, at eigenvalues `lam`."""
         raise NotImplementedError(f"{self.label} noise has no spectrum here")
 
     @abc.abstractmethod
-    def allan(self, values: Values, bounds: Bounds, m: Float[np.ndarray, "k"], step: float) -> Any:
+    def allan(self, values: Values, m: Float[np.ndarray, "k"], step: float) -> Any:
         """Return the Allan variance at averaging factors m of readings `step` seconds apart; values (…, 1)."""
 
     def starts(
@@ -105,32 +99,32 @@ class NoiseTerm(abc.ABC):
         """Return starting points of the optimisation, estimated from residuals; z: covariate scaled to −1 … 1."""
         return [{}]
 
-    def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
+    def derived(self, values: Values) -> dict[str, Any]:
         """Return quantities computed from the parameters, such as a standard deviation, by name."""
         return {}
 
 
 class ExponentialTerm(NoiseTerm):
-    """A sum of independent Ornstein–Uhlenbeck processes."""
+    """A sum of independent processes of exponential correlation: Ornstein–Uhlenbeck, or a narrow spectral line."""
 
     @abc.abstractmethod
-    def processes(self, values: Values, bounds: Bounds) -> list[tuple[Any, Any]]:
-        """Return the variance, output unit squared, and the correlation time, s, of each process."""
+    def processes(self, values: Values) -> list[tuple[Any, Any]]:
+        """Return the variance, output unit squared, and the rate, 1/s, of each: its correlation is Re exp(−rate·Δt)."""
 
-    def variance(self, values, bounds):
-        return sum(variance for variance, _ in self.processes(values, bounds))
+    def variance(self, values):
+        return sum(variance for variance, _ in self.processes(values))
 
-    def block(self, values, bounds, h):
-        variances, times = map(jnp.asarray, zip(*self.processes(values, bounds), strict=True))
-        return exponential_block(times, variances, h)
+    def block(self, values, h):
+        variances, rates = map(jnp.asarray, zip(*self.processes(values), strict=True))
+        return exponential_block(1 / rates, variances, h)
 
-    def spectrum(self, values, bounds, step, lam):
-        processes = self.processes(values, bounds)
-        return [noise_spectrum.exponential(variance, t, step, lam) for variance, t in processes]
+    def spectrum(self, values, step, lam):
+        pairs = self.processes(values)
+        return [noise_spectrum.exponential(variance, rate, step, lam) for variance, rate in pairs]
 
-    def allan(self, values, bounds, m, step):
-        processes = self.processes(values, bounds)
-        return sum(variance * allan_of_exponential(m, step / time) for variance, time in processes)
+    def allan(self, values, m, step):
+        pairs = self.processes(values)
+        return sum(variance * allan_of_exponential(m, step * rate).real for variance, rate in pairs)
 
 
 @static
@@ -148,54 +142,49 @@ class CorrelatedTerm(ExponentialTerm):
             return {"diffusion": DIFFUSION, "time": CORRELATION_TIME, "size": CORRELATED}[quantity]
         return f"noise.correlated{rank or self.rank}.{quantity}"
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        priors: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
+    def parameters(self):
+        amplitude = {self._name("diffusion"): (self.diffusion, "{}/s^0.5")}
         if self.rank < 2:
-            return {**priors, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
-        return {**priors, self._name("place"): Normal(0.0, 1.0)}
+            return amplitude | {self._name("time"): (LogUniform(self.shortest, self.longest), "s")}
+        return amplitude | {self._name("place"): (Normal(0.0, 1.0), "1")}
 
-    def unit(self, name: str, output: str) -> str:
-        units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
-        return units.get(name, "1")
-
-    def time(self, values: Values, bounds: Bounds) -> Any:
+    def time(self, values: Values) -> Any:
         """Return the correlation time, s."""
         time = values[self._name("time", 1)]
         for rank in range(2, self.rank + 1):
             v = values[self._name("place", rank)]
             # log τ = (1 − u)·log τ' + u·log longest, with u = Φ(v) uniform for standard normal v.
             fraction = special_functions(v).ndtr(v)
-            time = time ** (1 - fraction) * bounds.longest**fraction
+            time = time ** (1 - fraction) * self.longest**fraction
         return time
 
-    def processes(self, values, bounds):
-        time = self.time(values, bounds)
-        return [(0.5 * values[self._name("diffusion")] ** 2 * time, time)]
+    def processes(self, values):
+        time = self.time(values)
+        return [(0.5 * values[self._name("diffusion")] ** 2 * time, 1 / time)]
 
     @property
     def needs_bounds(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.rank > 1
 
-    def derived(self, values, bounds):
-        size = {self._name("size"): np.sqrt(self.variance(values, bounds))}
-        return size if self.rank < 2 else {**size, self._name("time"): self.time(values, bounds)}
+    def derived(self, values):
+        size = {self._name("size"): np.sqrt(self.variance(values))}
+        return size if self.rank < 2 else {**size, self._name("time"): self.time(values)}
 
 
 class RandomWalkTerm(ExponentialTerm):
     """A random walk (IEEE 952: rate random walk, K), approximated by a stationary process of long correlation time."""
 
     label: ClassVar[str] = "random walk"
-    units: ClassVar[Mapping[str, str]] = {"noise.walk": "{}/s^0.5"}
     needs_bounds: ClassVar[bool] = True
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {"noise.walk": bounds.diffusion}
+    def parameters(self):
+        return {"noise.walk": (self.diffusion, "{}/s^0.5")}
 
     # An Ornstein–Uhlenbeck process of correlation time 30 record lengths: stationary, and within the record a random
     # walk of coefficient K, since K² = 2·σ²/τ.
-    def processes(self, values, bounds):
-        time = WALK_TIME_SPANS * bounds.longest
-        return [(0.5 * values["noise.walk"] ** 2 * time, time)]
+    def processes(self, values):
+        time = WALK_TIME_SPANS * self.longest
+        return [(0.5 * values["noise.walk"] ** 2 * time, 1 / time)]
 
 
 class FlickerTerm(ExponentialTerm):
@@ -209,20 +198,20 @@ class FlickerTerm(ExponentialTerm):
     label: ClassVar[str] = "flicker"
     needs_bounds: ClassVar[bool] = True
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {"noise.flicker": bounds.correlated}
+    def parameters(self):
+        return {"noise.flicker": (self.correlated, "{}")}
 
-    def times(self, bounds: Bounds) -> Float[np.ndarray, "k"]:
+    def times(self) -> Float[np.ndarray, "k"]:
         """Return the correlation times, s: from a quarter of a step to beyond the longest run."""
-        shortest = SHORTEST_TIME_STEPS * bounds.shortest
-        count = math.ceil(math.log(bounds.longest / shortest, FLICKER_TIME_RATIO)) + 1
+        shortest = SHORTEST_TIME_STEPS * self.shortest
+        count = math.ceil(math.log(self.longest / shortest, FLICKER_TIME_RATIO)) + 1
         return shortest * FLICKER_TIME_RATIO ** np.arange(count)
 
     # One-sided, a term of variance s² and time τ has the spectrum 4·s²·τ/(1 + (2πfτ)²). Summed over times whose
     # logarithms are ln r apart: ∫ 4·s²/(1 + (2πfτ)²)·dτ/ln r = s²/(f·ln r), which is B²/(π·f) for s² = B²·ln r/π.
-    def processes(self, values, bounds):
+    def processes(self, values):
         variance = values["noise.flicker"] ** 2 * math.log(FLICKER_TIME_RATIO) / math.pi
-        return [(variance, time) for time in self.times(bounds)]
+        return [(variance, 1 / time) for time in self.times()]
 
 
 class SmoothTerm(NoiseTerm):
@@ -234,18 +223,15 @@ class SmoothTerm(NoiseTerm):
     """
 
     label: ClassVar[str] = "Matérn-3/2"
-    units: ClassVar[Mapping[str, str]] = {"noise.smooth.time": "s"}
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {
-            "noise.smooth": bounds.correlated,
-            "noise.smooth.time": LogUniform(bounds.shortest, bounds.longest),
-        }
+    def parameters(self):
+        time = LogUniform(self.shortest, self.longest)
+        return {"noise.smooth": (self.correlated, "{}"), "noise.smooth.time": (time, "s")}
 
-    def variance(self, values, bounds):
+    def variance(self, values):
         return values["noise.smooth"] ** 2
 
-    def block(self, values, bounds, h):
+    def block(self, values, h):
         size, x = values["noise.smooth"], math.sqrt(3) * h / values["noise.smooth.time"]
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
         # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
@@ -261,11 +247,11 @@ class SmoothTerm(NoiseTerm):
         covariance = size**2 * matrix_2x2(noise, cross, cross, slope)
         return Block(transition, covariance, size**2 * jnp.eye(2))
 
-    def spectrum(self, values, bounds, step, lam):
-        arguments = self.variance(values, bounds), values["noise.smooth.time"]
+    def spectrum(self, values, step, lam):
+        arguments = self.variance(values), values["noise.smooth.time"]
         return [noise_spectrum.matern(*arguments, step, lam)]
 
-    def allan(self, values, bounds, m, step):
+    def allan(self, values, m, step):
         """Return the Allan variance c − a·∂c/∂a, c(a) that of the correlation exp(−a·k); by complex step or series."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
         # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
@@ -277,7 +263,7 @@ class SmoothTerm(NoiseTerm):
         return values["noise.smooth"] ** 2 * unit_variance
 
 
-class ToneTerm(NoiseTerm):
+class ToneTerm(ExponentialTerm):
     """A narrow spectral line: a damped stochastic oscillator, whose two states are its quadratures.
 
     With a covariate z, scaled to −1 … 1 over the readings of the fit, the frequency is f + a·z + b·z². A frequency
@@ -285,49 +271,36 @@ class ToneTerm(NoiseTerm):
     """
 
     label: ClassVar[str] = "tone"
-    units: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(("noise.tone.frequency", *SLOPE_NAMES), "Hz"),
-        "noise.tone.time": "s",
-    }
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        lowest, nyquist = 1 / bounds.longest, 0.5 / bounds.shortest
-        slopes = dict.fromkeys(SLOPE_NAMES, Normal(0.0, nyquist)) if bounds.column else {}
+    def parameters(self):
+        lowest, nyquist = 1 / self.longest, 0.5 / self.shortest
         return {
-            "noise.tone": bounds.correlated,
-            "noise.tone.frequency": LogUniform(min(lowest, 0.5 * nyquist), nyquist),
-            "noise.tone.time": LogUniform(bounds.shortest, bounds.longest),
-            **slopes,
+            "noise.tone": (self.correlated, "{}"),
+            "noise.tone.frequency": (LogUniform(min(lowest, 0.5 * nyquist), nyquist), "Hz"),
+            "noise.tone.time": (LogUniform(self.shortest, self.longest), "s"),
+            **dict.fromkeys(SLOPE_NAMES if self.column else (), (Normal(0.0, nyquist), "Hz")),
         }
 
-    def variance(self, values, bounds):
-        return values["noise.tone"] ** 2
+    def processes(self, values, z=0.0):
+        slope, bend = (values[name] if self.column else 0.0 for name in SLOPE_NAMES)
+        frequency = values["noise.tone.frequency"] + slope * z + bend * z**2
+        rate = 1 / values["noise.tone.time"] + 2j * math.pi * frequency
+        return [(values["noise.tone"] ** 2, rate)]
 
-    def _compute_frequency(self, values: Values, bounds: Bounds, z: Any) -> Any:
-        slope, bend = (values[name] if bounds.column else 0.0 for name in SLOPE_NAMES)
-        return values["noise.tone.frequency"] + slope * z + bend * z**2
-
-    def block(self, values, bounds, h):
-        z = values[bounds.column] if bounds.column else 0.0
+    def block(self, values, h):
+        ((variance, rate),) = self.processes(values, values[self.column] if self.column else 0.0)
         # Two quadratures rotated by 2πf·Δt and damped as an Ornstein–Uhlenbeck process: half width 1/(2π·time).
-        phase = 2 * math.pi * self._compute_frequency(values, bounds, z) * h
+        phase = rate.imag * h
         c, s = jnp.cos(phase), jnp.sin(phase)
-        ou = exponential_block(values["noise.tone.time"], values["noise.tone"] ** 2, h)
+        ou = exponential_block(values["noise.tone.time"], variance, h)
         eye = jnp.eye(2)
         return Block(ou.transition * matrix_2x2(c, s, -s, c), ou.noise * eye, ou.start * eye)
 
-    def spectrum(self, values, bounds, step, lam):
-        arguments = (values[f"noise.tone{part}"] for part in (".time", ".frequency"))
-        return [noise_spectrum.tone(self.variance(values, bounds), *arguments, step, lam)]
-
-    def allan(self, values, bounds, m, step):
+    def allan(self, values, m, step):
         """Return the Allan variance of a tone, averaged over the covariate's range if its frequency has a covariate."""
-        positions = np.linspace(-1, 1, 33) if bounds.column else [0.0]
-        decay, curves = step / values["noise.tone.time"], []
-        for z in positions:
-            phase = 2j * math.pi * step * self._compute_frequency(values, bounds, z)
-            curves.append(allan_of_exponential(m + 0j, decay - phase).real)
-        return values["noise.tone"] ** 2 * np.mean(curves, axis=0)
+        positions = np.linspace(-1, 1, 33) if self.column else [0.0]
+        pairs = [pair for z in positions for pair in self.processes(values, z)]
+        return np.mean([v * allan_of_exponential(m, step * rate).real for v, rate in pairs], axis=0)
 
     def starts(self, step, residuals, z):
         """Return the strongest spectrogram line as a starting point, its frequency quadratic in z; [] if too short."""
@@ -395,37 +368,36 @@ class MovingAverageTerm(NoiseTerm):
     theta: ClassVar[float]
 
     @abc.abstractmethod
-    def size(self, values: Values, bounds: Bounds) -> Any:
+    def size(self, values: Values) -> Any:
         """Return the standard deviation of the errors, output unit."""
 
-    def variance(self, values, bounds):
-        return 2 * self.size(values, bounds) ** 2
+    def variance(self, values):
+        return 2 * self.size(values) ** 2
 
-    def block(self, values, bounds, h):
-        square, zero = self.size(values, bounds) ** 2, 0.0 * h
+    def block(self, values, h):
+        square, zero = self.size(values) ** 2, 0.0 * h
         transition = matrix_2x2(zero, zero, self.theta + zero, zero)
         noise = matrix_2x2(square + zero, zero, zero, zero)
         return Block(transition, noise, square * jnp.eye(2), observes_all=True)
 
-    def spectrum(self, values, bounds, step, lam):
-        return [noise_spectrum.moving_average(self.size(values, bounds), self.theta, lam)]
+    def spectrum(self, values, step, lam):
+        return [noise_spectrum.moving_average(self.size(values), self.theta, lam)]
 
 
 class QuantisationTerm(MovingAverageTerm):
     """Quantisation noise (IEEE 952, Q): readings are differences of angles with independent errors."""
 
     label: ClassVar[str] = "quantisation"
-    units: ClassVar[Mapping[str, str]] = {"noise.quantisation": "{}*s"}
     needs_bounds: ClassVar[bool] = True
     theta: ClassVar[float] = -1.0
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {"noise.quantisation": scale_prior(bounds.correlated, bounds.shortest)}
+    def parameters(self):
+        return {"noise.quantisation": (scale_prior(self.correlated, self.shortest), "{}*s")}
 
-    def size(self, values, bounds):
-        return values["noise.quantisation"] / bounds.shortest
+    def size(self, values):
+        return values["noise.quantisation"] / self.shortest
 
-    def allan(self, values, bounds, m, step):
+    def allan(self, values, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
 
@@ -441,13 +413,13 @@ class AveragingTerm(MovingAverageTerm):
     label: ClassVar[str] = "averaging"
     theta: ClassVar[float] = 1.0
 
-    def parameters(self, bounds: Bounds) -> dict[str, Any]:
-        return {"noise.averaging": bounds.correlated}
+    def parameters(self):
+        return {"noise.averaging": (self.correlated, "{}")}
 
-    def size(self, values, bounds):
+    def size(self, values):
         return 0.5 * values["noise.averaging"]
 
-    def allan(self, values, bounds, m, step):
+    def allan(self, values, m, step):
         # A mean of m readings has variance (2m − 1)/2m²·s², and covariance s²/4m² with the next.
         return values["noise.averaging"] ** 2 * (m - 0.75) / m**2
 

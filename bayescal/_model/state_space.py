@@ -80,21 +80,6 @@ def kalman_whiten(
     With P the covariance of the states given earlier readings, h the observation vector and w the white variance of a
     reading (`white_variance`): g = P·h, innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
-    result = _filter(states, white_variance, columns)
-    return result.innovation / jnp.sqrt(result.variance)[:, None], 0.5 * jnp.log(result.variance)
-
-
-class _FilterPass(NamedTuple):
-    """Results of the Kalman filter for each reading: innovations, gains, and predicted states."""
-
-    innovation: Float[Array, "n m"]  # innovations of each column
-    variance: Float[Array, "n"]  # variance of the innovation
-    gain: Float[Array, "n p"]
-    covariance: Float[Array, "n p p"]  # covariance of the states given earlier readings
-    mean: Float[Array, "n p m"]  # mean of the states given earlier readings
-
-
-def _filter(states: States, white_variance: Array, columns: Float[Array, "n m"]) -> _FilterPass:
     h, count = jnp.asarray(states.observation), len(states.observation)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
@@ -104,48 +89,53 @@ def _filter(states: States, white_variance: Array, columns: Float[Array, "n m"])
         state_covariance = jnp.sum(predicted * h, axis=1)
         variance = jnp.sum(state_covariance * h) + reading_variance
         gain = state_covariance / variance
-        return predicted - gain[:, None] * state_covariance, (variance, gain, predicted)
+        return predicted - gain[:, None] * state_covariance, (variance, gain)
 
     def advance_mean(previous, reading):
         transition, gain, row = reading
         predicted = _multiply(transition, previous)
         innovation = row - jnp.sum(predicted * h[:, None], axis=0)
-        return predicted + gain[:, None] * innovation, (innovation, predicted)
+        return predicted + gain[:, None] * innovation, innovation
 
     initial, rows = jnp.zeros((count, count)), (states.transition, states.noise, white_variance)
-    variance, gain, covariance = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
+    variance, gain = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
     initial, rows = jnp.zeros((count, columns.shape[1])), (states.transition, gain, columns)
-    innovation, mean = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
-    return _FilterPass(innovation, variance, gain, covariance, mean)
+    innovation = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
+    return innovation / jnp.sqrt(variance)[:, None], 0.5 * jnp.log(variance)
 
 
 def smooth(
-    states: States, white_variance: Float[Array, "n"], columns: Float[Array, "n m"]
+    states: States, precision: Float[Array, "n"], weighted: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
     """Return the smoothed mean (n, m) and variance (n,) of the correlated noise, given all readings of the run.
 
-    white_variance: white-noise variance of each row; infinite in a row without a reading. columns: residuals.
-    Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
+    precision: inverse white variance of each row, 0 in a row without a reading. weighted: residuals times precision.
+
+    With f the correlated noise, a reading of precision p and weighted residual b has the likelihood exp(b·f − ½·p·f²)
+    up to a factor. The moments are derivatives of Z = E[Π exp(b·f − ½·p·f²)], which the Kalman filter gives: the mean
+    is ∂log Z/∂b, the variance −2·∂log Z/∂p at b = 0.
     """
-    h = jnp.asarray(states.observation)
+    h, count = jnp.asarray(states.observation), len(states.observation)
 
-    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) sum over this and all later readings
-    # (v innovation, F its variance, k gain, P predicted covariance): the smoothed mean is the predicted mean plus P·r,
-    # the smoothed covariance P − P·N·P.
-    def step_backward(sums, reading):
-        (r, info), (a, filter_pass) = sums, reading
-        column, update = filter_pass.covariance @ h, jnp.eye(len(h)) - filter_pass.gain[:, None] * h
-        r = h[:, None] * (filter_pass.innovation / filter_pass.variance) + _multiply(update.T, r)
-        info = h[:, None] * h / filter_pass.variance + _multiply(_multiply(update.T, info), update)
-        mean = h @ filter_pass.mean + column @ r
-        variance = column @ h - column @ _multiply(info, column[:, None])[:, 0]
-        return (_multiply(a.T, r), _multiply(a.T, _multiply(info, a))), (mean, variance)
+    def advance(state, row):
+        (mean, covariance), (transition, noise, b, p) = state, row
+        mean, covariance = transition @ mean, transition @ covariance @ transition.T + noise
+        f_mean, state_covariance = h @ mean, covariance @ h
+        f_variance = h @ state_covariance
+        gain = state_covariance / (1 + p * f_variance)
+        squares = f_variance * b**2 + 2 * b * f_mean - p * f_mean**2
+        mean = mean + gain[:, None] * (b - p * f_mean)
+        covariance = covariance - p * gain[:, None] * state_covariance
+        log_z = 0.5 * squares / (1 + p * f_variance) - 0.5 * jnp.log1p(p * f_variance)
+        return (mean, covariance), log_z
 
-    size = len(h)
-    initial = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
-    rows = states.transition, _filter(states, white_variance, columns)
-    _, (mean, variance) = jax.lax.scan(step_backward, initial, rows, reverse=True)
-    return mean, jnp.maximum(variance, 0.0)
+    def sum_log_z(weighted, precision):
+        initial = jnp.zeros((count, weighted.shape[1])), jnp.zeros((count, count))
+        rows = states.transition, states.noise, weighted, precision
+        return jnp.sum(jax.lax.scan(advance, initial, rows)[1])
+
+    mean = jax.grad(sum_log_z)(weighted, precision)
+    return mean, -2 * jax.grad(sum_log_z, argnums=1)(jnp.zeros((len(precision), 1)), precision)
 
 
 def _multiply(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:

@@ -15,13 +15,17 @@ from jaxtyping import Float
 from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data import unit_conversion
-from bayescal._model import independent_noise
 from bayescal._model.frame import Frame
-from bayescal._model.independent_noise import CURVATURE, SLOPE, scale_covariate
-from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
-from bayescal._model.noise_spectrum import SpectralTerm
-from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
-from bayescal._model.prior import HalfCauchy, Normal, Positive
+from bayescal._model.independent_noise import (
+    CURVATURE,
+    SLOPE,
+    Heteroscedastic,
+    White,
+    scale_covariate,
+)
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered
+from bayescal._model.noise_terms import TERMS, CorrelatedTerm, NoiseTerm
+from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.state_space import States, assemble_states, draw_states, kalman_whiten, smooth
 from bayescal._model.static import set_fields
 
@@ -34,7 +38,6 @@ OFFERED_SUMS = (  # terms found in measured records (IEEE 952, and a sensor on a
     ("correlated", "correlated"),
     ("correlated", "smooth"),
 )
-AVERAGING_TIMES = np.geomspace(0.1, 0.5, 9)  # for Allan deviations, in lengths of the longest run
 MAX_CORRELATED_TERMS = 3  # Ornstein–Uhlenbeck: no record of a day distinguishes more
 
 
@@ -48,6 +51,7 @@ class SumOfTerms(Noise, interface=True):
     correlated: ClassVar[Positive]
     column: ClassVar[str] = ""
     scatter: ClassVar[str] = ""
+    first_rank: ClassVar[int] = 1  # of Ornstein–Uhlenbeck terms; 0: its parameters are not numbered
 
     def __post_init__(self) -> None:
         low, high = self.shortest, self.longest
@@ -57,18 +61,18 @@ class SumOfTerms(Noise, interface=True):
 
     @property
     def parts(self) -> tuple[NoiseTerm, ...]:
-        """Return the correlated terms of the sum."""
-        return _build_terms(self.terms)
+        fields = self.shortest, self.longest, self.correlated, self.column
+        return _build_terms(self.terms, self.first_rank, *fields)
 
     @property
-    def bounds(self) -> Bounds:
-        return Bounds(self.shortest, self.longest, self.correlated, self.column)
+    def white(self) -> White | Heteroscedastic:
+        """Return the law of the independent noise that the terms are added to."""
+        return Heteroscedastic(self.scatter, self.scale) if self.scatter else White(self.scale)
 
     @property
     def needs(self) -> tuple[str, ...]:
         columns = (self.column,) if self.column else ()
-        columns += independent_noise.columns_for(self.scatter) if self.scatter else ()
-        return tuple(dict.fromkeys(("time", *columns)))
+        return tuple(dict.fromkeys(("time", *columns, *self.white.needs)))
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -95,94 +99,44 @@ class SumOfTerms(Noise, interface=True):
     @property
     def in_words(self) -> str:
         label_counts = Counter(p.label for p in self.parts)
-        name = f"white (scatter follows {self.scatter})" if self.scatter else "white"
+        name = f"white ({self.white.in_words})" if self.scatter else "white"
         term_texts = (f"{c} {w}" if c > 1 else w for w, c in label_counts.items())
         return self.words or " + ".join((name, *term_texts))
 
-    @property
-    def stationary(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return not (self.column or self.scatter)
-
-    def spectrum(
-        self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
-    ) -> list[SpectralTerm]:
-        """Return the cosine transforms of the terms' covariances, for readings `step` seconds apart; values (s, 1)."""
-        return [t for p in self.parts for t in p.spectrum(values, self.bounds, step, lam)]
-
     def parameters(self) -> dict[str, Any]:
-        priors: dict[str, Any] = {WHITE: self.scale}
-        if self.scatter:
-            priors |= dict.fromkeys((SLOPE, CURVATURE), Normal(0.0, 1.0))
-        for part in self.parts:
-            priors |= part.parameters(self.bounds)
-        return priors
+        priors = {n: prior for part in self.parts for n, (prior, _) in part.parameters().items()}
+        return self.white.parameters() | priors
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        return (WHITE, *(next(iter(p.parameters(self.bounds))) for p in self.parts))
+        return (WHITE, *(next(iter(part.parameters())) for part in self.parts))
 
     def unit(self, name: str, output: str) -> str:
-        if name in (SLOPE, CURVATURE):
-            return "1"
-        part = next((p for p in self.parts if name in p.parameters(self.bounds)), None)
-        if part is None or (output == unit_conversion.ANY and name in self.amplitudes):
-            return output
-        return part.unit(name, output)
-
-    def derived(self, values: Parameters) -> dict[str, Any]:
-        arrays = {n: np.asarray(v, float) for n, v in values.items() if n in self.parameters()}
-        quantities: dict[str, Any] = {}
-        for part in self.parts:
-            quantities |= part.derived(arrays, self.bounds)
-        return quantities
-
-    def slow_variance(self, values: Parameters) -> Any:
-        """Return the variance of all terms except the white one, output unit squared."""
-        return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
-
-    def _white_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
-        if self.scatter:
-            return independent_noise.scatter_variance(parameters, frame, self.scatter)
-        return white_variance(parameters, frame)
+        units = {n: unit for part in self.parts for n, (_, unit) in part.parameters().items()}
+        if name not in units:
+            return self.white.unit(name, output)
+        is_any = output == unit_conversion.ANY and "{}" in units[name]
+        return output if is_any else units[name].format(output)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
-        return self._white_variance(parameters, frame) + self.slow_variance(parameters)
-
-    @property
-    def several_states(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return len(self.parts) > 1
+        return self.white.variance(parameters, frame) + self.slow_variance(parameters)
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Return the state space over time steps, s (−1 begins a run); z: covariate scaled to −1 … 1 (n,)."""
         parameters = parameters if z is None else {**parameters, self.column: z}
         h = jnp.maximum(step, 0.0)
-        blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
+        blocks = [part.block(parameters, h) for part in self.parts]
         return assemble_states(blocks, step)
 
     def whiten(self, columns: Array, extra: Any, parameters: Parameters, frame: Frame) -> Any:
         states = self.states(parameters, frame.step, self.followed(frame))
-        return kalman_whiten(states, self._white_variance(parameters, frame) + extra, columns)
+        return kalman_whiten(states, self.white.variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean: Array, parameters: Parameters, frame: Frame) -> Array:
         white_key, state_key = jax.random.split(key)
         path = draw_states(state_key, self.states(parameters, frame.step, self.followed(frame)))
-        sd = jnp.sqrt(self._white_variance(parameters, frame))
+        sd = jnp.sqrt(self.white.variance(parameters, frame))
         return mean + sd * jax.random.normal(white_key, mean.shape) + path
-
-    def allan_variance(
-        self, values: Parameters, variance: Any, factors: np.ndarray, step: float
-    ) -> np.ndarray:
-        """Return the Allan variance: σ²/m of white noise, m the averaging factor, plus that of each term."""
-        phi = {n: np.asarray(values[n], float)[..., None] for n in self.parameters() if n in values}
-        slow_variance = np.asarray(self.slow_variance(phi), float)
-        white = np.maximum(np.asarray(variance)[..., None] - slow_variance, 0.0)
-        return white / factors + sum(p.allan(phi, self.bounds, factors, step) for p in self.parts)
-
-    def lasting_deviation(self, values: Parameters) -> float:
-        factors = self.longest / self.shortest * AVERAGING_TIMES
-        phi = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
-        variance = np.asarray(self.slow_variance(phi))
-        return float(np.sqrt(np.max(self.allan_variance(phi, variance, factors, self.shortest))))
 
     def slow_part(
         self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
@@ -190,28 +144,24 @@ class SumOfTerms(Noise, interface=True):
         """Return the smoothed mean and variance of the correlated noise at times `at`, by a Kalman smoother."""
         grid, first_index = np.unique(np.concatenate([time, at]), return_index=True)
         index = np.searchsorted(grid, time)
-        precision, mean_residual = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
-        np.add.at(precision, index, 1 / white)
-        np.add.at(mean_residual, index, residuals / white[:, None])
-        with np.errstate(divide="ignore"):
-            variances = 1 / precision  # infinite where there is no reading
-        mean_residual /= np.maximum(precision, np.finfo(float).tiny)[:, None]
+        precision, weighted = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
+        np.add.at(precision, index, 1 / white)  # 0 where there is no reading
+        np.add.at(weighted, index, residuals / white[:, None])
         z = None if along is None else np.concatenate(along)[first_index]
         # Padded to powers of two, so that few programs are compiled: padding is runs of one step without a reading.
         pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
         step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
-        variances = np.pad(variances, pad, constant_values=np.inf)
         z = None if z is None else np.pad(z, pad)
         rows = np.searchsorted(grid, at)
         values = {name: np.float64(values[name]) for name in self.parameters()}
-        inputs = step, z, variances, np.pad(mean_residual, (pad, (0, 0)))
+        inputs = step, z, np.pad(precision, pad), np.pad(weighted, (pad, (0, 0)))
         mean, variance = _smooth(self.plain, values, *inputs)
         return np.asarray(mean)[rows], np.asarray(variance)[rows]
 
 
 @compiled
-def _smooth(law: SumOfTerms, values, step, z, variances, columns):
-    return smooth(law.states(values, step, z), variances, columns)
+def _smooth(law: SumOfTerms, values, step, z, precision, weighted):
+    return smooth(law.states(values, step, z), precision, weighted)
 
 
 class SummedNoise(SumOfTerms):
@@ -295,7 +245,7 @@ class OrnsteinUhlenbeck(SumOfTerms):
     scale: Positive = HalfCauchy(1.0)
     correlated: Positive = HalfCauchy(1.0)
     terms: ClassVar[tuple[str, ...]] = ("correlated",)
-    parts: ClassVar[tuple[NoiseTerm, ...]] = (CorrelatedTerm(0),)
+    first_rank: ClassVar[int] = 0
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "ornstein_uhlenbeck"
     words: ClassVar[str] = "Ornstein–Uhlenbeck"
@@ -304,9 +254,12 @@ class OrnsteinUhlenbeck(SumOfTerms):
 
 
 @cache
-def _build_terms(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
-    number = itertools.count(1)  # numbers the Ornstein–Uhlenbeck terms
-    return tuple(CorrelatedTerm(next(number)) if t == "correlated" else TERMS[t]() for t in terms)
+def _build_terms(terms: tuple[str, ...], first_rank: int, *fields: Any) -> tuple[NoiseTerm, ...]:
+    rank = itertools.count(first_rank)
+    return tuple(
+        CorrelatedTerm(*fields, next(rank)) if term == "correlated" else TERMS[term](*fields)
+        for term in terms
+    )
 
 
 def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
