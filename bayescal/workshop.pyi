@@ -139,8 +139,8 @@ from ._model.formula import Formula as Formula
 from ._model.frame import build_frame as build_frame
 from ._model.frame import reference_of as reference_of
 from ._model.installed import installed_names as installed_names
+from ._model.parameters import Unknowns as Unknowns
 from ._model.parameters import bind as bind
-from ._model.unknowns import Unknowns as Unknowns
 from ._report import plot_colours as plot_colours
 from ._report.report import Pictures as Pictures
 from ._report.result_json import Chapter as Chapter

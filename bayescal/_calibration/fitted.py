@@ -32,9 +32,8 @@ from bayescal._inference.trust import MIN_CHAIN_ESS
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS, Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
-from bayescal._model.parameters import CoefficientBlock, Layout
+from bayescal._model.parameters import CoefficientBlock, Layout, Unknowns
 from bayescal._model.terms import Term
-from bayescal._model.unknowns import Unknowns
 
 if TYPE_CHECKING:
     import xarray as xr

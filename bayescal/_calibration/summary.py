@@ -17,7 +17,7 @@ from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import hold_flag_name, list_covariates
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Unknowns
 
 WEAK_INFORMATION = limit("direction.none", "information")
 CONCERNED_SHARE = limit("direction.other", "share")

@@ -397,7 +397,7 @@ def _run_optimistix(layout, frame, readings, v, prior, start, scale, shape_indic
 
     def residuals(z: Any, _: Any) -> Any:
         theta = start + scale * z
-        hyper = forward.hyper_values(layout, v.at[shape_index].set(theta[size:]))
+        hyper = layout.hyper(v.at[shape_index].set(theta[size:]))
         mean, extra = forward.predict_moments(layout, frame, theta[:size], hyper)
         by_time, residual = sort_by_time(noise, frame, y - mean)
         white, _ = noise.whiten(residual[:, None], 0.0 if extra is None else extra, hyper, by_time)

@@ -133,7 +133,7 @@ def whiten_posterior(problem: Problem, mode: Mode):
         # x = x̂(φ) + S·L⁻ᵀ·z with the precision of the linearised model (`gaussian.condition`) and JᵀΣ⁻¹J of the mode,
         # scaled by the noise's first amplitude. The approximation affects the map only: the log Jacobian, log|S·L⁻ᵀ|,
         # makes the density of (v, z) exact.
-        hyper = forward.hyper_values(layout, v)
+        hyper = layout.hyper(v)
         sd = forward.prior_sd(layout, hyper, jnp.asarray(mode.flat))
         ratio = 1.0 if amplitude is None else (hyper[amplitude] / hyper_at_mode[amplitude]) ** 2
         precision = sd[:, None] * gram.jtj * sd / ratio + jnp.diag(prior.weight)
@@ -149,10 +149,10 @@ def whiten_posterior(problem: Problem, mode: Mode):
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:
         x, v, log_jacobian = unpack(q)
-        hyper = forward.hyper_values(layout, v)
+        hyper = layout.hyper(v)
         likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, hyper))
         prior = forward.log_prior_x(layout, x, hyper)
-        return likelihood + prior + forward.hyper_log_prior(layout, v) + log_jacobian
+        return likelihood + prior + layout.log_prior(v) + log_jacobian
 
     dim = d + p
     start = jnp.zeros(dim).at[:d].set(mode.v)

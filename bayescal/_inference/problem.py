@@ -88,13 +88,12 @@ class Problem:
         self.kinds: list[str] = [h.kind for h in self.hypers]
         moving = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
         self.nonlinear_phi: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
-        self._coordinates = [(h.name, h.prior.value, h.prior.log_density) for h in self.hypers]
+        self.mean_of_x: Float[np.ndarray, "p"] = layout.mean_of_x
+        self.weight_of_x: Float[np.ndarray, "p"] = layout.weight_of_x
 
     def hyper(self, v: Sequence[float] | np.ndarray) -> Values:
         """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
-        pairs = zip(self._coordinates, v, strict=True)
-        free = {name: value(coordinate) for (name, value, _), coordinate in pairs}
-        return {**self.fixed_values, **free}  # pyright: ignore[reportReturnType]
+        return self.layout.hyper(v)
 
     def hyper_of_each(self, vs: Float[np.ndarray, "b d"]) -> list[dict[str, float]]:
         """Return hyper-parameters and fixed unknowns by name, at each of several coordinates of φ (b, d)."""
@@ -103,8 +102,7 @@ class Problem:
 
     def log_prior(self, v: np.ndarray) -> float:
         """Return the log prior density of φ in its coordinates."""
-        pairs = zip(self._coordinates, v, strict=True)
-        return float(sum(density(coordinate) for (*_, density), coordinate in pairs))
+        return float(self.layout.log_prior(v))
 
     def draw_x(
         self,
@@ -121,8 +119,7 @@ class Problem:
 
     def log_priors(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
         """Return the log prior densities of several φ (b,)."""
-        parts = [density(v[:, i]) for i, (*_, density) in enumerate(self._coordinates)]
-        return np.sum(parts, axis=0) if parts else np.zeros(len(v))
+        return self.layout.log_prior(v.T)
 
     def value_and_sd(self, name: str, v: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
         """Return the value of one entry of φ and its standard uncertainty, given the covariance of coordinates."""
@@ -138,21 +135,6 @@ class Problem:
     def sizes(self) -> PriorDeviations:
         """Return the prior standard deviations of x as a function of φ."""
         return PriorDeviations(self.in_x, self.layout.model.effects, self.size)
-
-    @cached_property
-    def mean_of_x(self) -> Float[np.ndarray, "p"]:
-        mean = np.zeros(self.size)
-        for t in self.in_x:
-            mean[t.x_slice] = t.mean
-        return mean
-
-    @cached_property
-    def weight_of_x(self) -> Float[np.ndarray, "p"]:
-        weight = np.ones(self.size)
-        for t in self.in_x:
-            if t.flat:
-                weight[t.x_slice] = 0.0
-        return weight
 
     def prior(
         self, hyper: Mapping[str, Any], flat_scales: np.ndarray, count: tuple[int, ...] = ()
@@ -205,7 +187,7 @@ class Problem:
     def _dynamic_terms(self) -> tuple[Term, ...]:
         """Return the terms to evaluate at each φ: those that depend on φ if the output is affine in x, else all."""
         is_affine = self.is_affine
-        return tuple(t for t in self.terms if not is_affine or t.place != "x" or t.shape_names)
+        return tuple(t for t in self.terms if not is_affine or t.place != "x" or t.columns.names)
 
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
@@ -216,7 +198,7 @@ class Problem:
         )
         jacobian = np.zeros((self.record.size, self.size), order="F")
         if self.is_affine:
-            terms = [t for t in self.in_x if not t.shape_names]
+            terms = [t for t in self.in_x if not t.columns.names]
             point = np.zeros(self.size), self.fixed_values
             static = linearise_output(self.host, terms, self.compose(terms, *point, with_grad=True))
             jacobian[:, np.setdiff1d(indices, dynamic)] = static.jacobian

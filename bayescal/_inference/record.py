@@ -317,26 +317,17 @@ class Record:
 
     def _compute_columns(self, effect: ColumnSpec, values: Sequence[np.ndarray], shifts) -> Any:
         count = max(len(v) for v in (*values, *shifts.values()))
-        for name, shift in self._compute_path_shifts(effect, values).items():
+        path_shifts = effect.shift_paths(values, self._evaluate_correction)
+        for name, shift in path_shifts.items():
             shifts = {**shifts, name: shifts.get(name, 0.0) + shift}
         pairs = zip(effect.basis_shapes, values, strict=False)
         shapes = {n: np.broadcast_to(v, (count,)) for n, v in pairs}
         return self.host_columns.evaluate_many(effect.basis, shapes, shifts)
 
-    def _compute_path_shifts(
-        self, effect: ColumnSpec, values: Sequence[Any]
-    ) -> dict[str, Float[np.ndarray, "*b n"]]:
-        """Return the column shifts due to an effect's corrections of other columns, at values of their shapes."""
-        shifts, start = dict[str, np.ndarray](), len(effect.basis_shapes)
-        for c in effect.corrections:
-            shapes, start = values[start : start + len(c.spec.shapes)], start + len(c.spec.shapes)
-            if any(np.ndim(v) for v in shapes):
-                columns = self.columns_of_draws(c.spec, shapes, {})
-            else:  # one draw: cached
-                columns = self.columns(c.spec, tuple(shapes))
-            shift = c.factor * columns[..., c.index]
-            shifts[c.column + PATH] = shifts.get(c.column + PATH, 0.0) + shift
-        return shifts
+    def _evaluate_correction(self, spec: ColumnSpec, values: Sequence[Any]) -> np.ndarray:
+        if any(np.ndim(v) for v in values):
+            return self.columns_of_draws(spec, values, {})
+        return self.columns(spec, tuple(values))  # one draw: cached
 
     def differentiate_columns(self, effect: ColumnSpec, values: Sequence[Any], shifts: Any) -> Any:
         """Return an effect's columns and their derivatives with respect to each shift, for draws, (b, n, k) each."""

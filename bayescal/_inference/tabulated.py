@@ -102,7 +102,7 @@ class TabulatedDensity:
             effects.setdefault(id(t.effect), []).append(t)
         blocks = []
         for terms in effects.values():
-            names, fixed = terms[0].shape_names, problem.fixed_values
+            names, fixed = terms[0].columns.names, problem.fixed_values
             fixed_shapes = tuple(fixed.get(n) for n in names)
             config = [(t.index, t.slot, t.factor, t.per, t.size) for t in terms]
             owners = [

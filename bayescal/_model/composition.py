@@ -17,9 +17,9 @@ import numpy as np
 
 from bayescal._core.lazy_jax import jax, jnp
 from bayescal._model.effect import Basis, evaluate_basis
-from bayescal._model.frame import PATH, Frame
+from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
-from bayescal._model.terms import Term
+from bayescal._model.terms import ColumnSpec, Term
 
 Hyper = Mapping[str, Any]  # hyper-parameters φ by name: a number, or one value per draw
 
@@ -115,7 +115,7 @@ def compose(
         for _, group in groupby(indices, lambda i: terms[i].effect.name):
             members = list(group)
             first_term = terms[members[0]]
-            shapes = [hyper[name] for name in first_term.shape_names]
+            shapes = [hyper[name] for name in first_term.columns.names]
             basis, basis_grads = source.columns(first_term, shapes, column_shifts, with_grad)
             for i in members:
                 t = terms[i]
@@ -235,15 +235,13 @@ class TracedColumns:
         return evaluate_basis(*basis, frame, shapes)
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
-        spec, path_shifts = term.columns, dict[str, Any]()
-        start = len(spec.basis_shapes)
+        spec = term.columns
         basis_shapes = dict(zip(spec.basis_shapes, shapes, strict=False))
-        for c in spec.corrections:
-            names, basis = c.spec.shapes, c.spec.basis
-            values = dict(zip(names, shapes[start:], strict=False))
-            start += len(names)
-            column = c.factor * self.matrix(basis, self.frame, values)[:, c.index]
-            path_shifts[c.column + PATH] = path_shifts.get(c.column + PATH, 0.0) + column
+
+        def evaluate_correction(spec: ColumnSpec, values: Sequence[Any]) -> Any:
+            return self.matrix(spec.basis, self.frame, dict(zip(spec.shapes, values, strict=True)))
+
+        path_shifts = spec.shift_paths(shapes, evaluate_correction)
 
         def evaluate(shifts: dict) -> Any:
             totals = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}

@@ -17,33 +17,13 @@ from bayescal._model.terms import PriorDeviations, Term, terms_of
 Values = dict[str, Float[Array, "..."]]
 
 
-def hyper_values(layout: Layout, v: Float[Array, "d"]) -> Values:
-    """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
-    values = {h.name: h.prior.value(v[i]) for i, h in enumerate(layout.hypers)}
-    return {**{name: jnp.asarray(value) for name, value in layout.model.fixed}, **values}
-
-
-def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
-    """Return the log prior density of φ in its coordinates."""
-    return sum((h.prior.log_density(v[i]) for i, h in enumerate(layout.hypers)), jnp.zeros(()))
-
-
-def prior_mean(layout: Layout) -> Float[Array, "p"]:
-    return jnp.asarray(layout.repeat_over_x([b.mean for b in layout.x_blocks]))
-
-
 def prior_sd(
     layout: Layout, hyper: Values, flat_scales: Float[Array, "p"] | float = 1.0
 ) -> Float[Array, "p"]:
     """Return the prior standard deviation of x given φ (p,); `flat_scales` where the prior is flat."""
     terms, _ = terms_of(layout.x_blocks)
     sd = PriorDeviations(terms, layout.model.effects, layout.size).evaluate(hyper)
-    return jnp.where(prior_weight(layout) > 0, sd, flat_scales * sd)
-
-
-def prior_weight(layout: Layout) -> Float[Array, "p"]:
-    """Return 1 where the prior of x is proper, 0 where it is flat (p,)."""
-    return jnp.asarray(layout.repeat_over_x([float(not b.flat) for b in layout.x_blocks]))
+    return jnp.where(layout.weight_of_x > 0, sd, flat_scales * sd)
 
 
 def compose_at(
@@ -87,14 +67,14 @@ def log_likelihood(
 
 def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Array, ""]:
     """Return the log prior density of x given φ; flat priors contribute zero."""
-    sd, weight = prior_sd(layout, hyper), prior_weight(layout)
-    z = (x - prior_mean(layout)) / sd
+    sd, weight = prior_sd(layout, hyper), layout.weight_of_x
+    z = (x - layout.mean_of_x) / sd
     return -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
 
 
 def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) -> Array:
     """Draw readings from the predictive distribution at (x, φ); noise on inputs to first order."""
-    hyper, noise = hyper_values(layout, v), layout.model.noise
+    hyper, noise = layout.hyper(v), layout.model.noise
     expected, extra = predict_moments(layout, frame, x, hyper)
     if extra is not None:
         key, subkey = jax.random.split(key)

@@ -1,4 +1,4 @@
-"""Layout of a model's unknowns in two vectors: coefficients x (Gaussian given φ) and hyper-parameters φ.
+"""Unknowns of a model, and their layout in two vectors: coefficients x (Gaussian given φ), hyper-parameters φ.
 
 x holds the coefficients, in their reported units. φ holds noise parameters, standard deviations between group members,
 nonlinear parameters (shapes), and coefficients *promoted* to φ because they multiply another unknown. Each entry of φ
@@ -8,7 +8,7 @@ fixed at its mean, it adds (∂output/∂input)²·sd² to the variance of its r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -174,6 +174,16 @@ class Layout:
         """Repeat one value per block over the block's entries of x (p,)."""
         return np.repeat(np.asarray(values, float), [b.size for b in self.x_blocks])
 
+    @cached_property
+    def mean_of_x(self) -> Float[np.ndarray, "p"]:
+        """Return the prior means of x minus its origins (p,)."""
+        return self.repeat_over_x([b.mean for b in self.x_blocks])
+
+    @cached_property
+    def weight_of_x(self) -> Float[np.ndarray, "p"]:
+        """Return 1 where the prior of x is proper, 0 where it is flat (p,)."""
+        return self.repeat_over_x([float(not b.flat) for b in self.x_blocks])
+
     @property
     def x_origins(self) -> Float[np.ndarray, "p"]:
         """Return the origin subtracted from each entry of x, in its unit (p,)."""
@@ -210,6 +220,16 @@ class Layout:
             for i, (name, unit, prior, kind, effect) in enumerate(free_rows)
         )
 
+    def hyper(self, v: Float[Any, "d *b"]) -> dict[str, Float[Any, "*b"]]:
+        """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
+        free = {h.name: h.prior.value(v[i]) for i, h in enumerate(self.hypers)}
+        return {**dict(self.model.fixed), **free}
+
+    def log_prior(self, v: Float[Any, "d *b"]) -> Float[Any, "*b"]:
+        """Return the log prior density of φ in its coordinates."""
+        densities = (h.prior.log_density(v[i]) for i, h in enumerate(self.hypers))
+        return sum(densities, np.zeros(v.shape[1:]))
+
     @cached_property
     def index_in_phi(self) -> dict[str, int]:
         """Return the index in φ by name."""
@@ -239,6 +259,76 @@ class Layout:
         """Return whether any prior is flat (improper): the evidence is then undefined."""
         is_flat = any(b.flat for b in self.blocks if b.place in ("x", "phi"))
         return is_flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """All unknowns of a model bound to readings: coefficients, noise parameters, between-group deviations, shapes."""
+
+    layout: Layout
+    rows: tuple[Unknown, ...]
+
+    @classmethod
+    def of(cls, layout: Layout, levels: Levels | None = None) -> Unknowns:
+        """List the unknowns of a layout; group members are named by their labels in `levels`, otherwise by number."""
+        rows = list[Unknown]()
+        for b in (b for b in layout.blocks if b.place in ("x", "phi")):
+            names, in_phi = b.member_names(levels), b.member_names()
+            labels = (levels or {}).get(str(b.coefficient.per), range(b.size))
+            for i, name in enumerate(names):
+                at = {"x": b.start + i} if b.place == "x" else {"v": layout.index_in_phi[in_phi[i]]}
+                fields = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
+                rows.append(Unknown(*fields, **at, block=b, member=labels[i]))
+        rows += [h for h in layout.hypers if h.kind != "promoted"]
+        return cls(layout, tuple(rows))
+
+    def __iter__(self) -> Iterator[Unknown]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(u.name for u in self.rows)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple(u.unit for u in self.rows)
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Return name → index in the table."""
+        return {u.name: i for i, u in enumerate(self.rows)}
+
+    @cached_property
+    def by_key(self) -> dict[str, slice]:
+        """Return key → slice of its group members in the table."""
+        slices: dict[str, slice] = {}
+        for i, u in enumerate(self.rows):
+            slices[u.key] = slice(slices[u.key].start if u.key in slices else i, i + 1)
+        return slices
+
+    def values(
+        self, x: Float[np.ndarray, "*draws p"], v: Float[np.ndarray, "*draws d"]
+    ) -> Float[np.ndarray, "*draws unknowns"]:
+        """Convert posterior draws of x and v to values of all unknowns, in reported units."""
+        hyper, phi = self.layout.hyper(np.moveaxis(v, -1, 0)), self.layout.hypers
+        table = np.empty((*np.shape(x)[:-1], len(self.rows)))
+        for k, u in enumerate(self.rows):
+            value = hyper[phi[u.v].name] if u.v is not None else x[..., u.x]
+            if (b := u.block) is not None:
+                value = b.origin + value
+                if u.v is not None and (name := b.group_sd_name) is not None:
+                    value = b.coefficient.mean + hyper[name] * value
+            table[..., k] = value
+        return table
+
+    def select(self, values: Float[np.ndarray, "*draws unknowns"], name: str) -> np.ndarray:
+        """Select the values of one unknown (…), or of all members of a group by their key (…, members)."""
+        members = self.by_key.get(name)
+        is_grouped = members is not None and self.rows[members.start].group is not None
+        return values[..., members if is_grouped else self.index[name]]
 
 
 def _promote_prior(block: CoefficientBlock) -> Normal | FlatLine:

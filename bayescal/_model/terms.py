@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,20 +20,32 @@ from bayescal._model.prior import Known
 class ColumnSpec(NamedTuple):
     """Specification of an effect's basis columns: the basis, its shapes, and corrections of its input columns.
 
-    shapes: names of the nonlinear parameters of the basis, then of the corrections. priors: of each shape.
+    shapes: names of the nonlinear parameters of the basis, then of the corrections. names, priors: of each shape, in φ.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
+    names: tuple[str, ...]
     priors: tuple[Any, ...]
     corrections: tuple[Correction, ...] = ()
 
     def with_corrections(self, corrections: Sequence[Correction]) -> ColumnSpec:
         """Return a copy of the specification with corrected input columns."""
-        shapes, priors = self.shapes, self.priors
-        for c in corrections:
-            shapes, priors = shapes + c.spec.shapes, priors + c.spec.priors
-        return self._replace(shapes=shapes, priors=priors, corrections=tuple(corrections))
+        specs = self, *(c.spec for c in corrections)
+        fields = ("shapes", "names", "priors")
+        shapes = {name: tuple(chain(*(getattr(s, name) for s in specs))) for name in fields}
+        return self._replace(**shapes, corrections=tuple(corrections))
+
+    def shift_paths(
+        self, values: Sequence[Any], evaluate: Callable[[ColumnSpec, Sequence[Any]], Any]
+    ) -> dict[str, Float[Any, "*b n"]]:
+        """Return the shifts of columns by the corrections, at values of the shapes; evaluate(spec, values): columns."""
+        shifts, start = dict[str, Any](), len(self.basis_shapes)
+        for c in self.corrections:
+            stop = start + len(c.spec.shapes)
+            column = c.factor * evaluate(c.spec, values[start:stop])[..., c.index]
+            shifts[c.column + PATH], start = shifts.get(c.column + PATH, 0.0) + column, stop
+        return shifts
 
     @property
     def basis_shapes(self) -> tuple[str, ...]:
@@ -47,8 +60,9 @@ class ColumnSpec(NamedTuple):
     @classmethod
     def from_effect(cls, effect: Effect) -> ColumnSpec:
         shapes = effect.column_shapes
-        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        return cls((effect.basis, len(effect.coefficients), effect.name), names, priors)
+        basis = effect.basis, len(effect.coefficients), effect.name
+        names = tuple(map(effect.shape_name, shapes))
+        return cls(basis, tuple(s.name for s in shapes), names, tuple(s.prior for s in shapes))
 
 
 class Correction(NamedTuple):
@@ -58,13 +72,11 @@ class Correction(NamedTuple):
     spec: ColumnSpec
     index: int
     factor: float
-    shape_names: tuple[str, ...]
 
     @classmethod
     def from_block(cls, block: CoefficientBlock) -> Correction:
-        names = tuple(map(block.effect.shape_name, block.effect.column_shapes))
-        columns = ColumnSpec.from_effect(block.effect)
-        return cls(block.slot, columns, block.index, block.factor * block.value, names)
+        spec = ColumnSpec.from_effect(block.effect)
+        return cls(block.slot, spec, block.index, block.factor * block.value)
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,6 @@ class Term(CoefficientBlock):
     """One coefficient of a structure, with all its group members and the specification of its basis column."""
 
     columns: ColumnSpec  # specification of its effect's columns
-    shape_names: tuple[str, ...]  # names in φ of the shapes in `columns`
     prior_sd: float  # prior standard deviation, coefficient's unit
 
 
@@ -95,22 +106,18 @@ def terms_of(
     if correcting_blocks and all_fixed and source.response_columns.isdisjoint(corrected_columns):
         corrections, corrected_columns = tuple(map(Correction.from_block, correcting_blocks)), ()
         blocks = [b for b in blocks if b.slot in source.slots]
-    columns: dict[str, tuple[ColumnSpec, tuple[str, ...]]] = {}
+    specs: dict[str, ColumnSpec] = {}
     for effect in {b.effect.name: b.effect for b in blocks}.values():
-        usable_corrections = () if effect.name in correcting_effects else corrections
-        effect_corrections = [c for c in usable_corrections if c.column in effect.columns]
-        names = [*map(effect.shape_name, effect.column_shapes)]
-        names += [name for c in effect_corrections for name in c.shape_names]
-        spec = ColumnSpec.from_effect(effect).with_corrections(effect_corrections)
-        columns[effect.name] = spec, tuple(names)
+        usable = () if effect.name in correcting_effects else corrections
+        needed = [c for c in usable if c.column in effect.columns]
+        specs[effect.name] = ColumnSpec.from_effect(effect).with_corrections(needed)
     factors = size_factors or {}
 
     def make_term(b: CoefficientBlock) -> Term:
-        spec, names = columns[b.effect.name]
         prior_sd = b.coefficient.size * factors.get(b.effect.name, 1.0)
         corrects_path = b.slot in corrected_columns and isinstance(b.coefficient.prior, Known)
         slot = b.slot + PATH if corrects_path else b.slot
-        return Term(**{**vars(b), "slot": slot}, columns=spec, shape_names=names, prior_sd=prior_sd)
+        return Term(**{**vars(b), "slot": slot}, columns=specs[b.effect.name], prior_sd=prior_sd)
 
     return tuple(map(make_term, blocks)), corrected_columns
 

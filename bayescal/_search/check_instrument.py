@@ -24,8 +24,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, why_untestable
-from bayescal._model.parameters import bind
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Unknowns, bind
 from bayescal._search.own_files import format_error
 
 MAX_ERROR_SD = 4.0  # deviation from the true value beyond which a coefficient is not recovered
@@ -148,12 +147,12 @@ def _fit_simulated(
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)
     v = jnp.zeros(len(layout.hypers))
-    hyper = forward.hyper_values(layout, v)
+    hyper = layout.hyper(v)
     rng, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
         is_single = b.coefficient.per is None
         signs[b.x_slice] = 1 - 2 * (n % 2) if is_single else rng.standard_normal(b.size)
-    x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
+    x = layout.mean_of_x + forward.prior_sd(layout, hyper) * signs
     key = jax.random.fold_in(jax.random.key(seed), len(check.rows))
     output = np.asarray(forward.draw_readings(layout, frame, x, v, key))
     check.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))

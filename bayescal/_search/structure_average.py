@@ -29,8 +29,7 @@ from bayescal._inference.problem import ZERO_SD_COORDINATE
 from bayescal._inference.sampling import draw_weighted
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Layout, Unknowns
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import EvaluatedStructure, Structure, Structures
 

@@ -111,7 +111,7 @@ class EvaluatedStructure:
         """Return the corrections of columns (such as a body's temperature) with their shape parameters at the mode."""
         phi = self.phi
         corrections = (c for t in self.problem.terms for c in t.columns.corrections)
-        return {c: tuple(phi[n] for n in c.shape_names) for c in corrections}
+        return {c: tuple(phi[n] for n in c.spec.names) for c in corrections}
 
     def log_density_along(self, name: str, v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
         """Return the log density of φ with one entry, by name, at coordinates v, and all others at the mode."""

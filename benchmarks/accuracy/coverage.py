@@ -25,8 +25,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, draw_weighted
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.parameters import Layout, Levels, bind
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Layout, Levels, Unknowns, bind
 from bayescal_models import INSTRUMENTS
 from benchmarks.accuracy.ranks import Judgement, Posterior, drawn, judge, ranks
 from benchmarks.bank import Bank

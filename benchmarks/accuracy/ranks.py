@@ -23,8 +23,7 @@ import bayescal as bc
 from bayescal._inference.nuts import to_numpyro_distribution as law
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.parameters import Layout, bind
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Layout, Unknowns, bind
 
 MEMBERS = 4  # of each group: the others are exchangeable with them
 POINTS = 50  # at which an ECDF is compared with its band
@@ -43,8 +42,8 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
     keys = jax.random.split(key, len(layout.hypers) + 2)
     pairs = zip((h.prior for h in layout.hypers), keys, strict=False)
     v = jnp.array([p.coordinate(law(p).sample(key)) for p, key in pairs], dtype=float)
-    sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
-    return forward.prior_mean(layout) + sd * jax.random.normal(keys[-1], (layout.size,)), v
+    sd = forward.prior_sd(layout, layout.hyper(v))
+    return layout.mean_of_x + sd * jax.random.normal(keys[-1], (layout.size,)), v
 
 
 def drawn(

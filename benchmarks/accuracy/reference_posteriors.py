@@ -31,8 +31,7 @@ from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.parameters import Layout, bind
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Layout, Unknowns, bind
 from bayescal_models import INSTRUMENTS
 from benchmarks.record import ROOT, surroundings
 

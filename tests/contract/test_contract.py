@@ -181,7 +181,7 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
     effects = tuple(e for e in case.wide.effects if _feeds_slots(case, e))
     model = bc.Model(case.instrument, effects, case.wide.noise)
     layout = type(b.layout)(model, b.layout.counts)
-    hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
+    hyper = layout.hyper(jnp.zeros(len(layout.hypers)))
     x = forward.prior_sd(layout, hyper) * jnp.linspace(-1.0, 1.0, layout.size)
 
     @eqx.filter_jit

@@ -164,7 +164,7 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     a = assembled(case)
     point, v = somewhere(a)
     found = a.linearise(point, a.hyper(v))
-    hyper = forward.hyper_values(a.layout, jnp.asarray(v))
+    hyper = a.layout.hyper(jnp.asarray(v))
     line = composed(a, point, hyper)
     scale = np.max(np.abs(line.mean))
     np.testing.assert_allclose(found.mean, line.mean, rtol=1e-9, atol=1e-9 * scale)
@@ -175,7 +175,7 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
 
 def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """log p(y, φ) about the start, and mean and covariance of x, by the covariance of all readings: Σ + J·D·Jᵀ."""
-    start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
+    start, hyper = a.start, a.layout.hyper(jnp.asarray(v))
     line = composed(a, start, hyper)
     extra = np.broadcast_to(a.extra(line), a.record.size)
     one = jnp.eye(a.record.size)
@@ -188,7 +188,7 @@ def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarra
     density = -0.5 * (volume + a.record.size * LOG_2PI)
     gain = np.linalg.solve(covariance, j * sd**2).T
     mean, known = a.mean_of_x + gain @ left, np.diag(sd**2) - gain @ (j * sd**2)
-    return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v))), mean, known
+    return float(density + a.layout.log_prior(jnp.asarray(v))), mean, known
 
 
 @pytest.mark.parametrize(
@@ -438,9 +438,9 @@ def test_numpyro_program_has_the_same_density(model) -> None:
     differences = []
     for _ in range(4):
         v = jnp.asarray(rng.normal(0.0, 0.7, len(layout.hypers)))
-        hyper = forward.hyper_values(layout, v)
+        hyper = layout.hyper(v)
         sites = {h.name: hyper[h.name] for h in layout.hypers}
-        x, ours = [], forward.hyper_log_prior(layout, v)
+        x, ours = [], layout.log_prior(v)
         for i, h in enumerate(layout.hypers):
             ours -= jnp.log(
                 jax.grad(h.prior.value)(v[i])

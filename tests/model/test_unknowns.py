@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.parameters import bind
-from bayescal._model.unknowns import Unknowns
+from bayescal._model.parameters import Unknowns, bind
 from tests.support import references
 
 INSTRUMENTS = ("mems_gyro", "inclinometer", "ng_accelerometer")

@@ -55,7 +55,7 @@ def test_z_is_standard_under_the_model(rng) -> None:
     found, _ = of(LEVELS, data)
     g = found.linear.directions
     layout, mode = found.layout, found.mode
-    hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
+    hyper = layout.hyper(jnp.asarray(mode.v))
     line = forward.linearise(layout, found.frame, mode.x, hyper)
     prior, noise = found.problem.prior(found.problem.hyper(mode.v), mode.flat), found.model.noise
     sd = np.sqrt(np.broadcast_to(noise.variance(hyper, found.frame), len(data)))

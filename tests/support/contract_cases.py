@@ -43,19 +43,19 @@ class Bound:
         layout, _ = bind(model, readings)
         frame = frame_of(readings)
         random, v = np.random.default_rng(SEED), jnp.zeros(len(layout.hypers))
-        sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
-        x = forward.prior_mean(layout) + sd * random.standard_normal(layout.size)
+        sd = forward.prior_sd(layout, layout.hyper(v))
+        x = layout.mean_of_x + sd * random.standard_normal(layout.size)
         return cls(layout, frame, x, v)
 
     @property
     def hyper(self) -> forward.Values:
-        return forward.hyper_values(self.layout, self.v)
+        return self.layout.hyper(self.v)
 
 
 @eqx.filter_jit
 def differences(layout: Layout, frame, x, v) -> tuple[Any, jax.Array, jax.Array]:
     """Linearised form, prior sd of x, and central differences by x."""
-    hyper = forward.hyper_values(layout, v)
+    hyper = layout.hyper(v)
     sd = forward.prior_sd(layout, hyper)
 
     def by(push):

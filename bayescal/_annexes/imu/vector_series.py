@@ -266,7 +266,7 @@ def _sum_slots(
             value = (t.mean + deviation - deviation.mean())[:, None]
         else:
             value = problem.value(t, x, hyper)
-        shapes = [hyper[name] for name in t.shape_names]
+        shapes = [hyper[name] for name in t.columns.names]
         effect = t.effect
         unknown = {*effect.columns} - known_columns - {c.per for c in effect.coefficients}
         record = calibration.problem.record if unknown else problem.record
