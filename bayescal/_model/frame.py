@@ -6,7 +6,7 @@ time, time span), which are stored at the fit and never recomputed on new readin
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -168,17 +168,12 @@ class Frame:
     def select_columns(self, names: Sequence[str]) -> Frame:
         """Select columns, with their rates and reference constants; "time" implies "elapsed"; uncertainty is kept."""
         columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
-        constants = {*map(reference_name, columns), *map(hold_flag_name, columns)}
-        constants |= {"time_mean", "time_span"}
-        constants |= {
-            f"{n}{rate}_{end}" for n in columns for rate in ("", " rate") for end in ("low", "high")
+        parts = {
+            field: {n: values for n, values in getattr(self, field).items() if n in columns}
+            for field in ("columns", "rates", "record")
         }
-
-        def select(values: Mapping[str, Any], subset: Collection[str] = columns) -> dict[str, Any]:
-            return {name: value for name, value in values.items() if name in subset}
-
-        parts = {name: select(getattr(self, name)) for name in ("columns", "rates", "record")}
-        reference = select(self.reference, constants)
+        prefixes = (*columns, *map(reference_name, columns))
+        reference = {n: value for n, value in self.reference.items() if n.startswith(prefixes)}
         return replace(self, **parts, labels={}, codes={}, reference=reference)
 
     def reorder(self, rows: Any, order: Any, step: Any) -> Frame:
