@@ -325,7 +325,7 @@ class Covariate:
         term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
         lengths = np.geomspace(*length_range, LENGTH_COUNT[in_time])
-        weights = tuple(process_weights(length, term_count) for length in lengths)
+        weights = tuple(process_weights(term_count, length) for length in lengths)
         return cls(name, values, process_columns(position, term_count), weights, unit)
 
 

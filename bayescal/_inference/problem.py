@@ -19,7 +19,6 @@ from bayescal._model.composition import (
     compose,
     compute_input_variance,
     differentiate_output,
-    evaluate_output,
     expand_coefficient,
     linearise_output,
 )
@@ -240,7 +239,8 @@ class Problem:
 
     def expected(self, x: Any, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Return the expected output of joint draws, output unit (b, n)."""
-        mean = evaluate_output(self.host, self.compose(self._dynamic_terms, x, hyper))
+        composed = self.compose(self._dynamic_terms, x, hyper)
+        mean = self.host.response(composed.slots, composed.shifts)
         if self.is_affine:
             return mean + x @ self._static_jacobian[0].T
         return np.broadcast_to(mean, (len(x), self.record.size))  # one row if there are no terms

@@ -139,11 +139,6 @@ def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, A
             totals[slot] = totals[slot] + column * v if slot in totals else column * v
 
 
-def evaluate_output(source: ColumnSource, composed: ResponseArguments) -> Any:
-    """Return the expected output, output unit (…, n)."""
-    return source.response(composed.slots, composed.shifts)
-
-
 def differentiate_output(
     source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> tuple[Any, dict[str, Any]]:

@@ -50,7 +50,7 @@ def predict_moments(
     has_noisy_inputs = any(b.place == "input" for b in layout.blocks)
     source, terms, composed = compose_at(layout, frame, x, hyper, with_grad=has_noisy_inputs)
     if not has_noisy_inputs:
-        return composition.evaluate_output(source, composed), None
+        return source.response(composed.slots, composed.shifts), None
     linearisation = composition.linearise_output(source, terms, composed)
     return linearisation.mean, composition.compute_input_variance(terms, linearisation)
 

@@ -234,6 +234,14 @@ def strip_rate(covariate: str) -> str:
     return covariate.removesuffix(" rate")
 
 
+def covariate_columns(covariate: str) -> tuple[str, ...]:
+    """Return the columns of the readings that a covariate is computed from: a column, "elapsed" or a rate."""
+    if covariate == "elapsed":
+        return ("time",)
+    column = strip_rate(covariate)
+    return (column,) if column == covariate else (column, "time")
+
+
 def reference_name(column: str) -> str:
     names = {"temperature": "T0", "lab_temperature": "L0", "supply_voltage": "V0"}
     return names.get(column, f"{column}_0")

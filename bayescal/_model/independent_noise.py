@@ -11,7 +11,7 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_functions, xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, reference_name, strip_rate
+from bayescal._model.frame import Frame, covariate_columns, reference_name
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
@@ -89,10 +89,7 @@ class Heteroscedastic(Noise):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        if self.column == "elapsed":
-            return ("time",)
-        base_column = strip_rate(self.column)
-        return (base_column,) if base_column == self.column else (base_column, "time")
+        return covariate_columns(self.column)
 
     @property
     def covariates(self) -> tuple[str, ...]:

@@ -197,28 +197,25 @@ class Layout:
     @cached_property
     def hypers(self) -> tuple[Unknown, ...]:
         """Return the entries of φ in order: noise, group deviations, shapes, promoted coefficients."""
-        unit, fixed = self.model.instrument.unit, dict(self.model.fixed)
-        rows: list[tuple[str, str, Any, UnknownKind, str]] = []  # name, unit, prior, kind, effect
-        for name, prior in self.model.noise.parameters().items():
-            rows.append((name, self.model.noise.unit(name, unit), prior, "noise", "noise"))
-        for block in self.blocks:
-            c = block.coefficient
-            if (name := block.group_sd_name) is not None and block.place != "fixed":
-                rows.append((name, c.unit, c.group_sd, "group_sd", block.effect.name))
+        noise, fixed, rows = self.model.noise, dict(self.model.fixed), list[Unknown]()
+        for name, prior in noise.parameters().items():
+            unit = noise.unit(name, self.model.instrument.unit)
+            rows.append(Unknown(name, name, unit, "noise", "noise", prior))
+        for b in self.blocks:
+            if (name := b.group_sd_name) is not None and b.place != "fixed":
+                fields = b.coefficient.unit, b.effect.name, "group_sd", b.coefficient.group_sd
+                rows.append(Unknown(name, name, *fields))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
-                row = shape.unit, shape.prior, kind, effect.name
-                rows.append((effect.shape_name(shape), *row))
-        for block in self.blocks:
-            if block.place == "phi":
-                row = (block.coefficient.unit, _promote_prior(block), "promoted", block.effect.name)
-                rows += [(name, *row) for name in block.member_names()]
-        free_rows = (row for row in rows if row[0] not in fixed)
-        return tuple(
-            Unknown(name, name, unit, effect, kind, prior, v=i)
-            for i, (name, unit, prior, kind, effect) in enumerate(free_rows)
-        )
+                name = effect.shape_name(shape)
+                rows.append(Unknown(name, name, shape.unit, effect.name, kind, shape.prior))
+        for b in self.blocks:
+            if b.place == "phi":
+                fields = b.coefficient.unit, b.effect.name, "promoted", _promote_prior(b)
+                rows += [Unknown(name, name, *fields) for name in b.member_names()]
+        free_rows = (row for row in rows if row.name not in fixed)
+        return tuple(replace(row, v=i) for i, row in enumerate(free_rows))
 
     def hyper(self, v: Float[Any, "d *b"]) -> dict[str, Float[Any, "*b"]]:
         """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""

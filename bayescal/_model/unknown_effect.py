@@ -25,7 +25,7 @@ from bayescal._core.jit import value_partial
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
-from bayescal._model.frame import strip_rate
+from bayescal._model.frame import covariate_columns
 from bayescal._model.prior import Normal
 
 # Along a column (False) and in time (True), where steps and periodic forms occur: number of eigenfunctions, and range
@@ -90,11 +90,12 @@ def process_columns(position: Any, terms: int) -> Any:
     return xp.sin(order * (centred[..., None] + INTERVAL_RATIO)) / math.sqrt(INTERVAL_RATIO)
 
 
-def process_weights(length: Any, terms: int) -> Any:
-    """Return the prior standard deviations w of the coefficients for unit amplitude; `length` in covariate ranges."""
+def process_weights(terms: int, length: Any, amplitude: Any = 1.0) -> Any:
+    """Return the prior standard deviations w of the coefficients, as `Effect.weights`; `length` in covariate ranges."""
     order = np.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
     scale = 2 * length
-    return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
+    root_density = xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
+    return amplitude * root_density
 
 
 @functools.cache  # equal arguments give the identical object, so that compiled programs are reused
@@ -109,19 +110,17 @@ def unknown(
         name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]
-    column = strip_rate(covariate)
-    is_derived = covariate in ("elapsed", f"{column} rate")
-    columns = ("time",) if covariate == "elapsed" else (column,)
+    columns = covariate_columns(covariate)
     return Effect(
         name or f"unknown({covariate})",
         slot,
         value_partial(evaluate_process, covariate, terms),
         coefficients=make_standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=value_partial(scale_process, terms),
+        weights=value_partial(process_weights, terms),
         measure="amplitude",
-        columns=columns + (("time",) if is_derived and covariate != "elapsed" else ()),
-        varies=() if covariate == "elapsed" else (column,),
+        columns=columns,
+        varies=() if covariate == "elapsed" else columns[:1],
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
         along=covariate,
@@ -132,11 +131,6 @@ def unknown(
 def evaluate_process(covariate: str, terms: int, r: Any) -> Any:
     """Return a Gaussian process's basis columns (`process_columns`) at the positions of a covariate (n, terms)."""
     return process_columns(r.position(covariate), terms)
-
-
-def scale_process(terms: int, length: Any, amplitude: Any) -> Any:
-    """Return the prior standard deviations of a Gaussian process's coefficients, as `Effect.weights`."""
-    return amplitude * process_weights(length, terms)
 
 
 def _make_factory(kind: Kind, equation: str, basis: Callable[..., Any], summary: str) -> Form:
