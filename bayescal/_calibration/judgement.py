@@ -58,7 +58,8 @@ class Subject:
 
 def conflicts(subject: Subject) -> list[Claim]:
     """Return claims on contradictions between readings and priors, which do not depend on the residual checks."""
-    claims = [*contradicted_priors(subject), *find_widened_coefficients(subject)]
+    means = {row["name"]: (row["mean"], 0.0) for row in summary(subject.fit)[0]}
+    claims = [*_check_priors(subject, means), *find_widened_coefficients(subject)]
     return [*claims, *group_sds_beyond_range(subject), *implausible_curves(subject)]
 
 
@@ -79,30 +80,22 @@ def contradictions(
 
 def residual_claims(subject: Subject) -> list[Claim]:
     """Return failed residual checks; only the first claim if the fit did not converge or fixed values are wrong."""
-    if claims := [*find_nonconvergence(subject)]:
-        return claims
-    claims += [*find_infinite_evidence(subject), *subject.mode_claims, *find_slow_noise(subject)]
-    claims += [*normality(subject), *dependence(subject)]
-    return [*claims, *find_steps_between_runs(subject), *autocorrelation(subject)]
+    verdict, evidence, check = subject.fit.verdict, subject.fit.log_evidence, subject.check
+    if not verdict.ok:
+        return [Claim("fit.not_converged", reasons=" ".join(verdict.reasons))]
+    if check.contradicts_fixed:
+        return [Claim("fixed.wrong", rms=check.rms, unit=check.unit, times=check.rms / check.noise)]
+    is_infinite = evidence is not None and not math.isfinite(evidence[0])
+    claims = [Claim("evidence.not_finite")] if is_infinite else []
+    claims += [*subject.mode_claims, *find_slow_noise(subject), *normality(subject)]
+    claims += [*dependence(subject), *find_steps_between_runs(subject)]
+    return [*claims, *autocorrelation(subject)]
 
 
 def failures(subject: Subject) -> list[Claim]:
     """Return all failed checks of a fit outside a search."""
     claims = [*group_conflicts(subject), *residual_claims(subject)]
     return [*claims, *thermometer_anomalies(subject), *outlying_groups(subject)]
-
-
-def find_nonconvergence(subject: Subject) -> Iterator[Claim]:
-    verdict = subject.fit.verdict
-    if not verdict.ok:
-        yield Claim("fit.not_converged", reasons=" ".join(verdict.reasons))
-    elif (check := subject.check) and check.contradicts_fixed:
-        yield Claim("fixed.wrong", rms=check.rms, unit=check.unit, times=check.rms / check.noise)
-
-
-def contradicted_priors(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim for each coefficient whose posterior mean is far from its prior mean."""
-    return _check_priors(subject, {r["name"]: (r["mean"], 0.0) for r in summary(subject.fit)[0]})
 
 
 def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
@@ -448,13 +441,6 @@ def split_by_run(fit: Fitted, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def is_between_runs_only(values: np.ndarray, deviations: np.ndarray) -> bool:
     """Return whether the sum of squares within runs is a negligible part of the total."""
     return bool(np.sum(deviations**2) < limit("runs.apart", "within_share") * np.sum(values**2))
-
-
-def find_infinite_evidence(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim if the evidence is not finite."""
-    evidence = subject.fit.log_evidence
-    if evidence is not None and not math.isfinite(evidence[0]):
-        yield Claim("evidence.not_finite")
 
 
 def autocorrelation(subject: Subject) -> Iterator[Claim]:

@@ -40,7 +40,7 @@ from bayescal._core.settings import seed_of, settings
 from bayescal._data import allan_deviation as allan
 from bayescal._data.allan_deviation import CONFIDENCE, AllanDeviation, EvenRuns
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
+from bayescal._data.unit_conversion import convert, parse, same_dimension, unit_label
 from bayescal._inference.newton import NOWHERE, GaussianFit, NumericDensity, fit_gaussian, maximise
 from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._inference.sampling import draw_by_importance
@@ -90,6 +90,7 @@ FILTER_QUANTILE = 0.95
 # Share of the noise model's Allan deviation that a filter's two terms must reach at every averaging time.
 FILTER_RATIO = 0.95
 MAX_PRINTED_SUMS = 4  # number of sums that are printed with their probabilities
+SI_UNITS = ("rad/s", "rad", "m/s^2", "m/s")
 KEYS = ("tau", "deviation", "low", "high", "law", "law_low", "law_high")  # of the curve in JSON
 
 
@@ -791,31 +792,22 @@ def _summarise_figures(
 def _summarise_figure(
     symbol: str, name: str, unit: str, draw_unit: str, draws: np.ndarray, is_bound: bool = False
 ) -> NoiseFigure:
-    """Summarise draws in `draw_unit` as a figure in `unit` and in base units."""
+    """Summarise draws in `draw_unit` as a figure in `unit` and in SI units."""
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.quantile(draws, [tail, 0.5, 1 - tail])
     if is_bound:  # one-sided
         low, high = 0.0, np.nan_to_num(np.quantile(draws, CONFIDENCE), nan=math.inf)
-    (base, to_base), factor = _to_base_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
+    (si_unit, to_si), factor = _to_si_unit(draw_unit), parse(draw_unit).factor / parse(unit).factor
     values = np.array([median, low, high])
-    (value, lower, upper), (*si,) = (factor * values).tolist(), (to_base * values).tolist()
+    (value, lower, upper), (*si,) = (factor * values).tolist(), (to_si * values).tolist()
     return NoiseFigure(
-        symbol, name, unit, value, lower, upper, base, (si[0], si[1], si[2]), is_bound
+        symbol, name, unit, value, lower, upper, si_unit, (si[0], si[1], si[2]), is_bound
     )
 
 
-def _to_base_unit(unit: str) -> tuple[str, float]:
-    """Return a unit's base unit (SI) in its customary notation, and the conversion factor to it."""
+def _to_si_unit(unit: str) -> tuple[str, float]:
+    """Return the SI unit of a rate, an acceleration, or either times s; else the unit itself; and the factor to it."""
     suffix = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
-    parsed, g = parse(unit.removesuffix(suffix)), STANDARD_GRAVITY * 1e-6
-    named_units = {  # powers of base units → customary unit, factor
-        (("ug", 1),): (f"m/s^2{suffix}", g),
-        (("rad", 1), ("s", -1)): (f"rad/s{suffix}", 1.0),
-        (("rad", 1),): ("rad", 1.0),
-        (("s", 1), ("ug", 1)): ("m/s", g),
-    }
-    powers = tuple(sorted(parsed.powers.items()))
-    if powers not in named_units:
-        return unit, 1.0
-    unit_text, factor = named_units[powers]
-    return unit_text, parsed.factor * factor
+    stem = unit.removesuffix(suffix)
+    si_unit = next((si for si in SI_UNITS if same_dimension(stem, si)), stem)
+    return si_unit + suffix, float(convert(1.0, stem, si_unit, difference=True))

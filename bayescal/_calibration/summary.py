@@ -83,7 +83,7 @@ def unknown_rows(
     coefficients, hyperparameters = summary(calibration)
     # Coefficients of an unknown dependence describe a curve together.
     curve_effects = {e.name for e in calibration.model.effects if e.is_placeholder}
-    groups = {name: key for key, members in large_groups(calibration).items() for name in members}
+    groups = find_large_groups(calibration)
     for g in (*coefficients, *hyperparameters):
         name, effect, unit = g["name"], g["effect"], unit_label(g["unit"])
         key = effect if effect in curve_effects else groups.get(name)
@@ -128,16 +128,16 @@ def point_text(calibration: Fitted, covariate: str, value: float | None) -> str:
     return f"{covariate} {number(value, 3)} {unit_label(unit or '1')}".rstrip()
 
 
-def large_groups(calibration: Fitted) -> dict[str, list[str]]:
-    """Return, by coefficient, the names of members' coefficients of large groups and of initial states."""
-    members_by_coefficient = {}
+def find_large_groups(calibration: Fitted) -> dict[str, str]:
+    """Return name → key common to its group, of members' coefficients of large groups and of initial states."""
+    keys = dict[str, str]()
     for key, rows in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[rows]
         block = members[0].block
         is_initial = block is not None and block.coefficient.initial
         if members[0].group and len(members) > (1 if is_initial else MAX_MEMBER_ROWS):
-            members_by_coefficient[key] = [u.name for u in members]
-    return members_by_coefficient
+            keys |= {u.name: key for u in members}
+    return keys
 
 
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
