@@ -44,7 +44,6 @@ class Subject:
 
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
-    noise_floor: float = math.inf  # noise sd that no smooth effect could explain, output unit
     check: Any = None  # residual checks (`Check`); None if no check uses them, like the next
     leave_one_group_out: LeaveOneGroupOut | None = None  # predictions of each group from the others
     mode_claims: tuple[Claim, ...] = ()  # claims of `multimodality`
@@ -71,11 +70,17 @@ def group_conflicts(subject: Subject) -> list[Claim]:
 def contradictions(
     fit: Fitted, noise_floor: float, accepted: Collection[str] = ()
 ) -> tuple[Claim, ...]:
-    """Return claims that prevent a search: readings contradict the model's priors, or rounding exceeds the noise."""
+    """Return claims that prevent a search: readings contradict the model's priors, or rounding exceeds the noise.
+
+    noise_floor: noise standard deviation that no smooth effect could explain, output unit.
+    """
     freed_names = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
-    subject = Subject(fit, {*accepted, *freed_names}, noise_floor)
+    subject = Subject(fit, {*accepted, *freed_names})
     claims = conflicts(subject) or priors_contradicted_by_data(subject)
-    return (*claims, *rounding_claims(subject))
+    step = find_rounding_step(fit.readings["output"])
+    if noise_floor < limit("output.rounded", "steps") * step:
+        claims.append(Claim("output.rounded", grid=step, unit=fit.unit))
+    return tuple(claims)
 
 
 def residual_claims(subject: Subject) -> list[Claim]:
@@ -196,12 +201,6 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
         rms = float(np.std(fit.linear.contribution(effect.name)))
         if prior_rms and rms > limit("curve.beyond_known", "sizes") * prior_rms:
             yield Claim("curve.beyond_known", effect.name, here=rms, known=prior_rms, unit=fit.unit)
-
-
-def rounding_claims(subject: Subject) -> Iterator[Claim]:
-    step = find_rounding_step(subject.fit.readings["output"])
-    if subject.noise_floor < limit("output.rounded", "steps") * step:
-        yield Claim("output.rounded", grid=step, unit=subject.fit.unit)
 
 
 def find_implausible_members(subject: Subject) -> Iterator[Claim]:

@@ -90,9 +90,8 @@ def unknown_rows(
         if key in rows or (effects is not None and effect not in (*effects, "noise")):
             continue
         if effect in curve_effects:
-            rms, extreme, covariate, worst_value = curve_range(calibration, effect)
-            extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at "
-            extent += point_text(calibration, covariate, worst_value)
+            rms, extreme, place = curve_range(calibration, effect)
+            extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at {place}"
             rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
             means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
@@ -107,25 +106,17 @@ def unknown_rows(
     return rows
 
 
-def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:
-    """Return a curve's rms and extreme over the readings, output unit, its covariate and the extreme's abscissa."""
-    values = np.asarray(calibration.linear.contribution(name))
+def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str]:
+    """Return a curve's rms and extreme over the readings, output unit, and the extreme's place: "humidity 0.55"."""
+    values, readings = np.asarray(calibration.linear.contribution(name)), calibration.readings
     values = values - values.mean()
     worst = int(np.argmax(np.abs(values)))
-    effect = calibration.model.effect(name)
-    column = list_covariates(calibration.readings).get(effect.covariate)
-    worst_value = None if column is None else float(column[worst])
-    return float(values.std()), float(values[worst]), effect.covariate, worst_value
-
-
-def point_text(calibration: Fitted, covariate: str, value: float | None) -> str:
-    """Format a value of a covariate: "humidity 0.55"."""
-    if value is None:
-        return covariate
-    readings = calibration.readings
-    unit = "s" if covariate == "elapsed" else "degC/s"
-    unit = readings.unit(covariate) if readings.has(covariate) else unit
-    return f"{covariate} {number(value, 3)} {unit_label(unit or '1')}".rstrip()
+    place = covariate = calibration.model.effect(name).covariate
+    if (column := list_covariates(readings).get(covariate)) is not None:
+        unit = "s" if covariate == "elapsed" else "degC/s"
+        unit = readings.unit(covariate) if readings.has(covariate) else unit
+        place += f" {number(float(column[worst]), 3)} {unit_label(unit or '1')}".rstrip()
+    return float(values.std()), float(values[worst]), place
 
 
 def find_large_groups(calibration: Fitted) -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import find_coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import curve_range, given_text, point_text, summary, unknown_rows
+from bayescal._calibration.summary import curve_range, given_text, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -301,8 +301,7 @@ def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
 
 def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
-        _, largest, covariate, worst_value = curve_range(c, effect.name)
-        location = point_text(c, covariate, worst_value)
+        _, largest, location = curve_range(c, effect.name)
         return f"{effect.name}, up to {with_unit(abs(largest), c.unit, 2)}, most at {location}"
     texts = list[str]()
     for row in chain(*summary(c)):
