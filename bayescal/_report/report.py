@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -26,10 +26,10 @@ from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
+from bayescal._core.settings import Settings
 from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
-from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
 from bayescal._report.result_json import Chapter, Foreword, Foreworded, chapters
 from bayescal._search.discover import candidates_table, group_confounded, group_untested
@@ -80,6 +80,12 @@ class Pictures:
         return [
             self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
         ]
+
+    def missing(self, found: dict[str, Any], title: str) -> Picture | None:
+        """Draw the log Bayes factors of an entry of `missing` in result.json; None without any."""
+        if all(c["log_bayes_factor"] is None for c in found["candidates"]):
+            return None
+        return self.draw(lambda: plots.missing(found), f"Effects missing from {title}")
 
     def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
         """Draw the errors of each search step, from the steps of result.json."""
@@ -185,82 +191,30 @@ def render_page(
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
         "measured": report_text.with_unit,
     }
+    functions = (
+        *(averaged_over, candidates_table, check_table, compute_budget, group_confounded),
+        *(group_untested, identity, settings_of, sources_of),
+    )
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        chapters=[_chapter_variables(c, pictures) for c in parts],
+        chapters=parts,
+        pictures=pictures,
+        text=report_text,
+        coefficient_tables=offered("coefficient_tables"),
         k=report_text.K,
+        max_rows=MAX_ROWS,
         before=forewords,
+        **{function.__name__: function for function in functions},
     )
 
 
-def _chapter_variables(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
-    """Collect the template's variables for one set of readings."""
-    c, data = chapter.calibration, chapter.data
-    rows = report_text.coefficients(chapter)
-    signed_rows = report_text.tabulate_signed(rows, c.model)
-    total, no_budget = _compute_budget(chapter)
-    shown_steps = sorted({0, len(data["steps"]) - 1})
-    checks = [check_table([r for r in data["check"] if r["step"] == step]) for step in shown_steps]
-    names, readings = ("conclusion", "effects", "files", "steps", "convergence"), c.readings
-    return {
-        **{name: getattr(report_text, name)(chapter) for name in names},
-        "instrument": c.model.instrument,
-        "ok": data["verdict"]["ok"],
-        "devices": readings.groups("device")[0] if readings.has("device") else (),
-        "channels": [name for name in dict.fromkeys(s.output for s in readings.sources) if name],
-        "data": data,
-        "final": data["steps"][-1],
-        "identity": identity(chapter.used),
-        "of_the_model": None if chapter.average is None else identity(c),
-        "averaged": averaged_over(chapter.used),
-        "sources": sources_of(readings),
-        "groups": _format_groups(data),
-        "signed": signed_rows,
-        "further": len(rows.rows) - len(signed_rows.rows) + len(c.model.fixed),
-        "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
-        "noise": c.model.noise.in_words,
-        "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.reference_constants.items()],
-        "coefficients": replace(rows, rows=rows.rows[: 4 * MAX_ROWS]),
-        "further_tables": [pair for make in offered("coefficient_tables") for pair in make(data)],
-        "check": chapter.check,
-        "checks": [*zip(shown_steps, checks, strict=True)],
-        "discoveries": [_describe_missing(m, data, pictures) for m in data["missing"]],
-        "budget": total,
-        "budget_tables": total and [replace(t, rows=t.rows[:MAX_ROWS]) for t in total.tables()],
-        "no_budget": no_budget,
-        "pictures": _draw_chapter(chapter, pictures),
-    }
+def settings_of(data: dict[str, Any]) -> Settings:
+    """Return the settings under which the results of a result.json were computed."""
+    return Settings(**data.get("settings", {}))
 
 
-def _format_groups(data: dict[str, Any]) -> str:
-    """Format the numbers of runs, cells, axes and devices that are above one."""
-    counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
-    return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
-
-
-def _describe_missing(missing: dict[str, Any], data: Any, pictures: Pictures) -> dict[str, Any]:
-    """Collect the template's variables for the effects missing from one step."""
-    title = data["steps"][missing["step"]]["title"]
-    tested = [c for c in missing["candidates"] if c["kind"] != "not testable"]
-    table = candidates_table(missing["candidates"])
-    return {
-        "step": missing["step"],
-        "title": title,
-        "nothing": missing["nothing_missing_probability"],
-        "unstated": missing.get("unstated", ""),
-        "sets": missing["sets"],
-        "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "table": replace(table, rows=table.rows[:MAX_ROWS]),
-        "alike": [", ".join(group) for group in group_confounded(missing["candidates"])],
-        "not_testable": group_untested(missing["candidates"]),
-        "picture": pictures.draw(lambda: plots.missing(missing), f"Effects missing from {title}")
-        if any(c["log_bayes_factor"] is not None for c in missing["candidates"])
-        else None,
-    }
-
-
-def _compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
+def compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """Compute the uncertainty budget at mid-range of all inputs; or return the reason why there is none."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no uncertainty budget, since the result is not reliable."
@@ -270,13 +224,3 @@ def _compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
         return budget(chapter.used, k=report_text.K).in_output_unit(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
-
-
-def _draw_chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
-    c = chapter.calibration
-    residual_pictures = pictures.residuals(c, chapter.check)
-    return {
-        "last": residual_pictures[1:],
-        "front": next(iter(residual_pictures), None),  # on the page that is signed
-        "error": pictures.error(chapter.data["steps"]),
-    }

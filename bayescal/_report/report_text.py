@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -19,6 +19,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.composition import find_response_columns
 from bayescal._model.effect import Effect
+from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
@@ -37,8 +38,8 @@ def with_unit(value: float, unit: str, digits: int = 4) -> str:
     return f"{number(value, digits)} {unit_label(unit)}".strip()
 
 
-def ranges(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return the covered range of each numeric covariate and each rate of a temperature, with its role."""
+def ranges(calibration: Calibration) -> ResultTable:
+    """Tabulate the covered range of each numeric covariate and each rate of a temperature, with its role."""
     readings, model = calibration.readings, calibration.model
     used_columns = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used_columns |= find_response_columns(model.instrument, calibration.frame)
@@ -46,9 +47,9 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
 
     def add_row(name: str, meaning: str, values: np.ndarray, unit: str, role: str) -> None:
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        ends = {"low": number(low, 4).replace("-", "−"), "high": number(high, 4).replace("-", "−")}
-        details = {"unit": unit_label(unit), "role": role, "constant": low == high}
-        rows.append({"name": name, "meaning": meaning, **ends, **details})
+        quantity = ", ".join(filter(None, (name, meaning)))
+        role += " (constant)" * (low == high)
+        rows.append([quantity, unit_label(unit), number(low, 4), number(high, 4), role])
 
     roles = {"output": OUTPUT_ROLE}
     if model.instrument.use is not None:
@@ -67,18 +68,13 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     if readings.has("time"):
         elapsed = np.asarray(calibration.frame.columns["elapsed"])
         add_row("elapsed", "time since the start of a run", elapsed, "s", DERIVED_ROLE)
-    return rows
+    return plain_table(["quantity", "unit", "from", "to", "role"], rows, left=2, fold=1)
 
 
-def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
-    columns = (
-        TableColumn("quantity", lambda r: ", ".join(filter(None, (r["name"], r["meaning"])))),
-        TableColumn("from", "low"),
-        TableColumn("to", "high"),
-        TableColumn("unit", "unit", left=True),
-        TableColumn("role", lambda r: r["role"] + " (constant)" * r["constant"]),
-    )
-    return ResultTable(columns, rows, fold=1)
+def group_sizes(data: dict[str, Any]) -> str:
+    """List the numbers of runs, cells, axes and devices of a result.json that are above one."""
+    counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
+    return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
 
 
 def files(chapter: Chapter) -> ResultTable:
