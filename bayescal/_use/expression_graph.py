@@ -1,7 +1,8 @@
 """Expression graphs of scalar operations: tracing, simplification, differentiation, evaluation, code generation.
 
 One table defines each operation's NumPy function, its text in C and Python, and its vector-Jacobian products
-("pullbacks"), so that the evaluated and the exported program are the same. Equal nodes are stored once.
+("pullbacks"), so that the evaluated and the exported program are the same. Equal nodes are stored once. All values are
+numbers; comparisons and logical operations give 0 or 1.
 
 An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy functions of them create
 nodes, and functions that only move elements (reshape, stack, take) move them. A user's effect is exported like any
@@ -33,12 +34,16 @@ class Operation:
     compute: Callable[..., Any]
     c: str
     python: str
-    boolean: bool = False
 
 
-def _build_infix(compute: np.ufunc, sign: str, boolean: bool = False) -> Operation:
+def _build_infix(compute: np.ufunc, sign: str) -> Operation:
     text = f"{{0}} {sign} {{1}}"
-    return Operation(compute, text, text, boolean)
+    return Operation(compute, text, text)
+
+
+def _build_logical(compute: np.ufunc, c: str, python: str = "") -> Operation:
+    """Build an operation that is true or false in C and Python; `python`: its text there, if another than in C."""
+    return Operation(compute, f"(BAYESCAL_REAL)({c})", f"float({python or c})")
 
 
 def _build_function(compute: np.ufunc, name: str) -> Operation:
@@ -64,19 +69,16 @@ OPERATIONS: dict[str, Operation] = {
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
     **{name: _build_function(getattr(np, name), name) for name in _COMMON_NAMES.split()},
     **{f"a{n}": _build_function(getattr(np, f"arc{n}"), f"a{n}") for n in ("sin", "cos", "tan")},
-    "gt": _build_infix(np.greater, ">", True),
-    "ge": _build_infix(np.greater_equal, ">=", True),
-    "lt": _build_infix(np.less, "<", True),
-    "le": _build_infix(np.less_equal, "<=", True),
-    "eq": _build_infix(np.equal, "==", True),
-    "ne": _build_infix(np.not_equal, "!=", True),
-    "and": Operation(np.logical_and, "{0} && {1}", "{0} and {1}", True),
-    "or": Operation(np.logical_or, "{0} || {1}", "{0} or {1}", True),
-    "not": Operation(np.logical_not, "!{0}", "not {0}", True),
+    "gt": _build_logical(np.greater, "{0} > {1}"),
+    "ge": _build_logical(np.greater_equal, "{0} >= {1}"),
+    "lt": _build_logical(np.less, "{0} < {1}"),
+    "le": _build_logical(np.less_equal, "{0} <= {1}"),
+    "eq": _build_logical(np.equal, "{0} == {1}"),
+    "ne": _build_logical(np.not_equal, "{0} != {1}"),
+    "and": _build_logical(np.logical_and, "{0} && {1}", "{0} != 0 and {1} != 0"),
+    "or": _build_logical(np.logical_or, "{0} || {1}", "{0} != 0 or {1} != 0"),
+    "not": _build_logical(np.logical_not, "!{0}", "not {0}"),
     "select": Operation(np.where, "{0} ? {1} : {2}", "{1} if {0} else {2}"),
-    "real": Operation(
-        lambda x: np.where(x, 1.0, 0.0), "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0", "float({0})"
-    ),
 }
 # Pullbacks of an adjoint d by operation and argument; zero for operations that are not listed.
 PULLBACKS: dict[str, tuple[Callable[..., Any], ...]] = {
@@ -129,21 +131,13 @@ class Graph:
             self.nodes.append(node)
         return self.index[text]
 
-    def constant(self, value: float | bool) -> int:
-        return self.add(("const", (bool if isinstance(value, bool | np.bool_) else float)(value)))
+    def constant(self, value: float) -> int:
+        return self.add(("const", float(value)))
 
     def input(self, name: str) -> int:
         return self.add(("input", name))
 
-    def is_boolean(self, node: int) -> bool:
-        op, *args = self.nodes[node]
-        if op == "const":
-            return isinstance(args[0], bool)
-        if op == "select":
-            return self.is_boolean(args[1])
-        return op in OPERATIONS and OPERATIONS[op].boolean
-
-    def constant_value(self, node: int) -> float | bool | None:
+    def constant_value(self, node: int) -> float | None:
         """Return a constant's value; None for any other node."""
         op, *args = self.nodes[node]
         return args[0] if op == "const" else None
@@ -153,8 +147,7 @@ class Graph:
         values = [self.constant_value(a) for a in args]
         if all(v is not None for v in values):
             with np.errstate(all="ignore"):
-                value = OPERATIONS[op].compute(*values)
-            return self.constant(bool(value) if OPERATIONS[op].boolean else value.item())
+                return self.constant(OPERATIONS[op].compute(*values))
         simplified_node = self._simplify(op, args, values)
         return simplified_node if simplified_node is not None else self.add((op, *args))
 
@@ -175,7 +168,7 @@ class Graph:
         if op == "add" and negated_node is not None:
             return self.apply("sub", first, negated_node)
         if op in ("mul", "and") and any(is_zero):
-            return self.constant(0.0 if op == "mul" else False)
+            return self.constant(0.0)
         if op == "div" and is_zero[0]:
             return first
         for sign in (1, -1):  # as a factor or divisor
@@ -213,7 +206,8 @@ class Graph:
                     values[node] = inputs[args[0]]
                 else:
                     operation = args.pop(0) if op == "call" else OPERATIONS[op]
-                    values[node] = operation.compute(*(values[a] for a in args))
+                    value = operation.compute(*(values[a] for a in args))
+                    values[node] = value.astype(float) if value.dtype == bool else value
                     for a in (a for a in args if last_use[a] == node):  # frees its memory
                         values.pop(a, None)
         return [values[o] for o in outputs]
@@ -273,16 +267,13 @@ class Graph:
         element = element.item() if isinstance(element, np.ndarray) else element
         return element.node if isinstance(element, Symbol) else self.constant(element)
 
-    def _element(self, node: int) -> Symbol | float | bool:
+    def _element(self, node: int) -> Symbol | float:
         value = self.constant_value(node)
         return Symbol(node) if value is None else value
 
-    def apply_scalar(self, op: str, *elements: Any) -> Symbol | float | bool:
-        """Apply an operation to symbols and numbers; booleans become 0 or 1 in arithmetic operations."""
-        nodes = [self.node_of(element) for element in elements]
-        if op not in ("and", "or", "not", "real", "select"):
-            nodes = [self.apply("real", p) if self.is_boolean(p) else p for p in nodes]
-        return self._element(self.apply(op, *nodes))
+    def apply_scalar(self, op: str, *elements: Any) -> Symbol | float:
+        """Apply an operation to symbols and numbers."""
+        return self._element(self.apply(op, *map(self.node_of, elements)))
 
     def data(self) -> list[list[Any]]:
         """Return the nodes as JSON lists; non-finite numbers as text."""
@@ -362,7 +353,7 @@ class Symbols(np.ndarray):
         return to_symbols(super().__array_function__(func, types, args, kwargs))
 
 
-UFUNC_NAMES = {o.compute.__name__: n for n, o in OPERATIONS.items() if n not in ("select", "real")}
+UFUNC_NAMES = {o.compute.__name__: n for n, o in OPERATIONS.items() if n != "select"}
 UFUNC_NAMES |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
@@ -401,17 +392,13 @@ class Language:
     cast: str  # prefix of a constant
     nan: str  # constant NaN
     infinity: str  # constant infinity
-    booleans: tuple[str, str]  # constants false and true
     statement: str  # assignment of an expression to a name
-    statement_boolean: str  # assignment of a boolean expression
     input: str = "{}"  # format of an input's field
     template: str = ""  # template file of the program
     escape_comment: Callable[[Any], str] = str  # escapes text for a comment
 
-    def number(self, value: float | bool) -> str:
+    def number(self, value: float) -> str:
         """Return a constant's text, as an operand."""
-        if isinstance(value, bool):
-            return self.booleans[value]
         if math.isnan(value):
             return self.cast + self.nan
         text = repr(abs(value)) if math.isfinite(value) else self.infinity
@@ -419,13 +406,12 @@ class Language:
 
 
 PYTHON = Language(
-    *("python", "", "math.nan", "math.inf", ("False", "True"), "{} = {}", "{} = {}"),
+    *("python", "", "math.nan", "math.inf", "{} = {}"),
     template="compensator.py.jinja",
     escape_comment=python_words,
 )
 C = Language(
-    *("c", "(BAYESCAL_REAL)", "NAN", "INFINITY", ("0", "1")),
-    *("const BAYESCAL_REAL {} = {};", "const int {} = {};"),
+    *("c", "(BAYESCAL_REAL)", "NAN", "INFINITY", "const BAYESCAL_REAL {} = {};"),
     input="in->{}",
     template="compensator.h.jinja",
     escape_comment=c_comment,
@@ -446,7 +432,6 @@ def generate_statements(
             text[node] = names[args[0]]
         else:
             expression = getattr(OPERATIONS[op], language.name).format(*(text[a] for a in args))
-            template = language.statement_boolean if graph.is_boolean(node) else language.statement
             text[node] = f"t{len(lines)}"
-            lines.append(template.format(text[node], expression))
+            lines.append(language.statement.format(text[node], expression))
     return lines, [text[o] for o in outputs]

@@ -46,7 +46,7 @@ def _dot_general(p: Any, x: Any, y: Any) -> Any:
 
 # JAX primitive → function of its parameters and of arrays of symbols.
 RULES: dict[str, Callable[..., Any]] = {
-    **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n not in ("select", "real")},
+    **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n != "select"},
     "add_any": _elementwise(np.add),
     "square": _elementwise(np.square),
     "rsqrt": _elementwise(lambda x: 1.0 / np.sqrt(x)),
@@ -146,8 +146,6 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
 
 class Call:
     """A JAX function of `count` scalars as a graph operation, which cannot be exported for the reason `why_not`."""
-
-    boolean = False
 
     def __init__(self, function: Callable[..., Any], count: int, why_not: str) -> None:
         self.function, self.count, self.why_not = function, count, why_not
