@@ -542,19 +542,25 @@ class ExportCommand(InUse, DecisionRule, Command):
             raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
         if self.format_ in writers:
             return writers[self.format_](self)
+        self.refuse_unused("axis", "device_id", "local_gravity")
         corrections = [correction for _, correction in self.load_corrections()]
-        is_triad = corrections and not isinstance(corrections[0], bc.Compensator)
-        if self.local_gravity:
-            raise InputError("--local-gravity is for parameters and certificates: leave it out")
-        if not is_triad or self.axis or self.device_id:
+        if not corrections or isinstance(corrections[0], bc.Compensator):
             self.require_one()
         return self.write_corrections(corrections)
 
     def require_one(self) -> None:
         """Raise InputError unless exactly one calibration is given."""
-        if len(self.calibrations) != 1 or self.axis or self.device_id:
-            message = "one calibration is exported, without --axis and --device-id"
-            raise InputError(f"{message}; several only as --format px4-params or ardupilot-params")
+        if len(self.calibrations) != 1:
+            several = "several only as --format px4-params or ardupilot-params"
+            raise InputError(
+                f"one calibration is exported, not {len(self.calibrations)}; {several}"
+            )
+
+    def refuse_unused(self, *options: str, subject: str = "") -> None:
+        """Raise InputError if one of the options, which the export (of `subject`) does not use, is given."""
+        for option in (f"--{o.replace('_', '-')}" for o in options if getattr(self, o)):
+            export = f"--format {self.format_}" if self.format_ else f"--out {self.out}"
+            raise InputError(f"{export}{subject} does not use {option}: leave it out")
 
     @property
     def gravity(self) -> float:
@@ -582,7 +588,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         text = files.as_text(first_program, format, **kwargs)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"
-        names = [program.about_it()[0] for program in programs]
+        names = [program.instrument for program in programs]
         omissions = zip(names, (kind.describe_omissions(p, format) for p in programs), strict=True)
         print_notes([f"{name}: {words}" for name, words in omissions if words])
         is_single = isinstance(corrections[0], bc.Compensator)

@@ -45,7 +45,6 @@ FORM = "form of the model: effects outside the candidates"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
-CERTIFICATE_INDEX = re.compile(r"(?<=\.certificate)\[.*")  # of a reference error's coefficient
 
 
 @dataclass(frozen=True)
@@ -293,23 +292,25 @@ def _split_by_source(
         *_, gradient = _linearise(used, point)
         total = float(gradient @ used._moments.covariance @ gradient)
     calibration, unknowns = used.calibration, used.equation.unknowns
+    blocks = {b.name: b for b in calibration.layout.blocks}
     sensitivities, estimated = dict[str, float](), _estimated_group_sds(used.equation)
     for i, unknown in enumerate(unknowns):
         if unknown.kind == "new":
-            name = unknown.name.replace("(new ", " of a new ").removesuffix(")")
+            label = f"{unknown.key} of a new {blocks[unknown.key].per}"
             variance_i = gradient[i] ** 2 * used._moments.covariance[i, i]
-            variances[name, "A" if unknown.key in estimated else "B"] = variance_i
+            variances[label, "A" if unknown.key in estimated else "B"] = variance_i
         else:
             sensitivities[unknown.name] = float(gradient[i])
     readings, priors = variance_by_origin(calibration, sensitivities)
-    groups = {b.name: b.coefficient.per for b in calibration.layout.x_blocks}
     if readings or priors:
         variances[READINGS, "A"] = readings
         for name, value in priors.items():
-            group_text = f" of the fitted {groups.get(name)}s".replace("axiss", "axes")
-            of = group_text if groups.get(name) else ""
-            source = f"prior of {CERTIFICATE_INDEX.sub('', name)}{of}", "B"
-            variances[source] = variances.get(source, 0.0) + value
+            label = f"prior of {name}"
+            if (block := blocks.get(name)) and block.effect.is_reference_error:
+                label = f"prior of {block.effect.name}"
+            elif block and block.per:
+                label += f" of each fitted {block.per}"
+            variances[label, "B"] = variances.get((label, "B"), 0.0) + value
     index = calibration.unknowns
     for confounder in calibration.confounders:
         shift = 0.0  # of the value, per standard deviation of the column's effect

@@ -11,11 +11,10 @@ to `MAX_NEWTON_STEPS`. Its standard uncertainty is √(gᵀCg), g = −gradient/
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,21 +42,16 @@ from bayescal._use.operating_equation import (
 )
 
 
-class CorrectionInUse(ABC):
-    """Base class of corrections from readings to the stimulus, exported as files (`correction_files.py`)."""
-
-    @abstractmethod
-    def about_it(self) -> tuple[str, tuple[str, ...], str]:
-        """Return the instrument's name, the notes, and the reason not to use the correction (empty for none)."""
-
-    @abstractmethod
-    def data(self) -> dict[str, Any]:
-        """Return the content of the correction's JSON file."""
+class CorrectionInUse(Protocol):
+    """Interface of corrections from readings to the stimulus, exported as files (`correction_files.py`)."""
 
     @property
-    def why_not(self) -> str:
-        """Return the reason why the result must not be used; empty if it may."""
-        return self.about_it()[2]
+    def instrument(self) -> str: ...  # its name
+
+    @property
+    def why_not(self) -> str: ...  # the reason why the result must not be used; empty if it may
+
+    def data(self) -> dict[str, Any]: ...  # content of the JSON file
 
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
@@ -321,7 +315,7 @@ class TracedEquation:
 
 
 @dataclass(frozen=True, eq=False)
-class CompensationProgram(CorrectionInUse):
+class CompensationProgram:
     """A first-order compensation by posterior mean and covariance."""
 
     about: Provenance
@@ -332,8 +326,13 @@ class CompensationProgram(CorrectionInUse):
     affine: bool  # whether the expected output is affine in the stimulus
     equation: TracedEquation
 
-    def about_it(self) -> tuple[str, tuple[str, ...], str]:
-        return self.about.instrument, self.about.notes, self.about.why_not
+    @property
+    def instrument(self) -> str:
+        return self.about.instrument
+
+    @property
+    def why_not(self) -> str:
+        return self.about.why_not
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:

@@ -38,7 +38,7 @@ Writer = Callable[[Mapping[str, Any], bool], str]
 class CorrectionKind(NamedTuple):
     """A kind of corrections: its class, formats and writers."""
 
-    of: type[CorrectionInUse]  # class of the corrections
+    of: type  # class of the corrections, `CorrectionInUse`
     axes: str  # number of axes, in words, such as "three axes"
     writers: Mapping[str, Writer]  # format → writer
     suffixes: Mapping[str, str]  # suffix of a file → format
@@ -190,7 +190,7 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
     Raises:
         InputError: the name is invalid in C, or two are of one instrument.
     """
-    instruments = [correction.about_it()[0] for correction in unit]
+    instruments = [correction.instrument for correction in unit]
     if len(unit) == 1:
         return [sensor_name(name, instruments[0])]
     prefix = "" if name is None else f"{sensor_name(name, '')}_"

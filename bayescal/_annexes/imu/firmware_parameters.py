@@ -436,10 +436,10 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
     loaded = cmd.load_corrections(ws.of_units(cmd.calibrations, ws.CALIBRATION))
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
-        _refuse_unused(cmd, " of three axes", "axis", "device_id", "local_gravity")
+        cmd.refuse_unused("axis", "device_id", "local_gravity", subject=" of three axes")
         return cmd.write_corrections([compensator for _, compensator in loaded])
     if cmd.format_ == "ardupilot-params":
-        _refuse_unused(cmd, "", "device_id")
+        cmd.refuse_unused("device_id")
     compensators = _by_axis(loaded, cmd)
     devices = dict[str, int]()
     for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
@@ -450,12 +450,6 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     file = firmware_parameters(compensators, str(cmd.format_), **options)
     text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
     return ws.Answer(text.removesuffix("\n"), **ws.describe_reliability(compensators))
-
-
-def _refuse_unused(cmd: ws.ExportCommand, subject: str, *options: str) -> None:
-    """Raise InputError if one of the options, which the export of `subject` does not use, is given."""
-    for option in (f"--{o.replace('_', '-')}" for o in options if getattr(cmd, o)):
-        raise bc.InputError(f"--format {cmd.format_}{subject} does not use {option}: leave it out")
 
 
 def _by_axis(

@@ -75,7 +75,7 @@ class CorrectedVector:
 
 
 @dataclass(frozen=True, eq=False)
-class VectorCorrection(ws.CorrectionInUse):
+class VectorCorrection:
     """Three-axis correction: offset, matrix, higher-order terms over temperature, covariance; call it with outputs.
 
         correct = bc.vector_correction(calibration)
@@ -123,8 +123,10 @@ class VectorCorrection(ws.CorrectionInUse):
         """Return the powers of T − T0 for temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
-    def about_it(self) -> tuple[str, tuple[str, ...], str]:
-        return self.instrument, self.notes, self.against
+    @property
+    def why_not(self) -> str:
+        """Return why the result must not be used; empty if it may."""
+        return self.against
 
     def data(self) -> dict[str, Any]:
         equation = (
