@@ -41,7 +41,6 @@ MAX_BLOCK_SIZE = 60_000  # draws × readings evaluated together, within the proc
 MAX_NOISE_READINGS, MAX_NOISE_DRAWS = 200, 2000  # averaged over for the mean noise variance
 MAX_HELD_DRAWS = 200  # draws, and readings, for the rms error of held inputs
 IMAGINARY_STEP = 1e-30j  # relative complex step of a derivative
-MAX_LAG_BLOCK_SIZE = 4_000_000  # draws × readings whose lags are computed together
 Values = Mapping[str, Any]
 
 
@@ -531,25 +530,20 @@ def solve_over_draws(
 
     Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """
-    count, size = len(theta), len(output)
-    block_draws = count if record is None else min(count, max(1, MAX_LAG_BLOCK_SIZE // size))
-    origin, sums = np.zeros(size), np.zeros((3, size))
-    for start_draw in range(0, count, block_draws):
-        draws = theta[start_draw : start_draw + block_draws]
-        values = dict(inputs)
+    count, block = len(theta), max(1, MAX_BLOCK_SIZE // len(output))
+    origin, sums, values = np.zeros(len(output)), np.zeros((3, len(output))), dict(inputs)
+    for start in range(0, count, block):
+        draws = theta[start : start + block]
         for lag in equation.lags if record is not None else ():
             (tau,) = equation.evaluate([lag.node], draws, 0.0, {})
             values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
             if lag.slope:
-                values[lag.slope] = np.zeros(size)  # the lag is at this τ already
-        block_readings = max(1, MAX_BLOCK_SIZE // len(draws))
-        for rows in (slice(i, i + block_readings) for i in range(0, size, block_readings)):
-            block_inputs, y = {n: v[..., rows] for n, v in values.items()}, output[rows]
-            solution = equation.solve(draws, y, block_inputs)
-            s, slope = (np.broadcast_to(array, (len(draws), len(y))) for array in solution)
-            if start_draw == 0:  # origin of the sums, to avoid cancellation
-                origin[rows] = s.mean(axis=0)
-            offset = s - origin[rows]
-            sums[:, rows] += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
+                values[lag.slope] = np.zeros(1)  # the lag is at this τ already
+        solution = equation.solve(draws, output, values)
+        s, slope = (np.broadcast_to(array, (len(draws), len(output))) for array in solution)
+        if start == 0:  # origin of the sums, to avoid cancellation
+            origin = s.mean(axis=0)
+        offset = s - origin
+        sums += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
     mean = sums[0] / count
     return origin + mean, (sums[1] - sums[0] * mean) / max(count - 1, 1), sums[2] / count
