@@ -28,6 +28,7 @@ from bayescal._cli.options import (
     ColumnOptions,
     Command,
     DecisionRule,
+    FitRequest,
     InUse,
     ModelOptions,
     OwnParts,
@@ -257,19 +258,14 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             return Answer(content, ok=search.ok, why=reason, drawn=drawn_all, written=written)
 
 
-class FitCommand(ModelOptions, ReadRequest, AsJson, Command):
+class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
     """Fit one model: coefficients with uncertainties."""
 
     example = "bayescal fit readings.csv --instrument mems_gyro --out result"
-    instrument: str = Shared.instrument
     noise: str | None = opt(
         "Noise law: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
         metavar="NAME",
     )
-    method: str = Shared.method
-    average: str | None = Shared.average
-    time_limit: float | None = Shared.time_limit
-    seed: int = Shared.seed
     out: Path | None = Shared.folder
 
     def answer(self) -> Answer:
@@ -337,14 +333,13 @@ class DiscoverCommand(OwnParts, AsJson, Command):
         return Answer(text, data)
 
 
-class CompareCommand(ReadRequest, AsJson, Command):
+class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
     """Compare structures by leave-one-group-out and evidence."""
 
     example = (
         "bayescal compare readings.csv --instrument mems_gyro --structure line "
         "--structure line+bias.thermal_lag"
     )
-    instrument: str = Shared.instrument
     structures: Texts = opt(
         "Structure, also with added effects: line+bias.thermal_lag; repeatable; default: all.",
         *(None, "--structure"),
@@ -353,10 +348,6 @@ class CompareCommand(ReadRequest, AsJson, Command):
     reference_dcc: Texts = Shared.reference_dcc
     effects_file: Path | None = Shared.effects
     typed: Texts = Shared.typed
-    average: str | None = Shared.average
-    method: str = Shared.method
-    time_limit: float | None = Shared.time_limit
-    seed: int = Shared.seed
 
     def answer(self) -> Answer:
         instrument, _, readings = request.open_request(self)
@@ -549,12 +540,11 @@ class ExportCommand(InUse, DecisionRule, Command):
         return self.write_corrections(corrections)
 
     def require_one(self) -> None:
-        """Raise InputError unless exactly one calibration is given."""
-        if len(self.calibrations) != 1:
+        """Raise InputError unless exactly one calibration is given, by its path alone."""
+        self.refuse_unused("axis", "device_id")
+        if (count := len(self.calibrations)) != 1:
             several = "several only as --format px4-params or ardupilot-params"
-            raise InputError(
-                f"one calibration is exported, not {len(self.calibrations)}; {several}"
-            )
+            raise InputError(f"one calibration is exported, not {count}; {several}")
 
     def refuse_unused(self, *options: str, subject: str = "") -> None:
         """Raise InputError if one of the options, which the export (of `subject`) does not use, is given."""

@@ -327,20 +327,25 @@ class ModelOptions(Options):
     typed: Texts = Shared.typed
 
 
-class SearchRequest(ModelOptions, ReadRequest):
-    """Options of a search."""
+class FitRequest(Options):
+    """Options of a fit: instrument, averaging, method, time limit, seed."""
 
     instrument: str = Shared.instrument
+    method: str = Shared.method
     average: str | None = Shared.average
+    time_limit: float | None = Shared.time_limit
+    seed: int = Shared.seed
+
+
+class SearchRequest(FitRequest, ModelOptions, ReadRequest):
+    """Options of a search."""
+
     holdout: list[Path] | None = opt(
         "Hold-out data, read after the last step; repeatable.", callback=check_files_exist
     )
-    method: str = Shared.method
     max_effects: int = Shared.max_effects
-    time_limit: float | None = Shared.time_limit
     keep_spikes: bool = opt("Keep spikes, and readings with wrong temperatures.", False)
     accept_conflict: Texts = opt("bias.constant: accept a conflict with its prior; repeatable.")
-    seed: int = Shared.seed
 
     def settings(self) -> dict[str, Any]:
         """Return the search settings common to command line and workbench."""

@@ -57,15 +57,14 @@ def open_channels(
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Return the instrument, and models and readings by channel (a single output: ""), models adapted to readings."""
     instrument = instrument_named(request.instrument)
-    records = _read(request.files, instrument, request, names)
-    for record in records.values():
+    readings = _read(request.files, instrument, request, names)
+    for record in readings.values():
         # A triad's log is averaged over its stationary intervals.
         averages = request.average is not None or instrument.outputs
         if len(record) > LONG_LOG_READINGS and record.has("time") and not averages:
             mean = f"--average TIME, means of {-(-len(record) // LONG_LOG_READINGS)} or more"
             note = f"{len(record):,} readings: {mean}, loses little information"
             print_notes([f"{record.file}: {note}"])
-    readings = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
     models = {}
     for name, record in readings.items():
         tailored = instrument.for_readings(record)
@@ -87,10 +86,12 @@ def load_effects(
 def _read(
     files: Sequence[Path], kind: Any, request: ReadRequest, names: Sequence[str], **options: Any
 ) -> dict[str, Measurements]:
+    """Read files, for one output (name "") or for the channels `names`; average them if requested."""
     options |= {"outputs": list(names)} if names else {}
     with stage("reading"):
-        readings = bc.read(list(files), kind, **request.read_options(), **options)
-    return readings if names else {"": readings}  # pyright: ignore[reportReturnType]
+        readings: Any = bc.read(list(files), kind, **request.read_options(), **options)
+    records = readings if names else {"": readings}
+    return {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
 
 
 def average(readings: Measurements, average: str | None, keep_spikes: bool = False) -> Measurements:
@@ -151,8 +152,7 @@ def open_search(
     holdout = {}
     if request.holdout:
         kind = instrument if names else models[""].instrument
-        records = _read(request.holdout, kind, request, names, allow_one_temperature=True)
-        holdout = {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
+        holdout = _read(request.holdout, kind, request, names, allow_one_temperature=True)
     print_notes(flags_of(readings))
     return models, readings, holdout
 

@@ -48,7 +48,6 @@ def export_certificate(command: ws.ExportCommand) -> ws.Answer:
     """Export a digital calibration certificate, with decisions on conformity if limits are given."""
     from bayescal._annexes.metrology.certificate import dcc_text
 
-    command.refuse_unused("axis", "device_id")
     command.require_one()
     (path,), gravity, decisions = command.calibrations, command.gravity, None
     if command.certificate is None:
