@@ -37,7 +37,7 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._use.compensation_program import PAST, clock_note
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation
+from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
 REMAINDER = "between-run sd, time constants, second-order terms"
 STRUCTURES = "model average against the most probable structure"
@@ -295,8 +295,8 @@ def _split_by_source(
     blocks = {b.name: b for b in calibration.layout.blocks}
     sensitivities, estimated = dict[str, float](), _estimated_group_sds(used.equation)
     for i, unknown in enumerate(unknowns):
-        if unknown.kind == "new":
-            label = f"{unknown.key} of a new {blocks[unknown.key].per}"
+        if is_new_member(unknown):
+            label = f"{unknown.key} of a new {unknown.group}"
             variance_i = gradient[i] ** 2 * used._moments.covariance[i, i]
             variances[label, "A" if unknown.key in estimated else "B"] = variance_i
         else:
@@ -315,7 +315,7 @@ def _split_by_source(
     for confounder in calibration.confounders:
         shift = 0.0  # of the value, per standard deviation of the column's effect
         for derivative, u in zip(gradient, unknowns, strict=True):
-            if u.kind == "coefficient" and (shares := confounder.shares.get(u.key)):
+            if not is_new_member(u) and (shares := confounder.shares.get(u.key)):
                 shift += float(derivative) * shares[index.index[u.name] - index.by_key[u.key].start]
         variances[f"{confounder.label}, collinear with the model's", "B"] = shift**2
     unfound = list[float]()
@@ -323,7 +323,7 @@ def _split_by_source(
         unfound.append(float(gradient[i] * root) ** 2)
         variances[f"{name} of a new run, neither found nor excluded", "B"] = unfound[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
-        g = gradient * [u.kind != "new" for u in unknowns]
+        g = gradient * [not is_new_member(u) for u in unknowns]
         variances[FORM, "B"] = excess * (float(g @ used._moments.covariance @ g) - sum(unfound))
     rows = sorted(variances.items(), key=lambda p: -p[1])
     remainder = total - sum(variances.values())

@@ -38,6 +38,7 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     input_name,
+    is_new_member,
     lag_and_slope,
 )
 
@@ -270,7 +271,7 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
     """Return the notes on a compensation: averaging, dates, new members, held inputs, lags, range."""
     calibration = equation.calibration
     notes = [*averaged_over(calibration), *clock_note(equation)]
-    if new_members := [u.name for u in equation.unknowns if u.kind == "new"]:
+    if new_members := [u.name for u in equation.unknowns if is_new_member(u)]:
         notes.append(Claim("use.new_members", *new_members))
     if constants := equation.held_inputs:
         values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)

@@ -30,7 +30,7 @@ from bayescal._model.composition import TracedColumns, compose
 from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument, Use, factor_of
-from bayescal._model.parameters import CoefficientBlock, Layout, member_name
+from bayescal._model.parameters import CoefficientBlock, Layout, Unknown, member_name
 from bayescal._model.terms import terms_of
 from bayescal._use.expression_graph import Graph, NotExportable, Symbol, Symbols
 
@@ -72,14 +72,9 @@ class OneReading(Frame):
         return np.zeros(self.size), np.ones(self.size)  # as at the first reading of a run
 
 
-class UnknownInUse(NamedTuple):
-    """One unknown of the equation in use."""
-
-    name: str  # of the coefficient or shape, with "(new run)" for an unmeasured deviation
-    key: str  # in the equation
-    unit: str  # in which it is reported
-    kind: str  # "coefficient", "shape", or "new" for a new member's deviation
-    effect: str  # name of the effect
+def is_new_member(u: Unknown) -> bool:
+    """Return whether an unknown in use is the deviation of a group member that the fit has not seen."""
+    return u.group is not None and u.member is None
 
 
 def input_name(unknown: str) -> str:
@@ -149,7 +144,7 @@ class OperatingEquation:
     @cached_property
     def shapes(self) -> dict[str, tuple[float, float, float]]:
         """Return each shape's mean and standard deviation, given its effect, and the effect's probability."""
-        keys = {u.key for u in self.unknowns if u.kind == "shape"}
+        keys = {u.key for u in self.unknowns if u.block is None}
         rows = summary(self.calibration)[1] if keys else ()
         return {
             n: (*r["given"].values(), r["probability"]) for r in rows if (n := r["name"]) in keys
@@ -170,21 +165,18 @@ class OperatingEquation:
         return tuple(b for b in blocks if not b.effect.is_reference_error)
 
     @cached_property
-    def unknowns(self) -> tuple[UnknownInUse, ...]:
-        """Return the unknowns of the equation, effect by effect."""
-        fixed, members = dict(self.layout.model.fixed), dict(self.members)
-        unknowns = dict[str, UnknownInUse]()
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the unknowns of the equation, effect by effect; deviations of new members have no `member`."""
+        members, hypers = dict(self.members), {h.name: h for h in self.layout.hypers}
+        unknowns = dict[str, Unknown]()
         for b in self.blocks:
-            effect = b.effect.name
-            names = {b.effect.shape_name(shape): shape.unit for shape in b.effect.shapes}
-            for name in (n for n in names if n not in fixed):
-                unknowns.setdefault(name, UnknownInUse(name, name, names[name], "shape", effect))
-            name, kind, per = b.name, "coefficient", b.coefficient.per
-            if per is not None:
-                kind = kind if per in members else "new"
-                name = member_name(b.name, members.get(per, f"new {per}"))
+            names = map(b.effect.shape_name, b.effect.shapes)
+            unknowns |= {n: hypers[n] for n in names if n in hypers and n not in unknowns}
+            per, effect = b.coefficient.per, b.effect.name
+            name = b.name if per is None else member_name(b.name, members.get(per, f"new {per}"))
             if b.place != "fixed":
-                unknowns[b.name] = UnknownInUse(name, b.name, b.coefficient.unit, kind, effect)
+                row = Unknown(name, b.name, b.coefficient.unit, effect, "coefficient", block=b)
+                unknowns[b.name] = replace(row, member=members.get(per))
         return tuple(unknowns.values())
 
     @cached_property
@@ -374,10 +366,10 @@ class OperatingEquation:
         draw_count, random = len(v), np.random.default_rng(calibration.seed)
         step = max(1, -(-draw_count // draws))
         values, mean = np.zeros((draw_count, len(unknowns))), np.zeros(len(unknowns))
-        new_members = [i for i, u in enumerate(unknowns) if u.kind == "new"]
+        new_members = [i for i, u in enumerate(unknowns) if is_new_member(u)]
         for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new_members):
             values[:, i] = calibration.samples(u.name)
-            if u.kind == "shape":  # where its effect is absent, it is replaced by its mean
+            if u.block is None:  # where its effect is absent, it is replaced by its mean
                 values[~calibration.inclusion_masks[u.effect], i] = self.shapes[u.key][0]
             mean[i] = values[:, i].mean()
         thin = values[::step].copy()
@@ -394,7 +386,7 @@ class OperatingEquation:
             covariance[i, i] += size**2
             thin[:, i] += _draw_uncorrelated(thin - mean, np.full(len(thin), size), size**2, random)
         # Shapes are not rescaled: they might leave their range.
-        linear_indices = [i for i, u in enumerate(unknowns) if u.kind != "shape"]
+        linear_indices = [i for i, u in enumerate(unknowns) if u.block is not None]
         if step > 1 or calibration.form_factor != 1.0:
             target = mean[linear_indices], covariance[np.ix_(linear_indices, linear_indices)]
             thin[:, linear_indices] = _match_moments(thin[:, linear_indices], *target)
