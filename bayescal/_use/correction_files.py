@@ -26,7 +26,6 @@ from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
     CorrectionInUse,
-    Input,
 )
 from bayescal._use.expression_graph import LANGUAGES, Language, generate_statements
 from bayescal._use.operating_equation import STIMULUS
@@ -79,7 +78,7 @@ def program_text(
         guard=include_guard(name, expected, gradient, factor, program.inputs, uncertainty),
         uncertainty=uncertainty,
         fields=fields,
-        record=_record_fields(program, fields),
+        record=_record_variables(program, fields),
         expected=expected,
         gradient=gradient,
         factor=factor,
@@ -89,31 +88,22 @@ def program_text(
     )
 
 
-def _record_fields(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """Return the template's variables for a record: its columns, and the inputs computed from their history."""
+def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return the template's variables for a record: its inputs by kind, and (field, unit) of its columns."""
     by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in INPUT_KINDS}
-    current = by_kind["column"]
-    columns = {i.column: (fields[i.name], i.unit) for i in current}
+    columns = {i.column: (fields[i.name], i.unit) for i in by_kind["column"]}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
         names = {*_OWN_WORDS, *fields.values(), *(name for name, _ in columns.values())}
         columns.setdefault(i.column, (identifier(i.column, names), "degC"))
-
-    def field_pair(i: Input) -> tuple[str, str]:
-        return columns[i.column][0], fields[i.name]
-
-    lags = {(i.column, i.tau): fields[i.name] for i in by_kind["lag"]}
-    slopes = [(i, lags[i.column, i.tau]) for i in by_kind["lag slope"]]
+    lags = by_kind["lag"] + by_kind["lag slope"]
     window = max((i.tau or RATE_WINDOW_S for i in by_kind["rate"]), default=0.0)
     return {
-        "past": len(current) < len(program.inputs),
+        "by_kind": by_kind,
+        "columns": columns,
+        "past": len(by_kind["column"]) < len(program.inputs),
         "dated": "time" in columns,
-        "columns": [*columns.values()],
-        "same": [field_pair(i) for i in current],
-        "lags": [(*field_pair(i), i.tau, i.silence, i.held) for i in by_kind["lag"]],
-        "slopes": [(*field_pair(i), i.tau, i.silence, i.held, lag) for i, lag in slopes],
-        "last": sorted({columns[i.column][0] for i in (*by_kind["lag"], *by_kind["lag slope"])}),
-        "rates": [field_pair(i) for i in by_kind["rate"]],
-        "elapsed": [fields[i.name] for i in by_kind["elapsed"]],
+        "lags": {(i.column, i.tau): fields[i.name] for i in by_kind["lag"]},
+        "last": sorted({columns[i.column][0] for i in lags}),
         "window": window * (1 + 1e-9),  # as for rates of records
         "silence": MAX_GAP_WINDOWS * window,
     }
