@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from typer import Argument
 
@@ -63,8 +63,6 @@ from bayescal._report.whole_folder import (
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
 """Entry points `select(calibration, criterion=…)`, which return a printable table of pairs with `data()` for JSON."""
-
-CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 
 
 class InstrumentsCommand(AsJson, Command):
@@ -154,7 +152,9 @@ class PairsCommand(ReadRequest, AsJson, Command):
 
     example = "bayescal pairs readings.csv"
     instrument: str = opt("Instrument type of the devices.", "differential_pair")
-    criterion: str = opt(f"Selection criterion: {', '.join(CRITERIA)}.", "residual")
+    criterion: Literal["residual", "ratio-variance", "ratio-variance-raw"] = opt(
+        "Selection criterion.", "residual"
+    )
     add: Texts = Shared.add
     average: str | None = Shared.average
     seed: int = Shared.seed
@@ -165,8 +165,6 @@ class PairsCommand(ReadRequest, AsJson, Command):
             raise InputError(
                 f"instrument {self.instrument!r} does not support the selection of pairs: omit --instrument"
             )
-        if self.criterion not in CRITERIA:
-            raise InputError(f"--criterion {self.criterion!r} is not one of {', '.join(CRITERIA)}")
         _, model, readings = request.open_request(self)
         print_notes(readings.flags)
         calibration = bc.fit(model, readings, seed=self.seed, strict=False)

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, dataclass_transform
+from typing import Any, Literal, dataclass_transform
 
 from typer import Argument, Option
 from typer.models import ParameterInfo
@@ -23,7 +23,7 @@ from bayescal._core.progress import INTERVAL_SECONDS, print_notes, stage
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
-METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
+MethodName = Literal["marginal", "least-squares", "nuts"]
 OUTPUTS = ("out", "save_mapping")  # options that name output files
 RESULT_FILES = (CALIBRATION, AVERAGED, MANIFEST, CHANNELS, "result.json")  # of a result folder
 Texts = list[str] | None
@@ -89,12 +89,6 @@ def check_files_exist(files: list[Path] | None) -> list[Path] | None:
 
         check_files(files)
     return files
-
-
-def check_method(name: str) -> str:
-    if name not in METHODS:
-        raise InputError(f"--method {name!r} is not one of {', '.join(METHODS)}")
-    return name
 
 
 def check_time_limit(seconds: float | None) -> float | None:
@@ -235,7 +229,7 @@ class Shared:
         metavar="SECONDS",
         callback=check_time_limit,
     )
-    method = opt("marginal, least-squares or nuts.", "marginal", callback=check_method)
+    method = opt("Method of inference.", "marginal")
     average = opt("Averaging time (1s, 0.5s, 2min); spikes are removed before.", metavar="TIME")
     channels = opt("Outputs of a device, analysed jointly: gyro_x,gyro_y.", metavar="NAME,NAME,…")
     max_effects = opt("Maximum number of missing effects.", 5, min=1)
@@ -331,7 +325,7 @@ class FitRequest(Options):
     """Options of a fit: instrument, averaging, method, time limit, seed."""
 
     instrument: str = Shared.instrument
-    method: str = Shared.method
+    method: MethodName = Shared.method
     average: str | None = Shared.average
     time_limit: float | None = Shared.time_limit
     seed: int = Shared.seed

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal._cli.options import (
-    METHODS,
     InUse,
+    MethodName,
     OwnParts,
     ReadRequest,
     SearchRequest,
@@ -139,9 +139,9 @@ def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
     return models[name]
 
 
-def create_method(name: str) -> Method:
+def create_method(name: MethodName) -> Method:
     """Return the method of inference of a command-line name, with default settings."""
-    return getattr(bc, METHODS[name])()
+    return {"marginal": bc.Marginal, "least-squares": bc.LeastSquares, "nuts": bc.NUTS}[name]()
 
 
 def open_search(

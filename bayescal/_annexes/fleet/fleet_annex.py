@@ -20,9 +20,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     )
     instrument: str = ws.Shared.instrument
     out: Path = ws.opt("Parquet file to write.", ..., "--out", "-o")
-    method: str = ws.opt(
-        "least-squares, marginal or nuts.", "least-squares", callback=ws.Shared.method.callback
-    )
+    method: ws.MethodName = ws.opt("Method of inference.", "least-squares")
     workers: int | None = ws.opt("Number of local worker processes.", min=1)
     scheduler: str | None = ws.opt("Address of a Dask cluster to use, such as tcp://host:8786.")
     find: bool = ws.opt("Search each device for missing effects (about 1 s per device).", False)
