@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -56,23 +55,35 @@ def convert_columns(
     """
     problems = Objections()
     file = MatchedFile(table, instrument, options, problems)
-    further_columns, flags = ({}, []) if file.note_missing() else file.further_columns()
-    converted = ConvertedColumns((file.table,), flags=[*file.table.notes, *flags])
-    cells = _load_cells(file, further_columns)
-    _convert_declared(file, cells, converted)
-    _convert_further(file, further_columns, cells, converted)
+    if not file.note_missing():
+        file.add_further_columns()
+    converted = ConvertedColumns((file.table,), flags=file.flags)
+    cells = _load_cells(file)
+    for name, column in file.columns.items():
+        default = column.default
+        if name in cells:
+            _convert_column(ColumnReader(file, column, converted), cells[name])
+        if name == MAGNITUDE and options.local_field is not None:
+            if name in cells:
+                raise InputError(
+                    f"{table.file} has the local field in its column {file.header(name).raw!r}, and --local-field "
+                    "gives it too: omit one of them (--ignore excludes the column)"
+                )
+            default = options.local_field
+        if name not in converted.values and default is not None:
+            converted.fill(name, default, column.unit)
     _note_gravity(file, converted)
-    _note_channels(file, further_columns, converted)
+    _note_channels(file, converted)
     if converted.missing and not problems:
         _drop_rows(file.table, converted)
     problems.refuse()
     return converted
 
 
-def _load_cells(file: MatchedFile, further_columns: Mapping[str, Column]) -> dict[str, Cells]:
+def _load_cells(file: MatchedFile) -> dict[str, Cells]:
     """Load the cells of all columns that are used; combine times of day with the dates of a date column."""
     table, positions = file.table, file.positions
-    columns = {n: c for n, c in {**file.expected, **further_columns}.items() if n in positions}
+    columns = {name: column for name, column in file.columns.items() if name in positions}
     requested = {positions[n]: c.unit is not None for n, c in columns.items()}
     names = {i: normalise(h.name) for i, h in enumerate(table.headers) if not h.unit}
     days = [i for i, n in names.items() if n in DATE_NAMES and i != positions.get("time")]
@@ -84,40 +95,17 @@ def _load_cells(file: MatchedFile, further_columns: Mapping[str, Column]) -> dic
     return loaded
 
 
-def _convert_declared(
-    file: MatchedFile, cells: Mapping[str, Cells], converted: ConvertedColumns
-) -> None:
-    """Convert the instrument's columns in their order; fill absent ones with their defaults."""
-    for name, column in file.expected.items():
-        default = column.default
-        if name in cells:
-            ColumnReader(file, column, converted).read(cells[name])
-        if name == MAGNITUDE and file.options.local_field is not None:
-            if name in cells:
-                raise InputError(
-                    f"{file.table.file} has the local field in its column {file.header(name).raw!r}, and --local-field "
-                    "gives it too: omit one of them (--ignore excludes the column)"
-                )
-            default = file.options.local_field
-        if name not in converted.values and default is not None:
-            converted.fill(name, default, column.unit)
-
-
-def _convert_further(
-    file: MatchedFile,
-    further_columns: Mapping[str, Column],
-    cells: Mapping[str, Cells],
-    converted: ConvertedColumns,
-) -> None:
-    """Convert columns that the instrument does not declare; ignore, with a flag, one with a non-numeric cell."""
-    options = replace(file.options, missing="refuse")
-    for name in (n for n in further_columns if n in cells):
-        objections, flags = Objections(), len(converted.flags)  # not added to the file's problems
-        ColumnReader(file, further_columns[name], converted, options, objections).read(cells[name])
-        for problem in objections[:1]:
-            why = " ".join((*problem.places[:1], problem.fault))
-            message = f"{file.table.file}: column {problem.column!r} ignored: {why}"
-            converted.flags[flags:] = [message]
+def _convert_column(reader: ColumnReader, cells: Cells) -> None:
+    """Convert a column; ignore, with a flag, an undeclared one with a cell that is not a number."""
+    reader.read(cells)
+    if reader.is_declared or not reader.problems:
+        reader.file.problems += reader.problems
+        reader.converted.flags += reader.flags
+    else:
+        problem = reader.problems[0]
+        why = " ".join((*problem.places[:1], problem.fault))
+        message = f"{problem.file}: column {problem.column!r} ignored: {why}"
+        reader.converted.flags.append(message)
 
 
 def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
@@ -133,14 +121,12 @@ def _note_gravity(file: MatchedFile, converted: ConvertedColumns) -> None:
         converted.flags.append(Flag(message, "gravity.assumed", *outputs))
 
 
-def _note_channels(
-    file: MatchedFile, further_columns: Mapping[str, Column], converted: ConvertedColumns
-) -> None:
+def _note_channels(file: MatchedFile, converted: ConvertedColumns) -> None:
     """Flag the other channels of the same device, which are excluded as covariates."""
     if (output := output_name(file.instrument)) not in converted.values:
         return
     output_header = file.header(output).name
-    further = {n: u for n, u in converted.units.items() if n in further_columns}
+    further = {n: u for n, u in converted.units.items() if n not in file.expected}
     converted.other_channels.update(other_channels(output_header, further, converted.units[output]))
     if converted.other_channels:
         names = ", ".join(sorted(converted.other_channels))
@@ -169,27 +155,19 @@ def _format_rows(table: Table, rows: np.ndarray) -> str:
 
 
 class ColumnReader:
-    """Checks and converts one column of a file; options and problems default to those of the file."""
+    """Checks and converts one column of a file, with the problems and flags found."""
 
-    def __init__(
-        self,
-        file: MatchedFile,
-        column: Column,
-        converted: ConvertedColumns,
-        options: ReadOptions | None = None,
-        problems: Objections | None = None,
-    ) -> None:
+    def __init__(self, file: MatchedFile, column: Column, converted: ConvertedColumns) -> None:
         self.file, self.column, self.converted = file, column, converted
-        self.options = options or file.options
-        self.problems = file.problems if problems is None else problems
+        self.options, self.problems, self.flags = file.options, Objections(), list[str]()
         self.name, self.header = column.name, file.header(column.name)
+        self.is_declared = self.name in file.expected
         self.is_time = self.name == "time" and column.unit == "s"
         self.is_output = self.name == output_name(file.instrument)
-        self.names = self.header.raw, self.header.name, self.name
 
     def read(self, cells: Cells) -> None:
         """Check and convert the cells of the column; leave it out if it is empty and not required."""
-        is_label, count = self.column.unit is None, len(self.problems)
+        is_label = self.column.unit is None
         is_empty = cells.values == "" if is_label else np.isnan(cells.values)
         if not self.column.required and not cells.bad and is_empty.all():
             self._flag("is empty and ignored")
@@ -198,7 +176,7 @@ class ColumnReader:
             if is_empty.any():
                 self._note_missing(np.flatnonzero(is_empty), "is empty", "a label")
             self._note_labels(cells.values)
-            if len(self.problems) == count:
+            if not self.problems:
                 self._store(cells.values)
             return
         texts = cells.dates if self.is_time else None
@@ -223,7 +201,7 @@ class ColumnReader:
         self._note_not_finite(raw, values, unit, bad_rows)
         if unit is not None:
             self._note_implausible(raw, values, unit)
-        if len(self.problems) == count:
+        if not self.problems:
             self._store(self._shift_origin(values, has_dates) if self.is_time else values)
 
     def _store(self, values: np.ndarray) -> None:
@@ -234,11 +212,11 @@ class ColumnReader:
         self.problems.append(self.file.table.objection(self.header.raw, fault, *about, **details))
 
     def _flag(self, text: str) -> None:
-        self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {text}")
+        self.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {text}")
 
     def _note_missing(self, rows: np.ndarray, fault: str, expected: str = "") -> None:
-        """Record missing readings for `missing="drop"`; otherwise add a problem."""
-        if self.options.missing == "refuse":
+        """Record missing readings for `missing="drop"`; otherwise, and in undeclared columns, add a problem."""
+        if self.options.missing == "refuse" or not self.is_declared:
             cure, suggestion = "Fill it in, or drop such rows", option("--missing", "drop")
             self._report(fault, expected, cure, suggestion, rows=rows)
             return
@@ -311,8 +289,8 @@ class ColumnReader:
 
     def _unwrap(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Unwrap a counter whose period the user gives."""
-        periods = self.options.unwrap
-        text = next((periods[n] for n in self.names if n in periods), None)
+        periods, names = self.options.unwrap, (self.header.raw, self.header.name, self.name)
+        text = next((periods[n] for n in names if n in periods), None)
         if text is None or unit is None:
             return raw
         has_degrees = units.same_dimension(unit, "degC")

@@ -302,7 +302,9 @@ class MatchedFile:
         options: the user's options of reading.
         problems: list to which problems are added.
         expected: the expected columns by bayescal's name, in the units in which they are stored.
+        columns: these, then the kept columns that the instrument does not declare, in base units.
         positions: bayescal's name of each column → its position in the file.
+        flags: notes of the file, of matched headers and of ignored columns.
     """
 
     table: Table
@@ -315,7 +317,7 @@ class MatchedFile:
     def __post_init__(self) -> None:
         """Match the headers by the user's options, then by names and units, then by their cells."""
         self.expected = expected_columns(self.instrument)
-        self._headers, self._notes = list(self.table.headers), list(self.table.notes)
+        self._headers, self.flags = list(self.table.headers), list(self.table.notes)
         self._unmatched = set(range(len(self._headers)))
         self._assign_user_columns()
         user_names = set(self.positions)
@@ -323,7 +325,7 @@ class MatchedFile:
         self._assign_axes()
         self._assign_label_columns()
         self._register_further_columns(user_names)
-        self.table = replace(self.table, headers=tuple(self._headers), notes=tuple(self._notes))
+        self.table = replace(self.table, headers=tuple(self._headers))
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in self.positions else None
             is_forced = name in self.options.columns and not _known_unit(unit)
@@ -332,6 +334,7 @@ class MatchedFile:
                 cure = "Remove the unit, or rename the column"
                 self.report(self.header(name).raw, fault, expected, cure)
         self._fix_units()
+        self.columns = self.expected
 
     def _assign(self, position: int, split: Header, name: str, reason: str = "") -> None:
         """Assign the header at a position, split as given, to the column `name`."""
@@ -343,7 +346,7 @@ class MatchedFile:
         old_header, self._headers[position] = self._headers[position], split
         if split != old_header:
             unit = f" in {format_unit(split.unit)}" if split.unit else ""
-            self._notes.append(f"{self.table.file}: read {old_header.raw!r} as {description}{unit}")
+            self.flags.append(f"{self.table.file}: read {old_header.raw!r} as {description}{unit}")
 
     def _assign_user_columns(self) -> None:
         """Assign the columns that the user names (`columns=`)."""
@@ -525,12 +528,11 @@ class MatchedFile:
             return f"{options} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
         return options if header.unit else f"{options} {option('--unit', f'{header.raw}=UNIT')}"
 
-    def further_columns(self) -> tuple[dict[str, Column], list[str]]:
-        """Return the kept columns that the instrument does not declare, in base units, and flags of ignored ones."""
-        columns, flags, file = dict[str, Column](), list[str](), self.table.file
+    def add_further_columns(self) -> None:
+        """Add the columns with a unit that the instrument does not declare; flag those ignored."""
         if self.options.only:
-            return columns, flags
-        without_unit = list[str]()
+            return
+        further_columns, without_unit, file = dict[str, Column](), list[str](), self.table.file
         for name, position in self.positions.items():
             header = self.table.headers[position]
             if name in self.expected or self.options.is_ignored(header):
@@ -540,11 +542,11 @@ class MatchedFile:
                 continue  # read together with the time of day
             if name in RESERVED_NAMES:
                 message = f"{file}: column {header.raw!r} ignored: the name {name!r} is reserved"
-                flags.append(Flag(message, "column.ignored", header.raw))
+                self.flags.append(Flag(message, "column.ignored", header.raw))
                 continue
             unit = unit_of(header, name, self.options)
             if unit and is_convertible(unit, unit):  # it is a unit
-                columns[name] = Column(name, base_unit(unit), required=False)
+                further_columns[name] = Column(name, base_unit(unit), required=False)
                 continue
             unit, possible = unit or unit_like_ending(header), self._possible_column(header)
             text = (unit or "").lower()
@@ -564,8 +566,8 @@ class MatchedFile:
                 f"{file}: columns ignored because they have no unit: {', '.join(without_unit)} "
                 f"({advice}to keep one, write its unit in the header, 'name [unit]', or give units=)"
             )
-            flags.append(Flag(message, "column.ignored", *without_unit))
-        return columns, flags
+            self.flags.append(Flag(message, "column.ignored", *without_unit))
+        self.columns = {**self.expected, **further_columns}
 
     def _possible_column(self, header: Header) -> Column | None:
         """Return the first optional column, absent from the file, whose name a header contains; else None."""

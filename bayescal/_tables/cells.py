@@ -151,7 +151,7 @@ def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -
     return None
 
 
-_TEXT = np.dtypes.StringDType()
+TEXT = np.dtypes.StringDType()
 MAX_BAD = 1000  # largest number of non-numeric cells whose text is stored
 MISSING = frozenset(  # texts that mark a missing reading, of loggers and C's printf
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
@@ -181,11 +181,6 @@ class Cells:
         first_text = next((text for text, is_text in cells if is_text and not is_missing(text)), "")
         return self.texts if parse_date(first_text) else None
 
-    def take(self, rows: np.ndarray) -> Cells:
-        """Select cells by row index."""
-        bad = {i: self.bad[row] for i, row in enumerate(rows.tolist()) if row in self.bad}
-        return Cells(self.values[rows], bad, None if self.texts is None else self.texts[rows])
-
     def on_days(self, days: Cells) -> Cells:
         """Combine times of day with the dates of another column; return self if either column has other texts."""
         if self.dates is None or days.dates is None:
@@ -197,19 +192,7 @@ class Cells:
             if not parse_date(stamp) and parse_date(day) and parse_date(clock):
                 return self
             texts.append("" if is_missing(day) or is_missing(clock) else stamp)
-        return replace(self, texts=np.array(texts, _TEXT))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Cells]) -> Cells:
-        """Concatenate consecutive parts of a column."""
-        bad, offset, texts = dict[int, str](), 0, None
-        for part in parts:
-            bad |= {offset + i: text for i, text in part.bad.items()} if len(bad) < MAX_BAD else {}
-            offset += len(part.values)
-        if any(part.texts is not None for part in parts):
-            texts_each = (map(format_cell, p.values) if p.texts is None else p.texts for p in parts)
-            texts = np.array([text for cells in texts_each for text in cells], _TEXT)
-        return cls(np.concatenate([part.values for part in parts]), bad, texts)
+        return replace(self, texts=np.array(texts, TEXT))
 
 
 def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
@@ -254,7 +237,7 @@ def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
     values = np.fromiter(map(to_number, normalised), np.float64, len(normalised))
     invalid = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
     bad = {i: texts[i].strip() for i in invalid[:MAX_BAD]}
-    return Cells(values, bad, np.array(texts, _TEXT) if invalid else None)
+    return Cells(values, bad, np.array(texts, TEXT) if invalid else None)
 
 
 def is_missing(text: str) -> bool:
@@ -277,9 +260,8 @@ def to_number(text: str) -> float:
         return np.nan
 
 
-def to_cells(values: object, is_number: bool) -> Cells:
-    """Convert an array or a list, one entry per reading, to the cells of one column, of numbers or of labels."""
-    array = np.asarray(values)
+def to_cells(array: np.ndarray, is_number: bool, decimal: str = ".") -> Cells:
+    """Convert the values of one column, one per reading, to cells: numbers or labels; `decimal` as in `to_numbers`."""
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)
     if is_number and array.dtype.kind in "iuf":
@@ -289,8 +271,10 @@ def to_cells(values: object, is_number: bool) -> Cells:
         bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # exists only if pandas is imported
-    texts = [format_cell(value, missing) for value in array.tolist()]
-    return to_numbers(texts) if is_number else Cells(np.array(texts, dtype=object))
+    texts = array.tolist()
+    if not is_number or array.dtype != TEXT:
+        texts = [format_cell(value, missing) for value in texts]
+    return to_numbers(texts, decimal) if is_number else Cells(np.array(texts, dtype=object))
 
 
 def broadcast_columns(columns: Mapping[str, object]) -> dict[str, np.ndarray]:

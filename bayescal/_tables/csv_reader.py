@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import MAX_BAD, Cells, is_missing, parse_date, to_number, to_numbers
+from bayescal._tables.cells import MAX_BAD, TEXT, is_missing, parse_date, to_number
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, check_width, unusable
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # of UTF-8
@@ -82,7 +82,8 @@ class CsvText:
             self.file,
             tuple(Header.parse(csv_cell_read(text)) for text in self.header),
             len(self.readings),
-            self.cells,
+            self.load,
+            self.decimal,
             place=lambda index: f"row {self.readings[index]}",
             notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *further_notes)),
         )
@@ -93,9 +94,9 @@ class CsvText:
         handle.seek(self.offset)
         return handle
 
-    def cells(self, columns: Mapping[int, bool]) -> dict[int, Cells]:
-        """Parse columns (position → whether numeric) in chunks of rows."""
-        parts: dict[int, list[Cells]] = {position: [] for position in columns}
+    def load(self, columns: Mapping[int, bool]) -> dict[int, np.ndarray]:
+        """Return the text of columns (position → whether numeric), split in chunks of rows."""
+        parts: dict[int, list[np.ndarray]] = {position: [] for position in columns}
         lines = (line for line in self.rows() if line.strip(self.blank))
         while chunk := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(chunk).decode()
@@ -107,12 +108,10 @@ class CsvText:
                 fields = text.replace("\n", self.separator).split(self.separator)
             for position, is_number in columns.items():
                 texts = fields[position :: len(self.header)]
-                if is_number:
-                    cells = to_numbers(texts, self.decimal)
-                else:
-                    cells = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
-                parts[position].append(cells)
-        return {position: Cells.joined(pieces) for position, pieces in parts.items()}
+                if not is_number:
+                    texts = [csv_cell_read(text.strip()) for text in texts]
+                parts[position].append(np.array(texts, TEXT))
+        return {position: np.concatenate(pieces) for position, pieces in parts.items()}
 
     def split(self, line: str, row: int, position: str = "", cure: str = "") -> list[str]:
         """Split a line into fields; raise InputError for unpaired quotation marks."""

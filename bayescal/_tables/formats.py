@@ -19,7 +19,7 @@ from pyarrow import types
 from bayescal._core.atomic_file import decode_name
 from bayescal._core.errors import InputError
 from bayescal._tables import unpacked
-from bayescal._tables.cells import Cells, format_cell, to_cells
+from bayescal._tables.cells import format_cell
 from bayescal._tables.csv_reader import parse_text
 from bayescal._tables.raw_table import (
     ROW,
@@ -41,20 +41,19 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
     unpacked.refuse_unpacked(file, path.stat().st_size, 8 * rows * len(schema), unpacked.ARRAYS)
     check_size(file, rows, len(schema), max_bytes)
 
-    def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
-        cells = {}
+    def load(requested: Mapping[int, bool]) -> dict[int, np.ndarray]:
+        values = {}
         with as_format(file, "Parquet"), pq.ParquetFile(path) as parquet:
             for position, number in requested.items():
                 name, kind = schema.names[position], schema.types[position]
                 column = parquet.read(columns=[name]).column(name)
                 is_number = types.is_integer(kind) or types.is_floating(kind)
                 if number and (is_number or types.is_decimal(kind)):
-                    values = column.cast(pa.float64()).to_numpy()
+                    values[position] = column.cast(pa.float64()).to_numpy()
                 else:
-                    values = column.to_pandas().to_numpy(object)
-                cells[position] = to_cells(values, number)
+                    values[position] = column.to_pandas().to_numpy(object)
         pa.default_memory_pool().release_unused()  # unpacked buffers are as large as the numbers
-        return cells
+        return values
 
     units = ((field.metadata or {}).get(b"units") for field in schema)
     decoded = (None if unit is None else unit.decode("utf-8", "replace") for unit in units)

@@ -192,7 +192,8 @@ class Table:
         file: name for messages.
         headers: headers of the columns, in order.
         rows: number of readings.
-        load: function that loads columns: {position: whether numeric} → {position: cells}.
+        load: function that loads columns: {position: whether numeric} → {position: values or text}.
+        decimal: decimal mark of numbers in text.
         sha256: digest of the bytes; "" for arrays.
         place: index of a reading → its row label, "row 12".
         notes: notes about unusual formats, one sentence each.
@@ -201,7 +202,8 @@ class Table:
     file: str
     headers: tuple[Header, ...]
     rows: int
-    load: Callable[[Mapping[int, bool]], dict[int, Cells]]
+    load: Callable[[Mapping[int, bool]], dict[int, np.ndarray]]
+    decimal: str = "."
     sha256: str = ""
     place: Callable[[int], str] = lambda index: f"row {index + 1}"
     notes: tuple[str, ...] = ()
@@ -229,11 +231,9 @@ class Table:
         headers = tuple(Header.parse(name, units.get(name)) for name in columns)
         arrays = list(columns.values())
         rows = len(arrays[0]) if arrays else 0
-
-        def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
-            return {position: to_cells(arrays[position], n) for position, n in requested.items()}
-
-        return cls(file, headers, rows, load, **fields)
+        return cls(
+            file, headers, rows, lambda requested: {i: arrays[i] for i in requested}, **fields
+        )
 
     def objection(
         self,
@@ -253,8 +253,8 @@ class Table:
     def take(self, rows: np.ndarray) -> Table:
         """Select rows by index."""
 
-        def load(requested: Mapping[int, bool]) -> dict[int, Cells]:
-            return {position: cells.take(rows) for position, cells in self.load(requested).items()}
+        def load(requested: Mapping[int, bool]) -> dict[int, np.ndarray]:
+            return {position: values[rows] for position, values in self.load(requested).items()}
 
         def place(index: int) -> str:
             return self.place(int(rows[index]))
@@ -265,13 +265,13 @@ class Table:
 def load_whole(table: Table, requested: Mapping[int, bool]) -> dict[int, Cells]:
     """Load columns (position → whether numeric); raise InputError if a column has a wrong number of rows."""
     columns = table.load(requested)
-    for position, cells in columns.items():
-        if (count := len(cells.values)) != table.rows:
+    for position, values in columns.items():
+        if (count := len(values)) != table.rows:
             fault = f"declares {table.rows} rows, but column {table.headers[position].raw!r} has {count}"
             cure = "Export it again"
             fault += ": the file is damaged, or changed while it was read"
             raise unusable(table.file, fault, cure)
-    return columns
+    return {p: to_cells(columns[p], is_number, table.decimal) for p, is_number in requested.items()}
 
 
 def check_width(file: str, columns: int) -> None:
