@@ -1,4 +1,4 @@
-"""Just-in-time compilation with options chosen by the amount of data, and partial functions compared by value.
+"""Just-in-time compilation with options chosen by the length of a run, and partial functions compared by value.
 
 Most models are fitted a few times to some hundred readings, and compilation takes a hundred times as long as running.
 Without XLA's fusion emitters, compile time is halved at the same run time; also without backend optimisation, it is a
@@ -8,48 +8,38 @@ fifth, at up to three times the run time (docs/decisions.md).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial, update_wrapper
-from typing import Any, Generic, ParamSpec, TypeVar
+from functools import cache, partial, wraps
+from typing import Any, TypeVar
 
 from bayescal._core.lazy_jax import jax
 
-# Number of array elements in the arguments above which run time exceeds compile time.
-MANY_NUMBERS = 30_000
-ALWAYS = {"xla_cpu_use_fusion_emitters": False}  # compiler options
-QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
-
-P = ParamSpec("P")
-R = TypeVar("R", covariant=True)
+R = TypeVar("R")
 
 
-class compiled(Generic[P, R]):
-    """`equinox.filter_jit` with compiler options chosen by the number of array elements in the arguments.
+def compiled(
+    function: Callable[..., R], is_long: Callable[..., bool] = lambda *_: False
+) -> Callable[..., R]:
+    """Return a function of (static argument, *arrays) that is compiled at its first call.
 
-    Within another compiled function, the undecorated function is called. `many`: number of elements from which it is
-    compiled with full optimisation.
+    It is fully optimised for arguments for which a run `is_long`, otherwise compiled fast.
     """
 
-    def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
-        self.function = function
-        self.many = many
-        self._jitted = cache(self._compiler)
-        update_wrapper(self, function)
+    @cache
+    def compile_once(is_optimised: bool) -> Callable[..., R]:
+        options = compiler_options(is_optimised)
+        return jax.jit(function, static_argnums=0, compiler_options=options)
 
-    def _compiler(self, few: bool) -> Any:
-        import equinox as eqx
+    @wraps(function)
+    def call(*args: Any) -> R:
+        return compile_once(is_long(*args))(*args)
 
-        return eqx.filter_jit(self.function, compiler_options=supported(QUICK if few else ALWAYS))
-
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        arrays = [a for a in jax.tree.leaves((args, kwargs)) if isinstance(a, jax.Array)]
-        # Traced within another compiled function: JAX accepts compiler options at the outermost `jit` only.
-        if any(isinstance(a, jax.core.Tracer) for a in arrays):
-            return self.function(*args, **kwargs)
-        return self._jitted(sum(a.size for a in arrays) < self.many)(*args, **kwargs)
+    return call
 
 
-def supported(options: dict[str, Any]) -> dict[str, Any]:
-    """Select the compiler options that the installed version supports; unsupported ones would raise."""
+def compiler_options(is_optimised: bool) -> dict[str, Any]:
+    """Return the compiler options that the installed version supports; unsupported ones would raise."""
+    options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+    options |= {} if is_optimised else {"xla_backend_optimization_level": 0}
     return {name: value for name, value in options.items() if _is_supported(name, value)}
 
 

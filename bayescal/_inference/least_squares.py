@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import jnp
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage
@@ -26,6 +25,7 @@ from bayescal._inference.laplace import NO_START, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import SdWhitening, Whitening, variance, whitening
 from bayescal._inference.problem import Problem, differentiate, overwrite
+from bayescal._inference.programs import compile_on_call
 from bayescal._model import forward
 from bayescal._model.composition import Linearisation
 from bayescal._model.noise_law import sort_by_time
@@ -387,7 +387,7 @@ class _Refinement:
         return root @ np.linalg.inv(0.5 * (hessian + hessian.T)) @ root.T
 
 
-@compiled
+@compile_on_call
 def _run_optimistix(layout, frame, readings, v, prior, start, scale, shape_indices):
     """Return the step (q,), in units of `scale`, from `start` to the minimum of squared residuals and prior."""
     import optimistix as optx  # a sixth of a second that only this needs

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core import deadline
-from bayescal._core.jit import ALWAYS, supported
+from bayescal._core.jit import compiler_options
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
@@ -91,7 +91,8 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, plan.warmup, starts, model_args=arguments, model_kwargs={})
     block = jax.jit(
-        lambda state: jax.lax.scan(sample, state, length=BLOCK), compiler_options=supported(ALWAYS)
+        lambda state: jax.lax.scan(sample, state, length=BLOCK),
+        compiler_options=compiler_options(True),
     )
     block = block.lower(state).compile()  # excluded from the timing
     blocks = []

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, partial, wraps
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.jit import ALWAYS, QUICK, supported
+from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._model.composition import differentiate_response
 from bayescal._model.frame import Frame
@@ -62,18 +62,11 @@ def compile_on_call(function: Callable[..., Any], costly: bool = False) -> Calla
     It is fully optimised if `costly`, for long records and for laws that loop over readings; otherwise compiled fast.
     """
 
-    @cache
-    def compile_once(is_optimised: bool) -> Callable[..., Any]:
-        options = supported(ALWAYS if is_optimised else QUICK)
-        return jax.jit(function, static_argnums=0, compiler_options=options)
-
-    @wraps(function)
-    def call(argument: Any, frame: Frame, *args: Any) -> Any:
+    def is_long(argument: Any, frame: Frame, *_: Any) -> bool:
         has_loop = not getattr(argument, "independent", True)  # through all readings, at each φ
-        is_optimised = frame.size >= MIN_OPTIMISED_READINGS or has_loop or costly
-        return compile_once(is_optimised)(argument, frame, *args)
+        return frame.size >= MIN_OPTIMISED_READINGS or has_loop or costly
 
-    return call
+    return compiled(function, is_long)
 
 
 # Slot values or column shifts by name: (n,), or (b, n) for b draws.
