@@ -15,7 +15,7 @@ The public names stand in `__init__.pyi`, grouped by what they are for. Each loa
 
 import lazy_loader
 
-from bayescal._core import jax_setup as jax_setup  # before JAX: see the comment there
+from bayescal._core import lazy_jax as lazy_jax  # sets JAX up once it is imported
 from bayescal._core import python311 as python311
 from bayescal._core.version import __version__ as __version__
 

@@ -54,10 +54,6 @@ from ._cli.request import open_search as open_search
 # modules whose names are a vocabulary: when work ends, colours
 from ._core import deadline as deadline
 
-# JSON, and the type that it must have
-from ._core.as_json import as_json as as_json
-from ._core.as_json import write_json as write_json
-
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
 from ._core.atomic_file import result_folder as result_folder
@@ -70,11 +66,15 @@ from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
 from ._core.inverse import stepped as stepped
-from ._core.jax_setup import obey_no_folder as obey_no_folder
 from ._core.jit import compiled as compiled
-from ._core.json_shape import parsed_json as parsed_json
-from ._core.json_shape import read_json as read_json
-from ._core.json_shape import read_toml as read_toml
+
+# JSON, and the type that it must have
+from ._core.json_data import as_json as as_json
+from ._core.json_data import parsed_json as parsed_json
+from ._core.json_data import read_json as read_json
+from ._core.json_data import read_toml as read_toml
+from ._core.json_data import write_json as write_json
+from ._core.lazy_jax import obey_no_folder as obey_no_folder
 from ._core.parallel import run_on_one_thread as run_on_one_thread
 from ._core.progress import print_notes as print_notes
 from ._core.progress import stage as stage
@@ -84,6 +84,7 @@ from ._core.quoting import c_comment as c_comment
 from ._core.quoting import html_text as html_text
 from ._core.quoting import one_line as one_line
 from ._core.quoting import python_words as python_words
+from ._core.quoting import template as template
 from ._core.renamed import renamed as renamed
 from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
@@ -94,7 +95,6 @@ from ._core.result_table import plain_table as plain_table
 from ._core.settings import seed_of as seed_of
 from ._core.settings import settings as settings
 from ._core.settings import unusual as unusual
-from ._core.templates import template as template
 
 # files of readings
 from ._data.column import UNCERTAINTY as UNCERTAINTY

@@ -20,7 +20,7 @@ import hypothesis
 import pytest
 
 import bayescal  # noqa: F401  before JAX
-from bayescal._core.jax_setup import cache_folder, configure_jax, spare_memory_maps
+from bayescal._core.lazy_jax import cache_folder, configure_jax, spare_memory_maps
 from tests.support import references, tiers
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.storage import load_calibration
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
-from bayescal._core.jax_setup import spare_memory_maps
-from bayescal._core.lazy_jax import jax, jnp
+from bayescal._core.lazy_jax import jax, jnp, spare_memory_maps
 from bayescal._core.settings import seed_of
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import NO_START

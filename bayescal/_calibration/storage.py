@@ -22,7 +22,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._core import atomic_file
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
-from bayescal._core.json_shape import parsed_json
+from bayescal._core.json_data import parsed_json
 from bayescal._core.netcdf import Group, Variable, netcdf_bytes, netcdf_groups
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements

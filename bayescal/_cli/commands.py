@@ -45,9 +45,9 @@ from bayescal._cli.options import (
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
 from bayescal._core.annex import first_offered, offered
-from bayescal._core.as_json import as_json
 from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
+from bayescal._core.json_data import as_json
 from bayescal._core.progress import counted, print_notes
 from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import (

@@ -25,7 +25,7 @@ from bayescal._cli import commands
 from bayescal._cli.options import Command
 from bayescal._core.annex import offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
-from bayescal._core.jax_setup import obey_no_folder
+from bayescal._core.lazy_jax import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import format_error, own_file_line
 

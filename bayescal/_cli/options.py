@@ -17,8 +17,8 @@ from typer import Argument, Option
 from typer.models import ParameterInfo
 
 from bayescal._core import deadline
-from bayescal._core.as_json import as_json, json_text
 from bayescal._core.errors import InputError, NotDrawn
+from bayescal._core.json_data import as_json, json_text
 from bayescal._core.progress import INTERVAL_SECONDS, print_notes, stage
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, CHANNELS, MANIFEST
 from bayescal._tables.mapping_file import load_mapping, save_mapping

@@ -1,20 +1,83 @@
-"""Lazy import of JAX at its first use: `from bayescal._core.lazy_jax import jax, jnp`.
+"""Lazy import of JAX at its first use, `from bayescal._core.lazy_jax import jax, jnp`, and its set-up.
 
-JAX is set up as soon as any code imports it: double precision, and bayescal's types registered as pytrees. A command
-that uses NumPy only does not import it, and starts in half the time.
+JAX is set up as soon as any code imports it: double precision, a cache of compiled programs, and bayescal's types
+registered as pytrees. A command that uses NumPy only does not import it, and starts in half the time.
+
+Environment variables:
+    BAYESCAL_CACHE: folder for bayescal's cache between runs, limited to 512 MiB at each start; empty for no
+        cache.
+    JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
+        cache alone.
 """
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayescal._core.jax_setup import configure_jax
+MAX_CACHE_BYTES = 512 * 1024**2  # size of programs on disk; a first calibration adds some 5 MB
+MAX_MEMORY_MAPS = 30_000  # of 65,530 that Linux allows a process by default
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of the persistent cache, which need not exist; None for no cache."""
+    user_folder = os.environ.get("BAYESCAL_CACHE")
+    if user_folder == "":
+        return None
+    xdg = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        # XDG Base Directory Specification: relative folders are ignored
+        caches = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
+        return Path(user_folder).expanduser() if user_folder else caches / "bayescal"
+    except RuntimeError:  # no home folder, as in some containers
+        return None
+
+
+@cache
+def configure_jax() -> None:
+    """Switch JAX to double precision and configure its cache of compiled programs on disk, once per process.
+
+    Double precision applies to the whole process. Calibration needs it for biases of 1e-9 of full scale, and for normal
+    equations, which square the condition number.
+
+    All programs are cached; JAX's default threshold, one second of compilation, would exclude almost all. An unwritable
+    folder disables the cache without an error; a folder above `MAX_CACHE_BYTES` is emptied.
+    """
+    import jax  # slow to import
+
+    jax.config.update("jax_enable_x64", True)
+    if getattr(jax.config, "jax_compilation_cache_dir", None) is not None:  # the user's own choice
+        return
+    folder = (cache_folder() or Path(os.devnull)) / "jax"
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):  # JAX would warn each time
+        return
+    drop_if_large(folder, MAX_CACHE_BYTES)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def drop_if_large(folder: Path, max_bytes: int) -> None:
+    """Delete the programs in a folder if they exceed `max_bytes` in total.
+
+    JAX's own limit of the cache size reads a file per cached program whenever it adds one: 0.1 s for 2,000 programs.
+    """
+    with suppress(OSError), os.scandir(folder) as entries:  # another process may delete them too
+        if sum(entry.stat().st_size for entry in entries) > max_bytes:
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
 
 
 class _LazyModule:
@@ -82,3 +145,39 @@ if TYPE_CHECKING:
     from jaxtyping import Array as Array
 else:
     jax, jnp, Array = _LazyModule("jax"), _LazyModule("jax.numpy"), Any
+
+
+def spare_memory_maps() -> None:
+    """Drop compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
+
+    A program holds about ten maps; above 65,530, by default, Linux aborts the process, as in a loop over many models.
+    Programs that are needed again are loaded from the cache on disk.
+    """
+    try:
+        with open("/proc/self/maps", "rb") as maps:
+            count = sum(1 for _ in maps)
+    except OSError:
+        return
+    if count > MAX_MEMORY_MAPS:
+        jax.clear_caches()
+
+
+# Libraries that read a configuration file of the current folder at import: file → library.
+CONFIGURATION_READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
+
+
+def obey_no_folder() -> None:
+    """Import libraries that read configuration files of the current folder from another folder, so that they do not.
+
+    Must be called before threads start, since the current folder is a property of the process.
+    """
+    readers = [library for file, library in CONFIGURATION_READERS.items() if os.path.lexists(file)]
+    if readers:
+        folder = os.getcwd()
+        os.chdir(os.path.dirname(__file__))
+        try:
+            for library in readers:
+                with suppress(ImportError):  # reported where the library is needed
+                    import_module(library)
+        finally:
+            os.chdir(folder)

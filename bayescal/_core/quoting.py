@@ -1,4 +1,4 @@
-"""Quoting of text for other languages, since names of files, columns, devices and effects are arbitrary.
+"""Text for other languages: quoting, since names of files, columns, devices and effects are arbitrary; templates.
 
 Text for a compiler, an interpreter, a browser or a spreadsheet passes through the function of that language, numbers
 through `number_text`, so that none is interpreted as code, markup or a formula.
@@ -13,7 +13,7 @@ import io
 import keyword
 import re
 import unicodedata
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 _SPELLINGS = (
@@ -134,3 +134,22 @@ def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
     buffer = io.StringIO()
     csv.writer(buffer, delimiter=separator).writerow(map(csv_cell, cells))
     return buffer.getvalue().removesuffix("\r\n")
+
+
+def template(package: str, name: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
+    """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
+
+    Filters are `filters` and `digits`, which prints a number with all digits; `how`: options of `jinja2.Environment`.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
+
+    environment = Environment(
+        loader=PackageLoader(package),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **how,
+    )
+    environment.filters |= {"digits": number_text, **filters}
+    return environment.get_template(name)

@@ -26,8 +26,8 @@ from bayescal._core.annex import first_offered, offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
+from bayescal._core.quoting import template
 from bayescal._core.settings import Settings
-from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._report import plots, report_text

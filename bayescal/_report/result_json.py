@@ -24,9 +24,8 @@ from bayescal._calibration.leave_group_out import choose_groups
 from bayescal._calibration.storage import identity
 from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.annex import offered
-from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
+from bayescal._core.json_data import as_json, read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements

@@ -13,8 +13,8 @@ from typing import Any
 
 from bayescal._calibration.storage import identity
 from bayescal._core import deadline
-from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
+from bayescal._core.json_data import as_json, write_json
 from bayescal._report.report_text import conclusion
 from bayescal._report.result_json import PICTURE, RESULT, build_chapter, result
 from bayescal._report.whole_folder import (

@@ -13,10 +13,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import list_leftovers, sha256_of, write_advice
 from bayescal._core.errors import InputError, NotDrawn
-from bayescal._core.json_shape import as_type, read_json
+from bayescal._core.json_data import as_type, read_json, write_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have a folder each

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.json_shape import read_toml
+from bayescal._core.json_data import read_toml
 
 
 class ReadMapping(TypedDict, total=False):

@@ -21,9 +21,9 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim, limit
 from bayescal._calibration.prior_influence import find_not_measured, variance_by_origin
-from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
+from bayescal._core.json_data import as_json
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (

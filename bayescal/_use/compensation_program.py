@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.storage import sources_of
-from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
+from bayescal._core.json_data import as_json
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW_S, rate_window

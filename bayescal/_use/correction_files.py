@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bayescal._core.annex import offered
-from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.inverse import MAX_NEWTON_STEPS
-from bayescal._core.quoting import identifier, number_text, python_string
-from bayescal._core.templates import template
+from bayescal._core.json_data import json_text
+from bayescal._core.quoting import identifier, number_text, python_string, template
 from bayescal._data.records import MAX_GAP_WINDOWS, RATE_WINDOW_S
 from bayescal._use.compensation_program import (
     INPUT_KINDS,

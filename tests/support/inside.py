@@ -29,7 +29,7 @@ from bayescal._calibration.claim import Claim as Claim
 from bayescal._calibration.claim import as_claim as as_claim
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed
-from bayescal._core.json_shape import as_type as as_type
+from bayescal._core.json_data import as_type as as_type
 from bayescal._core.quoting import identifier as identifier
 from bayescal._data.allan_deviation import EvenRuns as EvenRuns
 from bayescal._data.allan_deviation import allan_variances as allan_variances

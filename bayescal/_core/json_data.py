@@ -1,6 +1,6 @@
-"""JSON and TOML parsed and validated as values of a type.
+"""Conversion of results to JSON, and JSON and TOML parsed and validated as values of a type.
 
-A value is traversed no deeper than its type, so that no nesting exhausts the stack.
+A parsed value is traversed no deeper than its type, so that no nesting exhausts the stack.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints, is_typeddict
 
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 
 MAX_JSON_BYTES = 50_000_000  # size of a JSON file
@@ -25,6 +26,29 @@ MAX_TOML_BYTES = 100_000  # size of a TOML file: a mapping, a certificate's data
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half of a character, which no file can contain
 _TYPE_NAMES = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}
 _TYPE_NAMES |= {float: "a finite number", NoneType: "null"}
+
+
+def as_json(value: Any) -> Any:
+    """Convert to plain data for JSON: data classes as dictionaries, arrays as lists, non-finite numbers as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(k): as_json(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_json(v) for v in value]
+    if plain := getattr(value, "tolist", None):
+        return as_json(plain())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def json_text(data: Any, indent: int = 2) -> str:
+    """Format plain data as JSON, with a final line end; raise ValueError for a non-finite number."""
+    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_json(data: Any, path: Path, indent: int = 2) -> Path:
+    """Write plain data as JSON to a path chosen by the user; see `write_text`."""
+    return write_text(json_text(data, indent), path)
 
 
 def as_type(value: Any, kind: Any, where: str = "") -> Any:
