@@ -34,8 +34,8 @@ from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
 from bayescal._data.records import PAUSE_STEPS, Records, distinct, label_codes, median_step
 from bayescal._data.unit_conversion import ANY, parse, unit_label
 from bayescal._tables.cells import broadcast_columns, format_date
+from bayescal._tables.csv_file import write
 from bayescal._tables.raw_table import ROW, Objections, Table, option
-from bayescal._tables.write import write
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ from bayescal._core.atomic_file import decode_name
 from bayescal._core.errors import InputError
 from bayescal._tables import unpacked
 from bayescal._tables.cells import format_cell
-from bayescal._tables.csv_reader import parse_text
+from bayescal._tables.csv_file import parse_text
 from bayescal._tables.raw_table import (
     ROW,
     Header,

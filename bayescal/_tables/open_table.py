@@ -13,7 +13,7 @@ from bayescal._core.annex import first_offered
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._tables.csv_reader import parse_text
+from bayescal._tables.csv_file import parse_text
 from bayescal._tables.raw_table import Table, format_bytes, unusable
 
 MAX_BYTES = 2_000_000_000  # size of a file, and of its numbers in memory; larger files are refused

@@ -25,7 +25,7 @@ from bayescal._data.dataset_checks import find_problems, find_repeated_rows, fla
 from bayescal._data.header_matching import MatchedFile, split_trailing_unit
 from bayescal._data.measurements import Measurements
 from bayescal._data.read_options import ExpectedColumns, ReadOptions
-from bayescal._tables.csv_reader import CsvText, parse_text
+from bayescal._tables.csv_file import CsvText, parse_text
 from bayescal._tables.open_table import MAX_BYTES, TEXT_SUFFIXES, check_files, open_table
 from bayescal._tables.raw_table import Header, Objections, Table, load_whole
 from bayescal._use.compensator import Compensator, Method

@@ -125,6 +125,6 @@ def test_hostile_file_is_read_correctly(put, name):
 
 
 def test_text_in_a_later_stretch_of_dates_is_refused(put, monkeypatch):
-    monkeypatch.setattr("bayescal._tables.csv_reader._CHUNK_ROWS", 3)
+    monkeypatch.setattr("bayescal._tables.csv_file._CHUNK_ROWS", 3)
     with pytest.raises(bc.InputError, match="reads 'error'"):
         bc.read(put(with_cell(5, 0, "error", dated(spaced))), GYRO, missing="drop")

@@ -1,4 +1,4 @@
-"""CSV reader: a first pass finds malformed lines, then columns are parsed in chunks. The first line is row 1."""
+"""Reading and writing of CSV: a first pass finds malformed lines, then columns are read in chunks; line 1 is row 1."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice, product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from bayescal._core.quoting import csv_cell_read
+from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.errors import InputError
+from bayescal._core.quoting import csv_cell, csv_cell_read
 from bayescal._tables.cells import MAX_BAD, TEXT, is_missing, parse_date, to_number
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, check_width, unusable
 
@@ -378,3 +381,35 @@ def _append_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
         if name and unit and unit not in _NO_UNITS and not name.endswith("]"):
             headers[i] = f"{name} [{unit}]"
     return headers
+
+
+def write(
+    columns: Mapping[str, np.ndarray], units: Mapping[str, str | None], path: str | Path
+) -> Path:
+    """Write readings to a .csv file, numbers with all digits and NaN as empty cells; return the path.
+
+    `units`: column → unit of numbers, None for labels.
+
+    Raises:
+        InputError: the suffix is not .csv, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise InputError(
+            f"{path.name!r}: readings are written as CSV: give a name that ends in .csv"
+        )
+    names = [name if units[name] is None else f"{name} [{units[name]}]" for name in columns]
+    cells = (
+        map(csv_cell, values.tolist())
+        if values.dtype.kind in "OU"
+        else ("" if value != value else value for value in values.tolist())
+        for values in columns.values()
+    )
+    with (
+        replacing_for_user(path) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(csv_cell, names))
+        writer.writerows(zip(*cells, strict=True))
+    return path
