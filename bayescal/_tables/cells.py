@@ -271,9 +271,9 @@ def to_cells(array: np.ndarray, is_number: bool, decimal: str = ".") -> Cells:
         bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
         return Cells(np.full(len(array), np.nan), bad)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # exists only if pandas is imported
-    texts = array.tolist()
+    texts = array.astype(object)
     if not is_number or array.dtype != TEXT:
-        texts = [format_cell(value, missing) for value in texts]
+        texts = [format_cell(value, missing) for value in texts.tolist()]
     return to_numbers(texts, decimal) if is_number else Cells(np.array(texts, dtype=object))
 
 

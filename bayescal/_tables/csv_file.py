@@ -99,8 +99,8 @@ class CsvText:
 
     def load(self, columns: Mapping[int, bool]) -> dict[int, np.ndarray]:
         """Return the text of columns (position → whether numeric), split in chunks of rows."""
-        parts: dict[int, list[np.ndarray]] = {position: [] for position in columns}
-        lines = (line for line in self.rows() if line.strip(self.blank))
+        parts, blank = {position: list[np.ndarray]() for position in columns}, self.blank
+        lines = (line for line in self.rows() if line.strip(blank))
         while chunk := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(chunk).decode()
             text = text.replace("\r\n", "\n").removesuffix("\n")
