@@ -228,12 +228,12 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_048,
-    "bayescal/_tables": 1_487,
-    "bayescal/_data": 4_105,
+    "bayescal/_core": 2_007,
+    "bayescal/_tables": 1_459,
+    "bayescal/_data": 4_085,
     "bayescal/_model": 5_349,
     "bayescal/effects": 651,
-    "bayescal/_inference": 5_993,
+    "bayescal/_inference": 5_987,
     "bayescal/_calibration": 4_444,
     "bayescal/_use": 2_768,
     "bayescal/_search": 5_636,
