@@ -307,6 +307,7 @@ class Fitted:
             raise InputError(f"no unknown is called {name!r}; the fit has: {', '.join(by_key)}")
         return self.unknowns.select(np.concatenate(self.values), name)
 
+    @run_on_one_thread
     def log_likelihood(self, limit: int = MAX_CELLS) -> xr.Dataset:
         """Return the pointwise log likelihood, draws thinned to at most `limit` numbers.
 
@@ -314,8 +315,14 @@ class Fitted:
         """
         import xarray as xr  # loading takes half a second, with pandas
 
-        vectors, chains = self.thin_draws(limit)
-        by_chain = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
+        draws, chains = self.thin_draws(limit)
+        problem, record = self.problem, self.problem.record
+        densities = np.empty((len(draws.x), record.size))
+        for chunk, sample, hyper in _iterate_chunks(problem, draws):
+            mean, input_var = problem.expected_and_extra(sample.x, hyper)
+            residuals = record.y - mean
+            densities[chunk] = log_densities(problem.noise, record, residuals, hyper, input_var)
+        by_chain = densities.reshape(chains, -1, record.size)
         return xr.Dataset({"output": (("chain", "draw", "reading"), by_chain)})
 
 
@@ -388,16 +395,6 @@ def predictive_moments(
     offset = offset_sum / count
     variance = np.maximum(offset_squares / count - offset**2, 0.0)
     return PredictiveMoments(offset0 + offset, variance, noise_sum / count, input_variance / count)
-
-
-@run_on_one_thread
-def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
-    """Return each reading's log likelihood under each draw; with correlated noise, given the earlier readings."""
-    densities = np.empty((len(draws.x), problem.record.size))
-    for chunk, sample, hyper in _iterate_chunks(problem, draws):
-        record, (mean, input_var) = problem.record, problem.expected_and_extra(sample.x, hyper)
-        densities[chunk] = log_densities(problem.noise, record, record.y - mean, hyper, input_var)
-    return densities
 
 
 @run_on_one_thread

@@ -243,13 +243,11 @@ def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
         if not scalar or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
             continue
         codes = record.codes[str(b.coefficient.per)]
-        values = np.array([means[name] for name in names])
+        has_member, deviations = codes >= 0, np.array([means[name] for name in names])
         for term in (e for e in terms if e.slot == b.effect.slot and not subject.accepts(e.name)):
             column = record.columns(ColumnSpec.from_effect(term), ())[:, 0]
-            count = np.bincount(codes[codes >= 0], minlength=len(values))
-            sums = np.bincount(codes[codes >= 0], column[codes >= 0], minlength=len(values))
-            filled = count > 0
-            averages, deviations = sums[filled] / count[filled], values[filled]
+            sums = np.bincount(codes[has_member], column[has_member])
+            averages = sums / np.bincount(codes[has_member])
             if len(averages) < 3 or not (np.ptp(averages) and np.ptp(deviations)):
                 continue
             r, p = correlation(averages, deviations)
@@ -257,7 +255,7 @@ def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
                 numbers = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
                 numbers |= {"r": r, "p": p}
                 names_of = b.effect.name, term.name
-                yield Claim("group.follows_column", *names_of, **numbers, members=int(filled.sum()))
+                yield Claim("group.follows_column", *names_of, **numbers, members=len(names))
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
