@@ -124,23 +124,6 @@ def _sensitivities(calibration: Calibration, problem: Problem, effect: Effect) -
     return gradients[c.slot or effect.slot] * factor * problem.record.columns(spec, ())[:, 0]
 
 
-def simulate_replicates(
-    calibration: Calibration, readings: Measurements, draws: int, seed: int
-) -> Float[np.ndarray, "draws n"]:
-    """Simulate replicated readings from each posterior draw; deviations of new groups are drawn from their prior.
-
-    Readings that continue a fitted run have its deviation; correlated noise is independent of the fitted readings.
-    """
-    calibration, random = calibration.with_columns(readings.columns), np.random.default_rng(seed)
-
-    def evaluate(part: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
-        members = {per: part.groups(per)[1] for per in frame.codes}
-        problem, sampled = calibration.problem_on(frame), calibration.draws(draws)
-        return replicate(problem, sampled, random, members) + (part["output"] - frame["output"])
-
-    return _evaluate_with_past(calibration, calibration.on_clock(readings), evaluate)
-
-
 def _evaluate_with_past(
     calibration: Calibration,
     readings: Measurements,
@@ -285,15 +268,27 @@ class HoldoutTest:
 
     @cached_property
     def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
-        """Return the prediction errors over the noise sd, and those of the replicates about their mean."""
+        """Return the prediction errors over the noise sd, and those of the replicates about their mean.
+
+        Readings that continue a fitted run have its deviation, those of new groups one drawn from its prior; correlated
+        noise is independent of the fitted readings.
+        """
+        (average, problem), seed = self._problem, self.calibration.seed
+        random, member_random = np.random.default_rng(seed), np.random.default_rng(0)
         count = max(100, min(MAX_REPLICATES, MAX_REPLICATED_CELLS // max(len(self.readings), 1)))
-        outputs = simulate_replicates(self.calibration, self.readings, count, self.calibration.seed)
-        (average, problem), random = self._problem, np.random.default_rng(0)
+        draws = average.draws(count)
+
+        def evaluate(part: Measurements, frame: Frame, _: np.ndarray) -> np.ndarray:
+            members = {per: part.groups(per)[1] for per in frame.codes}
+            outputs = replicate(average.problem_on(frame), draws, random, members)
+            return outputs + (part["output"] - frame["output"])
+
+        outputs = _evaluate_with_past(average, average.on_clock(self.readings), evaluate)
         # Contributions of group deviations that the fit lacks.
         for effect, sd in self.deviations:
             codes = self.readings.groups(str(effect.coefficients[0].per))[1]
-            deviate = sd * random.standard_normal((len(outputs), int(codes.max()) + 2))[:, codes]
-            outputs += _sensitivities(average, problem, effect) * deviate
+            normal = member_random.standard_normal((len(outputs), int(codes.max()) + 2))[:, codes]
+            outputs += _sensitivities(average, problem, effect) * (sd * normal)
         outputs -= outputs.mean(axis=0)
         return self.prediction.residual / self._noise, outputs / self._noise
 
