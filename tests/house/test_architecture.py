@@ -234,7 +234,7 @@ CEILINGS = {
     "bayescal/_model": 5_349,
     "bayescal/effects": 651,
     "bayescal/_inference": 5_987,
-    "bayescal/_calibration": 4_438,
+    "bayescal/_calibration": 4_432,
     "bayescal/_use": 2_768,
     "bayescal/_search": 5_636,
     "bayescal/_report": 1_607,
