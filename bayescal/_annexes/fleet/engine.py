@@ -26,6 +26,7 @@ LOOPBACK_ADDRESS = "127.0.0.1"
 CONNECTION_TIMEOUT_S = 20.0  # within which a scheduler must answer
 MAX_TASK_RETRIES = 2  # of a failed task; tasks of a worker that died do not count
 POLL_INTERVAL_S = 2.0  # between checks of the deadline and of the workers
+REPORT_INTERVAL_S = 9.0  # between progress messages
 WORKER_TIMEOUT_S = 200.0  # without a worker, after which a run is abandoned
 MAX_TASK_SIZE = (
     "4GB"  # that a scheduler accepts without a warning: twice the maximum size of a file
@@ -89,31 +90,50 @@ def dask_setup(_: Any) -> None:
     ws.obey_no_folder()
 
 
-# Index of a task, its result, and its error message (empty on success).
-Outcome = tuple[int, Any, str]
+Outcome = tuple[Any, str]  # a task's value, and its error message (empty on success)
 
 
 def run_tasks(
-    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
-) -> Iterator[Outcome]:
-    """Run a function on each task's arguments, and yield the outcomes as tasks complete.
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
+) -> list[Outcome]:
+    """Run a function on each task's arguments, with this process's settings; return the outcomes in order.
 
-    Tasks that do not complete before the deadline fail with that reason.
+    The number of completed `noun` (plural) is reported. Tasks that do not complete before the deadline fail with that
+    reason.
     """
-    end = ws.deadline.current()
+    outcomes = dict[int, Outcome]()
+    start = last_report = time.monotonic()
+    for index, outcome in _completed(client, function, tasks):
+        outcomes[index] = outcome
+        now, fraction = time.monotonic(), len(outcomes) / len(tasks)
+        if now > last_report + REPORT_INTERVAL_S and fraction < 1:
+            last_report, seconds = now, (now - start) * (1 / fraction - 1)
+            done = f"{len(outcomes):,} of {len(tasks):,} {noun}"
+            ws.tell(f"{done}, about {seconds:,.0f} s left", fraction)
+    return [outcomes[index] for index in range(len(tasks))]
+
+
+def _completed(
+    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
+) -> Iterator[tuple[int, Outcome]]:
+    """Yield each task's index and outcome as it completes."""
+    end, settings = ws.deadline.current(), ws.settings()
     if client is None:
         for index, task in enumerate(tasks):
             if index and end.over:
-                yield index, None, NOT_PROCESSED.format(end.why)
+                yield index, (None, NOT_PROCESSED.format(end.why))
             else:
-                yield index, *run_guarded(function, task)
+                yield index, run_guarded(function, task, settings)
         return
     import dask.config
 
     executor = client.get_executor(pure=False, retries=MAX_TASK_RETRIES)
     # A task contains the readings of its devices.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
-        futures = {executor.submit(run_guarded, function, t): i for i, t in enumerate(tasks)}
+        futures = {
+            executor.submit(run_guarded, function, task, settings): index
+            for index, task in enumerate(tasks)
+        }
     last_active = now = time.monotonic()  # last time with a worker, s
     while futures and not end.over and now <= last_active + WORKER_TIMEOUT_S:
         done, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
@@ -122,20 +142,22 @@ def run_tasks(
         for future in done:
             index = futures.pop(future)
             try:
-                yield index, *future.result()
+                yield index, future.result()
             except Exception as error:  # any error of a cluster that abandons a task
-                yield index, None, f"the task was abandoned: {str(error) or type(error).__name__}"
+                reason = f"the task was abandoned: {str(error) or type(error).__name__}"
+                yield index, (None, reason)
             end.defer_interrupt()
     no_worker = "the cluster has no worker left: start workers"
     reason = NOT_PROCESSED.format(end.why) if end.over else no_worker
     for future, index in futures.items():
         future.cancel()
-        yield index, None, reason
+        yield index, (None, reason)
 
 
-def run_guarded(function: Callable[..., Any], task: tuple) -> tuple[Any, str]:
-    """Run a task; return its value and "", or None and the message of an error in its readings or files."""
+def run_guarded(function: Callable[..., Any], task: tuple, settings: bc.Settings) -> Outcome:
+    """Run a task under settings; an error in its readings or files is its error message."""
     try:
-        return function(*task), ""
+        with bc.use_settings(settings):
+            return function(*task), ""
     except (bc.BayescalError, OSError) as error:
         return None, str(error)

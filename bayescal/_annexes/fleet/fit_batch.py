@@ -5,8 +5,7 @@ A task reads one file, or fits one batch of devices.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 
 MAX_READINGS_PER_FIT_TASK = 500_000  # they take 0.6 GB of a worker's memory, JAX included
 MAX_READINGS_PER_SEARCH_TASK = 5_000  # so that a worker's death costs no more than a minute or two
-PROGRESS_INTERVAL_S = 9.0  # between progress messages
 
 Paths = str | Path | Sequence[str | Path]
 Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] | Paths
@@ -38,60 +36,34 @@ Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] |
 
 def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
     """Search and fit one batch of devices."""
-    with bc.use_settings(request.settings):
-        results = {name: DeviceResult(reason=error) for name, error in devices.refused.items()}
-        measurements, starts = dict(devices.measurements), dict[str, Mapping[str, float]]()
-        models, structures = dict.fromkeys(measurements, request.model), {}
-        for name in [*measurements] if request.find else ():
-            try:
-                arguments = measurements[name], request.candidates, request.reference
-                found = search_device(request.model, *arguments)
-                structures[name], models[name], starts[name] = found
-            except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
-                results[name] = DeviceResult(reason=str(error))
-                del measurements[name]
-        with ws.deadline.finishing() if request.find else nullcontext():
-            results |= fit_devices(models, measurements, request, starts)
-        return [
-            replace(results[name], device=name, structure=structures.get(name))
-            for name in devices.names
-        ]
-
-
-def read_file(
-    path: Path, model: bc.Model, options: ws.ReadOptions, settings: bc.Settings
-) -> Devices:
-    """Read the devices of a file, with the columns that a model's effects need."""
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    with bc.use_settings(settings):
-        return read_devices(path, model.instrument, options, needs)
-
-
-def run_with_progress(
-    client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
-) -> Iterator[tuple[int, Any, str]]:
-    """Run tasks and yield their outcomes as `run_tasks` does; report the number of `noun` (plural) completed."""
-    start = last_time = time.monotonic()
-    for n_done, outcome in enumerate(run_tasks(client, function, tasks), start=1):
-        yield outcome
-        if time.monotonic() > last_time + PROGRESS_INTERVAL_S and n_done < len(tasks):
-            last_time, fraction = time.monotonic(), n_done / len(tasks)
-            seconds = (last_time - start) * (1 / fraction - 1)
-            ws.tell(f"{n_done:,} of {len(tasks):,} {noun}, about {seconds:,.0f} s left", fraction)
+    results = {name: DeviceResult(reason=error) for name, error in devices.refused.items()}
+    measurements, starts = dict(devices.measurements), dict[str, Mapping[str, float]]()
+    models, structures = dict.fromkeys(measurements, request.model), {}
+    for name in [*measurements] if request.find else ():
+        try:
+            arguments = measurements[name], request.candidates, request.reference
+            found = search_device(request.model, *arguments)
+            structures[name], models[name], starts[name] = found
+        except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
+            results[name] = DeviceResult(reason=str(error))
+            del measurements[name]
+    with ws.deadline.finishing() if request.find else nullcontext():
+        results |= fit_devices(models, measurements, request, starts)
+    return [
+        replace(results[name], device=name, structure=structures.get(name))
+        for name in devices.names
+    ]
 
 
 def read_files(
     files: Sequence[Path], model: bc.Model, options: ws.ReadOptions, client: Client | None
 ) -> tuple[Devices, dict[str, str]]:
     """Read files of devices; return the devices, and file name → error message of each unreadable file."""
-    by_file, errors = dict[int, Devices](), dict[str, str]()
-    tasks = [(path, model, options, ws.settings()) for path in files]
-    for i, devices, error in run_with_progress(client, read_file, tasks, "files"):
-        if error:
-            errors[files[i].name] = error
-        else:
-            by_file[i] = devices
-    return Devices.of_files({files[i]: by_file[i] for i in sorted(by_file)}), errors
+    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    tasks = [(path, model.instrument, options, needs) for path in files]
+    outcomes = [*zip(files, run_tasks(client, read_devices, tasks, "files"), strict=True)]
+    errors = {path.name: error for path, (_, error) in outcomes if error}
+    return Devices.of_files({path: found for path, (found, error) in outcomes if not error}), errors
 
 
 def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
@@ -100,11 +72,11 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
     max_readings = MAX_READINGS_PER_SEARCH_TASK if request.find else MAX_READINGS_PER_FIT_TASK
     cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // max_readings)) + 1
     batches = [devices.select(b.tolist()) for b in np.split(np.array(devices.names), cuts)]
-    tasks, results = [(request, batch) for batch in batches], dict[str, DeviceResult]()
-    for i, fits, error in run_with_progress(client, fit_device_batch, tasks, "batches of devices"):
-        failed = {name: DeviceResult(name, error) for name in batches[i].names}
-        results |= failed if error else {fit.device: fit for fit in fits}
-    return tuple(results[name] for name in devices.names)
+    tasks, results = [(request, batch) for batch in batches], list[DeviceResult]()
+    outcomes = run_tasks(client, fit_device_batch, tasks, "batches of devices")
+    for batch, (fits, error) in zip(batches, outcomes, strict=True):
+        results += [DeviceResult(name, error) for name in batch.names] if error else fits
+    return tuple(results)
 
 
 def tailor_to_fleet(model: bc.Model, devices: Devices) -> bc.Model:
@@ -186,7 +158,7 @@ def fit_batch(
             )
         model = tailor_to_fleet(model, devices)
         options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
-        request = Request(model, *options, ws.settings())
+        request = Request(model, *options)
         result = _fit(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
     if out is not None:

@@ -54,7 +54,6 @@ class Request:
     reference: Reference  # constants of the bases, in place of each device's own
     find: bool  # whether to search each device for missing effects
     candidates: tuple[bc.Effect, ...]  # user-defined effects for that search
-    settings: bc.Settings  # of the caller, for use on the workers
 
     def reference_for(self, readings: bc.Measurements) -> Reference:
         """Return the reference constants of a device's basis functions, computed from its readings unless given."""
