@@ -30,7 +30,9 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
     def answer(self) -> ws.Answer:
         from bayescal._annexes.fleet.engine import open_cluster
 
-        _refuse_output_among_inputs(self.out, self.files)
+        inputs = {file.resolve() for file in self.files}
+        if self.out.is_file() and not inputs.isdisjoint(self.out.resolve().parents):
+            raise bc.InputError(f"--out {self.out} is in a folder of readings: choose another")
         instrument = ws.instrument_named(self.instrument)
         effects = ws.load_effects(self, instrument, None)
         model = ws.compose(instrument, self, effects)
@@ -60,9 +62,3 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
 
 
 ANNEX = {"commands": (BatchCommand,)}
-
-
-def _refuse_output_among_inputs(out: Path, files: list[Path]) -> None:
-    """Raise InputError if the output file exists in a folder of readings."""
-    if out.is_file() and {*out.resolve().parents} & {*(file.resolve() for file in files)}:
-        raise bc.InputError(f"--out {out} is in a folder of readings: choose another")

@@ -57,7 +57,7 @@ class Workbench:
         self.view = self._page(framed)
         session.on_change.append(self._changed)
         self.refresh()
-        pn.state.onload(self._opened)
+        pn.state.onload(self.look)  # since updates before the browser has connected may be lost
         document = pn.state.curdoc
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self._close())
@@ -135,33 +135,28 @@ class Workbench:
         """Compute the preview of an action, then call `done` with it."""
         self.work.preview(lambda: self.session.preview(*action), done)
 
-    def _opened(self) -> None:
-        """Show or start the search when the browser has connected, since earlier updates may be lost."""
-        if self.session.current.discovery is not None:
-            self._show_missing()
-        self.look()
-
     def _show_missing(self, _: Any = None) -> None:
         """Show the candidates missing from the current state."""
         for pane in (self.missing, self.model, self.error):
             pane.show(self.session.current)
 
     def look(self) -> None:
-        """Search for effects missing from the current state, unless it has already been searched."""
+        """Show the effects missing from the current state; search for them unless that is done."""
         state = self.session.current
         if state.discovery is not None:
-            return
-        if not state.calibration.verdict.ok:
+            self._show_missing()
+        elif not state.calibration.verdict.ok:
             reason = "The result is not reliable: a search requires a reliable fit."
             self.missing.show(state, reason)
-            return
-        self.run(self.session.look, self._show_missing)
+        else:
+            self.run(self.session.look, self._show_missing)
 
     def done(self, _: Any = None) -> None:
         """Show the state after an action, and search for effects missing from it."""
         self._fresh()
         self.refresh()
-        self.look()
+        if self.session.current.discovery is None:
+            self.look()
 
     def point(self, effect: str) -> None:
         """Draw a candidate's curve over the residuals; remove it if the effect is not a candidate of this state."""

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import bayescal as bc
 from bayescal import workshop as ws
-
-if TYPE_CHECKING:
-    from bayescal._annexes.workbench.session import Session
 
 
 class WorkbenchCommand(ws.SearchRequest, ws.Command):
@@ -32,48 +27,33 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
         start.refuse_without_panel()
         # Unusable files raise an error before a browser opens.
         models, readings, holdout = ws.open_search([], self)
+        effects = ws.load_effects(self, models[""].instrument, readings[""])
         with ws.result_folder(self.out) as folder:
             assert folder is not None
             ws.tell("loading the workbench and fitting the first model …")
-            session = self._session(models[""], readings[""], holdout.get(""), folder)
+            from bayescal._annexes.workbench.serve import serve
+            from bayescal._annexes.workbench.session import Session
+            from bayescal._annexes.workbench.session_store import FIRST_FOLDER, Origin
+
+            effect_files = [] if self.effects_file is None else [self.effects_file]
+            sources = self.files, self.holdout, self.read_options(), effect_files
+            session = Session.open(
+                models[""],
+                readings[""],
+                holdout=holdout.get(""),
+                effects=effects,
+                folder=folder / FIRST_FOLDER,
+                origin=Origin.of(self.instrument, *sources, average=self.average),
+                method=None if self.method == "marginal" else ws.create_method(self.method),
+                reference={**ws.parse_numbers(self.reference, "--reference")} or None,
+                time_limit=self.time_limit,
+                **self.settings(),
+            )
             at, files = start.Address.new(), ", ".join(p.name for p in self.files)
             text = f"bayescal workbench of {files}: {at.url}\n(press Ctrl-C to stop; the session is saved in {folder})"
-            from bayescal._annexes.workbench.serve import serve
-
             serve(session, at, text, None if self.no_open else folder)
         print("bayescal workbench: ended", flush=True)
         return 0
-
-    def _session(
-        self,
-        model: bc.Model,
-        readings: bc.Measurements,
-        holdout: bc.Measurements | None,
-        folder: Path,
-    ) -> Session:
-        """Open the session that the options ask for."""
-        from bayescal._annexes.workbench.session import Session
-        from bayescal._annexes.workbench.session_store import FIRST_FOLDER, Origin
-
-        return Session.open(
-            model,
-            readings,
-            holdout=holdout,
-            effects=ws.load_effects(self, model.instrument, readings),
-            folder=folder / FIRST_FOLDER,
-            origin=Origin.of(
-                self.instrument,
-                self.files,
-                self.holdout,
-                self.read_options(),
-                [] if self.effects_file is None else [self.effects_file],
-                average=self.average,
-            ),
-            method=None if self.method == "marginal" else ws.create_method(self.method),
-            reference={**ws.parse_numbers(self.reference, "--reference")} or None,
-            time_limit=self.time_limit,
-            **self.settings(),
-        )
 
 
 ANNEX = {"commands": (WorkbenchCommand,)}

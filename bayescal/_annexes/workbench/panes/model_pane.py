@@ -96,10 +96,8 @@ class ModelPane(Pane):
         self.size.label = f"plausible size [{ws.unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
         self._other_coefficient()
-        self.bench.ask(self._say_consequences, "take_out", effect)
-
-    def _say_consequences(self, preview: Any) -> None:
-        self.consequences.object = f"Without it: {preview.in_words}"
+        tell = lambda p: self.consequences.param.update(object=f"Without it: {p.in_words}")  # noqa: E731
+        self.bench.ask(tell, "take_out", effect)
 
     def _other_coefficient(self) -> None:
         coefficients, others = ws.summary(self._calibration)

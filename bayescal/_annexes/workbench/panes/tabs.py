@@ -146,10 +146,8 @@ class ComparePane(Pane):
     def show(self, state: Any) -> None:
         self.answer.object, other = "", self.which.value
         if other is not None:
-            self.bench.run(lambda: self.session.compare(other), self._answered, "Comparing …")
-
-    def _answered(self, comparison: str) -> None:
-        self.answer.object = comparison
+            answered = lambda text: self.answer.param.update(object=text)  # noqa: E731
+            self.bench.run(lambda: self.session.compare(other), answered, "Comparing …")
 
     def _chosen(self) -> None:
         if not self._showing and self.which.value is not None:

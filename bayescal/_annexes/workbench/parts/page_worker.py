@@ -15,14 +15,6 @@ import bayescal as bc
 N_THREADS = 4  # for a job, a search, and previews
 
 
-def format_error(error: Exception) -> str:
-    """Format a thread's error for the page; log it if it is not a BayescalError."""
-    if isinstance(error, bc.BayescalError):
-        return str(error)
-    logging.getLogger("bayescal").error("in the workbench", exc_info=error)
-    return f"{type(error).__name__}: {error}"
-
-
 class PageWorker:
     """Worker pool of one page; results and error messages are delivered in the page's own thread."""
 
@@ -74,8 +66,11 @@ class PageWorker:
             result, error = None, ""
             try:
                 result = job() if is_current() else None
+            except bc.BayescalError as caught:
+                error = str(caught)
             except Exception as caught:
-                error = format_error(caught)
+                logging.getLogger("bayescal").error("in the workbench", exc_info=caught)
+                error = f"{type(caught).__name__}: {caught}"
             self.on_page(lambda: finish(result, error))
 
         def finish(result: Any, error: str) -> None:
