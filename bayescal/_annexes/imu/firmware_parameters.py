@@ -190,10 +190,6 @@ def _make_ardupilot_values(polynomials: Polynomials, devices: Mapping[str, int])
     return values
 
 
-def _format_px4_line(name: str, value: float | int) -> str:
-    return f"1\t1\t{name}\t{value:.13g}\t{TYPE_INT32 if isinstance(value, int) else TYPE_REAL32}"
-
-
 AUTOPILOTS = {
     "px4-params": Autopilot(
         title="PX4",
@@ -201,7 +197,9 @@ AUTOPILOTS = {
         range_key=lambda a: (a.kind, a.number),
         reference=lambda low, high: round(0.5 * (low + high)),
         make_values=_make_px4_values,
-        format_line=_format_px4_line,
+        format_line=lambda name, value: (
+            f"1\t1\t{name}\t{value:.13g}\t{TYPE_INT32 if isinstance(value, int) else TYPE_REAL32}"
+        ),
         header=("Onboard parameters, for QGroundControl or `param load`", "Vehicle-Id Component-Id Name Value Type"),
         instructions="Restart, then calibrate gyroscopes and accelerometers again: CAL_GYRO*_*OFF and CAL_ACC*_*OFF "
         "are applied in addition to these parameters.",

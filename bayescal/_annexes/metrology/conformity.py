@@ -195,10 +195,6 @@ class Limits(NamedTuple):
     low: float
     high: float
 
-    def contain(self, low: float, high: float) -> bool:
-        """Return whether the interval [low, high] lies within the limits."""
-        return self.low <= low and high <= self.high
-
 
 @dataclass(frozen=True)
 class DrawnQuantity:

@@ -479,7 +479,8 @@ def _decide_limit(
             f"probability of conformity {p_text}: acceptance needs {100 * (1 - false_accept):g} %, rejection "
             f"{100 * false_accept:g} %"
         )
-    if limits.contain(*draws.estimate):
+    low, high = draws.estimate
+    if limits.low <= low and high <= limits.high:
         position, decision, risk = "inside", ACCEPT, f"acceptance {q_text}"
     else:
         position, decision, risk = "outside", REJECT, f"rejection {p_text}"

@@ -95,7 +95,7 @@ class Workbench:
         self.other = number
         self.refresh()
         self.residuals.show_other()
-        self.tabs.open("Side by side")
+        self.tabs.which.value = "Side by side"
 
     def refresh(self) -> None:
         """Show the session's current state."""

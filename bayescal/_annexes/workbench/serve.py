@@ -7,8 +7,12 @@ Host header only, which prevents DNS rebinding. Nothing is loaded from other sit
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from contextlib import nullcontext
+import secrets
+import socket
+import tempfile
+import webbrowser
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +20,11 @@ import panel as pn
 from jinja2 import Template
 from tornado.web import ErrorHandler
 
+from bayescal import workshop as ws
 from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.session import Session
-from bayescal._annexes.workbench.start import LOOPBACK, Address, opened_in_browser
 
+LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 2**20  # of a websocket message; a selection of all points is far smaller
 MAX_REQUEST_BYTES = 2**16  # of a request's headers and body: requests of the page have no body
 
@@ -57,32 +62,56 @@ def answer_only(application: Any, names: Collection[str]) -> None:
     application.find_handler = find
 
 
-def serve(session: Session, address: Address, text: str, folder: Path | None) -> None:
-    """Serve the workbench until Ctrl-C.
+FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
+
+
+@contextmanager
+def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
+    """Open an address in the browser through a forwarding file that only this user can read.
+
+    An address among the browser's arguments would be visible to all users of the computer. The file is in `folder`,
+    since a sandboxed browser cannot read temporary files, and is removed on exit.
+    """
+    with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
+        file = Path(private) / "workbench.html"
+        file.touch(0o600)
+        file.write_text(FORWARD.format(ws.html_text(url)), "utf-8")
+        webbrowser.open(file.as_uri())
+        yield
+
+
+def serve(session: Session, files: str, folder: Path, *, open_browser: bool) -> None:
+    """Serve the workbench until Ctrl-C, at a free port under a path of 256 random bits; print the address.
 
     Args:
         session: session to show.
-        address: address of the server.
-        text: text to print when the server is ready.
-        folder: folder for the file that opens a browser; None to open none.
+        files: names of its files, to print.
+        folder: folder with the session, in which the file that opens a browser is created.
+        open_browser: whether to open a browser.
     """
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        port = probe.getsockname()[1]
+    path, hosts = f"/{secrets.token_urlsafe(32)}", [f"{n}:{port}" for n in (LOOPBACK, "localhost")]
+    url = f"http://{LOOPBACK}:{port}{path}/"
     server = pn.io.server.get_server(
         {"/": lambda: page(session)},
-        port=address.port,
+        port=port,
         address=LOOPBACK,
-        websocket_origin=address.hosts,
-        prefix=address.path,
+        websocket_origin=hosts,
+        prefix=path,
         ico_path="none",
         websocket_max_message_size=MAX_MESSAGE_BYTES,
         http_server_kwargs=dict.fromkeys(("max_body_size", "max_header_size"), MAX_REQUEST_BYTES),
         keep_alive_milliseconds=10_000,
         title="bayescal workbench",
     )
-    answer_only(server._tornado, address.hosts)
+    answer_only(server._tornado, hosts)
     server.start()
-    print(text, flush=True)
+    print(f"bayescal workbench of {files}: {url}")
+    print(f"(press Ctrl-C to stop; the session is saved in {folder})", flush=True)
     try:
-        with nullcontext() if folder is None else opened_in_browser(address.url, folder):
+        with opened_in_browser(url, folder) if open_browser else nullcontext():
             server.io_loop.start()
     finally:
         session.stop()

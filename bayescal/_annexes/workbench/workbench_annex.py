@@ -22,9 +22,9 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
 
     def run(self) -> int:
         """Serve the workbench until Ctrl-C; the time limit applies to each search."""
-        from bayescal._annexes.workbench import start
+        from bayescal._annexes.workbench.start import refuse_without_panel
 
-        start.refuse_without_panel()
+        refuse_without_panel()
         # Unusable files raise an error before a browser opens.
         models, readings, holdout = ws.open_search([], self)
         effects = ws.load_effects(self, models[""].instrument, readings[""])
@@ -49,9 +49,8 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
                 time_limit=self.time_limit,
                 **self.settings(),
             )
-            at, files = start.Address.new(), ", ".join(p.name for p in self.files)
-            text = f"bayescal workbench of {files}: {at.url}\n(press Ctrl-C to stop; the session is saved in {folder})"
-            serve(session, at, text, None if self.no_open else folder)
+            files = ", ".join(p.name for p in self.files)
+            serve(session, files, folder, open_browser=not self.no_open)
         print("bayescal workbench: ended", flush=True)
         return 0
 

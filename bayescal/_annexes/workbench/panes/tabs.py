@@ -234,10 +234,6 @@ class Tabs(Pane):
         self._state, self._stale = state, {*self._panes} - {ERROR}
         self._freshen()
 
-    def open(self, name: str) -> None:
-        """Select the tab `name`."""
-        self.which.value = name
-
     def _freshen(self) -> None:
         pane = self._panes[self.which.value]
         if self.which.value in self._stale:
