@@ -191,7 +191,6 @@ from ._use.budget import notes_on as notes_on
 # corrections, and the files that they are written to
 from ._use.compensation_program import NOT_RELIABLE as NOT_RELIABLE
 from ._use.compensation_program import PAST as PAST
-from ._use.compensation_program import CorrectionInUse as CorrectionInUse
 from ._use.compensation_program import averaged_over as averaged_over
 from ._use.compensation_program import limits as limits
 from ._use.correction_files import CorrectionKind as CorrectionKind
