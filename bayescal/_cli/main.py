@@ -120,6 +120,7 @@ def _user_message(error: BaseException) -> str:
         raise error
     context = getattr(error, "ctx", None)
     usage_text = (usage() or "Give a command, such as: bayescal demo").rstrip(".")
+    usage_text = usage_text.replace("Value error, ", "")
     return f"{usage_text}. See: {context.command_path if context else 'bayescal'} --help"
 
 

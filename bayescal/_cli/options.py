@@ -365,7 +365,7 @@ class OwnParts(Options):
 class UsedParts(OwnParts):
     """Options that select the result to use: the model average, or the most probable structure."""
 
-    one_structure: str = opt(
+    one_structure: Literal["average", "best"] = opt(
         "'average' over structures, or the 'best' structure.", "average", "--structure"
     )
 

@@ -226,8 +226,6 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
     if isinstance(user, UsedParts) and path.name == CALIBRATION:
-        if user.one_structure not in ("average", "best"):
-            raise InputError(f"--structure {user.one_structure!r} is neither 'average' nor 'best'")
         refuse_mixed(path.parent, CALIBRATION)
         if user.one_structure == "average" and AVERAGED in files_of(path.parent):
             path = path.with_name(AVERAGED)
