@@ -118,7 +118,9 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
             "these are further apart), 0 at the start"
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
-    for lag in equation.lags:  # exports compute lags and their derivatives ∂lag/∂τ from a record
+    for (
+        lag
+    ) in equation.nodes.lags:  # exports compute lags and their derivatives ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}
@@ -277,7 +279,7 @@ def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, .
         values = tuple(f"{n} = {v:.6g} {unit_label(unit)}".rstrip() for n, v, unit in constants)
         numbers = {"places": values, "rms": equation.compute_held_rms(), "unit": calibration.unit}
         notes.append(Claim("use.held_inputs", *(name for name, *_ in constants), **numbers))
-    lags = [lag for lag in equation.lags if lag.shape and lag.name in equation.inputs]
+    lags = [lag for lag in equation.nodes.lags if lag.shape and lag.name in equation.inputs]
     if lags:
         multiples = (lag.tau / equation.shapes[lag.shape][0] for lag in lags)
         lag_factors = zip(lags, ("" if m == 1.0 else f"{m:.3g} · " for m in multiples), strict=True)
@@ -421,8 +423,9 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
     noise, noise_level = equation.noise_in_use()
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
     noise = {input_name(name): value for name, value in noise.items()}
-    nodes = [equation.expected, equation.noise, *equation.gradient.values()]
-    graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, noise | means)
+    traced, constants = equation.nodes, noise | means
+    nodes = [traced.expected, traced.noise, *traced.gradient.values()]
+    graph, (expected, variance, slope, *gradient) = equation.graph.subgraph(nodes, constants)
     variance = graph.apply("mul", graph.constant(noise_level), variance)
     nonzero = [i for i, node in enumerate(gradient) if graph.constant_value(node) != 0]
     shapes = {name: m[1:] for name, m in equation.shapes.items() if m[2] < 1}

@@ -106,6 +106,16 @@ class TermsInUse(TracedColumns):
         return trace_jax_function(self.graph, function, frame, values)
 
 
+class EquationNodes(NamedTuple):
+    """Nodes of the traced equation, and the lags among its inputs."""
+
+    expected: int  # expected output, output unit
+    noise: int  # variance of a reading's noise by the noise law, without stated uncertainties
+    gradient: dict[str, int]  # derivatives of `expected` in stimulus and unknowns, by input name
+    slots: dict[str, int]  # value of each slot, in its unit
+    lags: tuple[Lag, ...]  # one per column and time constant
+
+
 class PosteriorMoments(NamedTuple):
     """Posterior draws (d, p), mean (p,) and covariance (p, p) of θ, reported units."""
 
@@ -181,113 +191,86 @@ class OperatingEquation:
 
     @cached_property
     def graph(self) -> Graph:
-        """Return the graph of `expected`, `gradient`, `noise` and slot values."""
+        """Return the graph of the traced equation."""
         return Graph()
 
     def _symbol(self, name: str) -> Symbols:
         return self.graph.symbols([Symbol(self.graph.input(name))])
 
     @cached_property
-    def _terms(self) -> TermsInUse:
-        """Return the terms of one reading, as symbols; held inputs are numbers."""
-        values = {name: self._symbol(name) for name in (*self.columns, *dict(self.rates))}
-        values |= {name: self.graph.symbols([value]) for name, value, _ in self.held_inputs}
-        frame = replace(self.frame_of(self._symbol(STIMULUS), values), lagged=self._lagged)
-        return TermsInUse(self.layout.model.instrument, frame, self.graph)
-
-    @cached_property
-    def _lags(self) -> dict[tuple[str, float], Lag]:
-        """Return the lags traced so far, by column and time constant at the mean of the unknowns."""
-        return {}
-
-    def _lagged(self, column: str, tau: Any) -> Symbols:
-        """Return a lag: an input at the mean time constant, plus its first-order change with τ."""
-        node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
-        (mean,) = self.graph.evaluate([node], means)
-        if (column, mean) not in self._lags:
-            count = sum(lag.column == column for lag in self._lags.values())
-            name = f"{column}_lag" + (f"_{count + 1}" if count else "")
-            inputs = self.graph.inputs([node])
-            shape = next((n for n in self.shapes if input_name(n) in inputs), "")
-            self._lags[column, mean] = Lag(column, float(mean), node, shape, name)
-        lag = self._lags[column, mean]
-        lag_symbol = self._symbol(lag.name)
-        return lag_symbol + self._symbol(lag.slope) * (tau - lag.tau) if lag.slope else lag_symbol
-
-    @cached_property
-    def _composition(self) -> tuple[Frame, dict[str, Symbols]]:
-        """Return the corrected frame and the slots; corrections of rig quantities are omitted."""
-        fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"}
-        fixed |= dict(self.layout.model.fixed)
-        symbols = {name: self.graph.symbols([value]) for name, value in fixed.items()}
-        symbols |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
-        terms = self._terms
-        blocks = [b for b in self.blocks if b.slot in terms.slots or b.slot in terms.frame.columns]
-        values, shapes = [symbols[b.name] for b in blocks], {n: v[0] for n, v in symbols.items()}
-        composed = compose(terms, terms_of(blocks)[0], values, shapes)
-        zero = self.graph.symbols([0.0])
-        slots = {name: composed.slots.get(name, zero) for name in terms.slots}
-        return terms.frame.shift_columns(composed.shifts), slots
-
-    @cached_property
-    def expected(self) -> int:
-        """Return the node of the expected output, output unit."""
-        equation, response = self.use.equation, self.layout.model.instrument.response
+    def nodes(self) -> EquationNodes:
+        """Trace the equation; held inputs are numbers, corrections of rig quantities are omitted."""
+        graph, model, lags = self.graph, self.layout.model, dict[tuple[str, float], Lag]()
+        inputs = {name: self._symbol(name) for name in (*self.columns, *dict(self.rates))}
+        inputs |= {name: graph.symbols([value]) for name, value, _ in self.held_inputs}
+        frame = self.frame_of(self._symbol(STIMULUS), inputs)
+        frame = replace(frame, lagged=partial(self._lagged, lags))
+        terms = TermsInUse(model.instrument, frame, graph)
+        fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"} | dict(model.fixed)
+        values = {name: graph.symbols([value]) for name, value in fixed.items()}
+        values |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
+        blocks = [b for b in self.blocks if b.slot in terms.slots or b.slot in frame.columns]
+        coefficients, shapes = (
+            [values[b.name] for b in blocks],
+            {n: v[0] for n, v in values.items()},
+        )
+        composed = compose(terms, terms_of(blocks)[0], coefficients, shapes)
+        slots = {name: composed.slots.get(name, graph.symbols([0.0])) for name in terms.slots}
+        equation, response = self.use.equation, model.instrument.response
 
         def output(frame: Frame, slots: Values) -> Any:
             if equation is None:
                 return response(dict(slots), frame)
             return equation(frame[self.use.stimulus], dict(slots), frame)
 
-        return self.graph.node_of(self._terms.trace(output, *self._composition))
-
-    def slot_node(self, slot: str) -> int:
-        """Return the node of a slot's value, in its unit."""
-        return self.graph.node_of(self._composition[1][slot])
-
-    @cached_property
-    def gradient(self) -> dict[str, int]:
-        """Return nodes of the expected output's derivatives with respect to stimulus and unknowns, by input name."""
+        expected = graph.node_of(terms.trace(output, frame.shift_columns(composed.shifts), slots))
+        parameters = {name: self._symbol(input_name(name)) for name in model.noise.parameters()}
+        variance = terms.trace(lambda f, values: model.noise.variance(values, f), frame, parameters)
         names = (STIMULUS, *(input_name(u.key) for u in self.unknowns))
-        zero = self.graph.constant(0.0)
-        return dict.fromkeys(names, zero) | self.graph.gradient(self.expected, names)
+        return EquationNodes(
+            expected=expected,
+            noise=graph.node_of(variance),
+            gradient=dict.fromkeys(names, graph.constant(0.0)) | graph.gradient(expected, names),
+            slots={name: graph.node_of(value) for name, value in slots.items()},
+            lags=tuple(lags.values()),
+        )
 
-    @cached_property
-    def noise(self) -> int:
-        """Return the node of a reading's noise variance by the noise law, without stated uncertainties."""
-        noise, terms = self.layout.model.noise, self._terms
-        parameters = {name: self._symbol(input_name(name)) for name in noise.parameters()}
-        variance = terms.trace(lambda f, values: noise.variance(values, f), terms.frame, parameters)
-        return self.graph.node_of(variance)
-
-    @property
-    def lags(self) -> tuple[Lag, ...]:
-        """Return the lags of the expected output, one per column and time constant."""
-        _ = self.expected  # traces them
-        return tuple(self._lags.values())
+    def _lagged(self, lags: dict[tuple[str, float], Lag], column: str, tau: Any) -> Symbols:
+        """Return a lag: an input at the mean time constant, listed in `lags`, plus its first-order change with τ."""
+        node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
+        (mean,) = self.graph.evaluate([node], means)
+        if (column, mean) not in lags:
+            count = sum(lag.column == column for lag in lags.values())
+            name = f"{column}_lag" + (f"_{count + 1}" if count else "")
+            inputs = self.graph.inputs([node])
+            shape = next((n for n in self.shapes if input_name(n) in inputs), "")
+            lags[column, mean] = Lag(column, float(mean), node, shape, name)
+        lag = lags[column, mean]
+        lag_symbol = self._symbol(lag.name)
+        return lag_symbol + self._symbol(lag.slope) * (tau - lag.tau) if lag.slope else lag_symbol
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Return the names of all possible inputs."""
-        lags = (name for lag in self.lags for name in (lag.name, lag.slope) if name)
+        lags = (name for lag in self.nodes.lags for name in (lag.name, lag.slope) if name)
         return (*self.columns, *dict(self.rates), *lags)
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Return the inputs that the output, or its noise, depends on."""
-        needed = self.graph.inputs([self.expected, self.noise])
+        needed = self.graph.inputs([self.nodes.expected, self.nodes.noise])
         return tuple(n for n in sorted(self.names) if n in needed)
 
     @cached_property
     def affine(self) -> bool:
         """Return whether the expected output is affine in the stimulus."""
-        return STIMULUS not in self.graph.inputs([self.gradient[STIMULUS]])
+        return STIMULUS not in self.graph.inputs([self.nodes.gradient[STIMULUS]])
 
     @property
     def is_slope_calibrated(self) -> bool:
         """Return whether the derivative of the output with respect to the stimulus depends on an unknown."""
         unknowns = {input_name(u.key) for u in self.unknowns}
-        return not unknowns.isdisjoint(self.graph.inputs([self.gradient[STIMULUS]]))
+        return not unknowns.isdisjoint(self.graph.inputs([self.nodes.gradient[STIMULUS]]))
 
     def evaluate(
         self, outputs: Sequence[int], theta: np.ndarray, stimulus: Any, inputs: Values
@@ -302,7 +285,7 @@ class OperatingEquation:
         self, theta: np.ndarray, stimulus: Any, inputs: Values, slot: str | None = None
     ) -> Float[np.ndarray, "d n"]:
         """Evaluate the expected output (output unit), or a slot, for draws of θ (d, p); other arguments (n,)."""
-        node = self.expected if slot is None else self.slot_node(slot)
+        node = self.nodes.expected if slot is None else self.nodes.slots[slot]
         (values,) = self.evaluate([node], theta, stimulus, inputs)
         return np.broadcast_to(values, (len(theta), len(stimulus)))
 
@@ -310,14 +293,14 @@ class OperatingEquation:
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
         """Return the expected output at n points, and its derivatives with respect to stimulus and unknowns."""
-        nodes = [self.expected, *self.gradient.values()]
+        nodes = [self.nodes.expected, *self.nodes.gradient.values()]
         values = self.evaluate(nodes, theta, stimulus, inputs)
         expected, slope, *gradient = (np.broadcast_to(value, len(stimulus)) for value in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
         """Solve for the stimulus of an output; return it and the output's derivative there, NaN without solution."""
-        nodes = self.expected, self.gradient[STIMULUS]
+        nodes = self.nodes.expected, self.nodes.gradient[STIMULUS]
         return solve_newton(lambda s: self.evaluate(nodes, theta, s, inputs), output, self.affine)
 
     def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
@@ -343,7 +326,7 @@ class OperatingEquation:
         frame = self.calibration.frame
         values = {n: np.asarray(frame.columns[n]) for n in self.columns}
         values |= {name: np.asarray(frame.rates[column]) for name, column in self.rates}
-        for lag in self.lags:
+        for lag in self.nodes.lags:
             values[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
             if lag.slope:
                 values[lag.slope] = slope
@@ -427,7 +410,7 @@ class OperatingEquation:
 
         def mean_variance(values: Mapping[str, Any]) -> float:
             parameters = {input_name(name): value for name, value in values.items()}
-            (variance,) = self.graph.evaluate([self.noise], {**inputs, **parameters})
+            (variance,) = self.graph.evaluate([self.nodes.noise], {**inputs, **parameters})
             return float(np.mean(variance + np.zeros_like(inputs[STIMULUS])))
 
         means = {n: float(x) for n, x in problem.hyper(v.mean(axis=0)).items()}
@@ -526,7 +509,7 @@ def solve_over_draws(
     origin, sums, values = np.zeros(len(output)), np.zeros((3, len(output))), dict(inputs)
     for start in range(0, count, block):
         draws = theta[start : start + block]
-        for lag in equation.lags if record is not None else ():
+        for lag in equation.nodes.lags if record is not None else ():
             (tau,) = equation.evaluate([lag.node], draws, 0.0, {})
             values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
             if lag.slope:

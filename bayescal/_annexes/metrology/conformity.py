@@ -431,7 +431,7 @@ def find_quantity(
     grid = np.meshgrid(*axes.values(), indexing="ij")
     points = {n: values.ravel() for n, values in zip(axes, grid, strict=True)}
     if limit.quantity in slots:
-        inputs = equation.graph.inputs([equation.slot_node(limit.quantity)])
+        inputs = equation.graph.inputs([equation.nodes.slots[limit.quantity]])
         acting = {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
     else:
         acting = {*equation.inputs, compensator.stimulus}
