@@ -130,8 +130,6 @@ class SimulateCommand(AsJson, Command):
         from bayescal._data.unit_conversion import unit_label
 
         instrument = instrument_named(self.instrument)
-        if instrument.simulator is None:
-            raise InputError(f"instrument {instrument.name!r} has no simulator")
         hidden_effects = parse_numbers(self.effect, "--effect")
         try:
             readings = instrument.simulate(hidden_effects, seed=self.seed)
@@ -359,8 +357,6 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
             model_options.reference_dcc = self.reference_dcc
             models[name] = request.compose(instrument, model_options, effects)
             models[name].require(readings)
-        if len(models) < 2:
-            raise InputError(f"compare needs at least two structures, not {len(models)}")
         print_notes(readings.flags)
         kwargs = {"seed": self.seed, "strict": False}
         kwargs["reference"] = parse_numbers(self.reference, "--reference")

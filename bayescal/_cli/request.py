@@ -17,7 +17,6 @@ from bayescal._cli.options import (
     OwnParts,
     ReadRequest,
     SearchRequest,
-    UsedParts,
     parse_numbers,
 )
 from bayescal._core.annex import first_offered
@@ -225,12 +224,11 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
             f"{path} contains several channels: give the folder of one, such as {of_units([path])[0]}"
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
-    if isinstance(user, UsedParts) and path.name == CALIBRATION:
-        refuse_mixed(path.parent, CALIBRATION)
-        if user.one_structure == "average" and AVERAGED in files_of(path.parent):
-            path = path.with_name(AVERAGED)
-    refuse_mixed(path.parent, path.name)
-    return bc.load(path, **_load_user_parts(user))
+    files, structure = [path.name], getattr(user, "one_structure", "best")
+    if (path.name, structure) == (CALIBRATION, "average") and AVERAGED in files_of(path.parent):
+        files.append(AVERAGED)
+    refuse_mixed(path.parent, *files)
+    return bc.load(path.with_name(files[-1]), **_load_user_parts(user))
 
 
 def load_compensator(path: Path, user: InUse) -> bc.Compensator:
