@@ -238,7 +238,7 @@ CEILINGS = {
     "bayescal/_use": 2_753,
     "bayescal/_search": 5_636,
     "bayescal/_report": 1_605,
-    "bayescal/_cli": 1_667,
+    "bayescal/_cli": 1_661,
     "bayescal/_annexes/fleet": 1_671,
     "bayescal/_annexes/imu": 2_683,
     "bayescal/_annexes/metrology": 1_573,
