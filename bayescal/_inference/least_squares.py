@@ -310,7 +310,8 @@ class _Refinement:
         """Return a function that maps v to the conditional posterior of θ for the model linearised at θ."""
         table, extra = self.table(theta, v)
         # Homoscedastic: the table is replaced by its R factor, and whitening divides by σ.
-        is_even = self.is_homoscedastic
+        is_even, law = self.is_homoscedastic, self.problem.noise
+        place = law.variance_place(self.problem.record.frame)
         reduced = np.triu(dgeqrf(table)[0][: table.shape[1]]) if is_even else table
         nans = np.full((theta.size, theta.size), np.nan)
         undefined_result = _Conditional(np.full(theta.size, np.nan), nans, np.nan, np.nan)
@@ -318,7 +319,7 @@ class _Refinement:
         def condition_at(v: np.ndarray) -> _Conditional:
             prior = self.prior(v)
             if is_even:
-                variance = float(self.problem.noise.shared_variance(self.problem.hyper(v)))
+                variance = float(law.variance_along(self.problem.hyper(v), place))
                 if not variance > np.finfo(float).tiny:
                     return undefined_result
                 whitened = reduced / math.sqrt(variance)

@@ -62,8 +62,8 @@ class SingleNode:
 
     count = 1
 
-    def __init__(self, size: int) -> None:
-        self.size = size
+    def __init__(self, size: int, place: float | np.ndarray = math.nan) -> None:
+        self.size, self.nodes, self.rows = size, np.reshape(place, 1), np.array([size])
 
     def transform(self, columns: Columns) -> list[Columns]:
         """Transform columns (n, k) orthonormally, so that the noise covariance is diagonal; one array per run."""
@@ -79,8 +79,9 @@ class SingleNode:
 
     def weights(self, law: Noise, values: Values) -> Weights:
         """Return the weights of the nodes at s parameter sets of the noise law."""
-        variance = np.asarray(law.shared_variance(values), float).reshape(-1, 1)
-        return Weights(1 / variance, self.size * np.log(variance[:, 0]), {}, {})
+        parameters = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        variance = law.variance_along(parameters, self.nodes)
+        return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
 class ColumnNodes(SingleNode):
@@ -97,11 +98,6 @@ class ColumnNodes(SingleNode):
     def products(self, a, b):
         weighted = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
         return (weighted @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
-
-    def weights(self, law, values):
-        parameters = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        variance = law.variance_along(parameters, self.nodes)
-        return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
 class Segment(NamedTuple):

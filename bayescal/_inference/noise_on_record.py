@@ -233,8 +233,6 @@ def _draw_in_program(law: Noise, frame: Frame, means, keys, values):
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
     """Return the variance of each reading about the expected output, output unit squared (n,)."""
-    if law.even(record.frame):
-        return np.full(record.size, float(law.shared_variance(values)))
     return variances(law, values, record)[0]
 
 

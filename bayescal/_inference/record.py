@@ -161,21 +161,19 @@ class Record:
     def nodes(self, law: Noise) -> SingleNode | None:
         """Return the nodes that interpolate inner products in the noise parameters; None if the law has none here."""
         coordinate = law.variance_place(self.frame)
-        if law.even(self.frame):
-            key: Any = "even"
-        elif coordinate is not None:
-            key = coordinate.tobytes()
+        if coordinate is not None:
+            key: Any = coordinate.tobytes()
         elif UNCERTAINTY in self.frame.columns or not law.stationary:
             return None
         else:
             key = "in frequency"
         if key not in self._nodes:
-            if key == "even":
-                self._nodes[key] = SingleNode(self.size)
-            elif coordinate is not None:
-                self._nodes[key] = ColumnNodes(coordinate)
-            else:
+            if coordinate is None:
                 self._nodes[key] = dct_nodes(*self.time_order)
+            elif coordinate.ndim == 0:
+                self._nodes[key] = SingleNode(self.size, coordinate)
+            else:
+                self._nodes[key] = ColumnNodes(coordinate)
         return self._nodes[key]
 
     @cached_property

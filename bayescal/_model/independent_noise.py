@@ -44,15 +44,12 @@ class White(Noise):
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE,)
 
-    def even(self, frame: Frame) -> bool:
-        return UNCERTAINTY not in frame.columns
-
-    def shared_variance(self, values: Parameters) -> Any:
-        return values[WHITE] ** 2
-
     def variance_place(self, frame: Frame) -> np.ndarray | None:
+        """Return the logarithm of the known uncertainties, −∞ for all readings if there are none."""
         sigma = frame.columns.get(UNCERTAINTY)
-        return None if sigma is None or not np.all(sigma > 0) else np.log(np.asarray(sigma))
+        if sigma is None:
+            return np.array(-np.inf)
+        return np.log(np.asarray(sigma)) if np.all(sigma > 0) else None
 
     def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
         return values[WHITE] ** 2 + np.exp(2 * place)

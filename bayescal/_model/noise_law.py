@@ -171,16 +171,13 @@ class Noise(abc.ABC):
 
     def even(self, frame: Frame) -> bool:
         """Return whether readings are independent with one common variance (homoscedastic)."""
-        return False
+        place = self.variance_place(frame)
+        return place is not None and place.ndim == 0
 
-    def shared_variance(self, values: Parameters) -> Any:
-        """Return the variance common to all readings, output unit squared, of homoscedastic noise (`even`)."""
-        raise NotImplementedError(f"{self.name} noise has no common variance")
+    def variance_place(self, frame: Frame) -> Float[np.ndarray, "*n"] | None:
+        """Return a coordinate of each reading of which its variance is a smooth function, or one common to all ().
 
-    def variance_place(self, frame: Frame) -> Float[np.ndarray, "n"] | None:
-        """Return a coordinate of each reading of which its variance is a smooth function; None if there is none.
-
-        For independent Gaussian noise only.
+        For independent Gaussian noise only; None if there is none.
         """
         return None
 
