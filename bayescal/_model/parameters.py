@@ -219,13 +219,13 @@ class Layout:
 
     def hyper(self, v: Float[Any, "d *b"]) -> dict[str, Float[Any, "*b"]]:
         """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
-        free = {h.name: h.prior.value(v[i]) for i, h in enumerate(self.hypers)}
-        return {**dict(self.model.fixed), **free}
+        pairs = zip(self.hypers, v, strict=True)
+        return dict(self.model.fixed) | {h.name: h.prior.value(c) for h, c in pairs}
 
     def log_prior(self, v: Float[Any, "d *b"]) -> Float[Any, "*b"]:
         """Return the log prior density of φ in its coordinates."""
-        densities = (h.prior.log_density(v[i]) for i, h in enumerate(self.hypers))
-        return sum(densities, np.zeros(v.shape[1:]))
+        pairs = zip(self.hypers, v, strict=True)
+        return sum((h.prior.log_density(c) for h, c in pairs), np.zeros(v.shape[1:]))
 
     @cached_property
     def index_in_phi(self) -> dict[str, int]:

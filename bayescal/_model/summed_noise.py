@@ -142,8 +142,9 @@ class SumOfTerms(Noise, interface=True):
         self, values: Parameters, time: Any, residuals: Any, white: Any, at: Any, along: Any = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed mean and variance of the correlated noise at times `at`, by a Kalman smoother."""
-        grid, first_index = np.unique(np.concatenate([time, at]), return_index=True)
-        index = np.searchsorted(grid, time)
+        times = np.concatenate([time, at])
+        grid, first_index, index = np.unique(times, return_index=True, return_inverse=True)
+        index, rows = np.split(index, [len(time)])
         precision, weighted = np.zeros(grid.size), np.zeros((grid.size, residuals.shape[1]))
         np.add.at(precision, index, 1 / white)  # 0 where there is no reading
         np.add.at(weighted, index, residuals / white[:, None])
@@ -152,7 +153,6 @@ class SumOfTerms(Noise, interface=True):
         pad = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
         step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), pad, constant_values=-1.0)
         z = None if z is None else np.pad(z, pad)
-        rows = np.searchsorted(grid, at)
         values = {name: np.float64(values[name]) for name in self.parameters()}
         inputs = step, z, np.pad(precision, pad), np.pad(weighted, (pad, (0, 0)))
         mean, variance = _smooth(self.plain, values, *inputs)
