@@ -11,7 +11,7 @@ from jaxtyping import Float
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.xp import special_functions, xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame, covariate_columns, reference_name
+from bayescal._model.frame import Frame, reference_name
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, white_variance
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
@@ -83,10 +83,6 @@ class Heteroscedastic(Noise):
     proportional: bool = False
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "heteroscedastic"
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return covariate_columns(self.column)
 
     @property
     def covariates(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._core.renamed import renamed
 from bayescal._core.xp import xp
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame
+from bayescal._model.frame import Frame, covariate_columns
 from bayescal._model.noise_spectrum import SpectralTerm
 from bayescal._model.prior import KINDS, Positive
 from bayescal._model.static import static
@@ -100,7 +100,8 @@ class Noise(abc.ABC):
     @property
     def needs(self) -> tuple[str, ...]:
         """Return the columns of the readings that the law depends on."""
-        return () if self.independent else ("time",)
+        columns = (name for c in self.covariates for name in covariate_columns(c))
+        return tuple(dict.fromkeys((*(() if self.independent else ("time",)), *columns)))
 
     @property
     def covariates(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from bayescal._core.jit import compiled
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data import unit_conversion
-from bayescal._model.frame import Frame, covariate_columns
+from bayescal._model.frame import Frame
 from bayescal._model.independent_noise import (
     CURVATURE,
     SLOPE,
@@ -68,11 +68,6 @@ class SumOfTerms(Noise, interface=True):
     def white(self) -> White | Heteroscedastic:
         """Return the law of the independent noise that the terms are added to."""
         return Heteroscedastic(self.scatter, self.scale) if self.scatter else White(self.scale)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        columns = (name for c in self.covariates for name in covariate_columns(c))
-        return tuple(dict.fromkeys(("time", *columns)))
 
     @property
     def covariates(self) -> tuple[str, ...]:
