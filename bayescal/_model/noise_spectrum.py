@@ -28,6 +28,7 @@ import numpy as np
 from jaxtyping import Float
 
 Lambda = Float[np.ndarray, "j"]
+COMPLEX_STEP = 1 + 1e-30j  # factor of an argument, whose real part it leaves unchanged
 
 
 class SpectralTerm(NamedTuple):
@@ -73,47 +74,32 @@ def _compute_symbol(x: Any, lam: Lambda) -> Any:
 
 def _compute_end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
     """Return the end coefficient m± (s,), as in the module's formulas, of the correlation aᵏ at lag k, a = exp(x)."""
-    a = np.exp(x)
-    return np.reshape(1 / (variance * ((1 + a) / a + _compute_end_variance(x, n, sign)[0])), -1)
+    a, end_correlation = np.exp(x), np.exp((n - 1) * x)
+    # e±ᵀN e± for v = 1, by the method of images: the sum over reflections of the run.
+    images = (1 + a) * (1 + np.exp((2 * n - 1) * x)) + sign * end_correlation * (1 + a) ** 2
+    end_variance = images / -np.expm1(2 * n * x)
+    return np.reshape(1 / (variance * ((1 + a) / a + end_variance)), -1)
 
 
 def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
     """Return the transformed covariance of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
 
-    With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their derivatives with respect to log r.
+    With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their derivatives with respect to log r, by
+    complex step.
     """
-    x = -math.sqrt(3) * step / time
-    a, one_minus_a = np.exp(x), -np.expm1(x)
-    da = x * a  # ∂a/∂log r = −∂(1 − a)/∂log r
-    numer, d_numer = one_minus_a * (2 - one_minus_a), -2 * a * da
-    denom, d_denom = one_minus_a**2 + a * lam, (lam - 2 * one_minus_a) * da
-    symbol = variance * numer / denom
-    derivative = variance * (d_numer / denom - numer * d_denom / denom**2)
+    x = -math.sqrt(3) * step / time * COMPLEX_STEP
+    symbol, derivative = differentiate(variance * _compute_symbol(x, lam))
 
     def correction(n: int, sign: int) -> Any:
-        end, d_end = _compute_end_variance(x, n, sign)
-        inverse = (1 + a) / a + end
-        m = 1 / (variance * inverse)
-        dm = m * (da / a**2 - d_end) / inverse
-        entries = [np.reshape(entry, -1) for entry in (m - dm, -m)]
-        return np.array([[entries[0], entries[1]], [entries[1], np.zeros_like(entries[1])]])
+        m, dm = differentiate(_compute_end_coefficient(variance, x, n, sign))
+        return np.array([[m - dm, -m], [-m, np.zeros_like(m)]])
 
     return SpectralTerm(symbol - derivative, (symbol, derivative), correction)
 
 
-def _compute_end_variance(x: Any, n: int, sign: int) -> tuple[Any, Any]:
-    """Return e±ᵀN e± of the module's formulas for v = 1, a = exp(x), and its derivative with respect to log(−x)."""
-    # Method of images: the sum over reflections of the run.
-    a, end_correlation = np.exp(x), np.exp((n - 1) * x)
-    mirror_term, denom = np.exp((2 * n - 1) * x), -np.expm1(2 * n * x)
-    numer = (1 + a) * (1 + mirror_term) + sign * end_correlation * (1 + a) ** 2
-    d_numer = x * (
-        a * (1 + mirror_term)
-        + (1 + a) * (2 * n - 1) * mirror_term
-        + sign * end_correlation * ((n - 1) * (1 + a) ** 2 + 2 * (1 + a) * a)
-    )
-    d_denom = -2 * n * x * (1 - denom)
-    return numer / denom, (d_numer - numer * d_denom / denom) / denom
+def differentiate(values: Any) -> tuple[Any, Any]:
+    """Return f(x) and ∂f/∂log x from values f(x·COMPLEX_STEP), without the digits that a difference would lose."""
+    return values.real, values.imag / COMPLEX_STEP.imag
 
 
 def moving_average(sd: Any, theta: float, lam: Lambda) -> SpectralTerm:

@@ -20,7 +20,7 @@ from bayescal._core.xp import special_functions
 from bayescal._data.records import EVEN_STEPS
 from bayescal._model import noise_spectrum
 from bayescal._model.noise_law import WHITE
-from bayescal._model.noise_spectrum import SpectralTerm
+from bayescal._model.noise_spectrum import COMPLEX_STEP, SpectralTerm, differentiate
 from bayescal._model.prior import LogUniform, Normal, Positive, scale_prior
 from bayescal._model.state_space import Block, exponential_block, matrix_2x2
 from bayescal._model.static import static
@@ -252,14 +252,12 @@ class SmoothTerm(NoiseTerm):
         return [noise_spectrum.matern(*arguments, step, lam)]
 
     def allan(self, values, m, step):
-        """Return the Allan variance c − a·∂c/∂a, c(a) that of the correlation exp(−a·k); by complex step or series."""
+        """Return the Allan variance c − ∂c/∂log a, c(a) that of correlation exp(−a·k); by complex step or series."""
         a = np.asarray(math.sqrt(3) * step / values["noise.smooth.time"], float)
-        # c − a·∂c/∂a in one evaluation: c(a·(1 + i·ε)) = c + i·ε·a·∂c/∂a, and its imaginary part keeps the digits
-        # that a difference of two c would lose.
-        step_size = 1e-30
-        c = allan_of_exponential(m + 0j, a * (1 + 1j * step_size))
-        exact, x = c.real - c.imag / step_size, m * a
-        unit_variance = np.where(x < ALLAN_SERIES_LIMIT, x**2 / 2 - 7 * x**3 / 15, exact)
+        c, slope = differentiate(allan_of_exponential(m + 0j, a * COMPLEX_STEP))
+        x = m * a
+        series = x**2 / 2 - 7 * x**3 / 15
+        unit_variance = np.where(x < ALLAN_SERIES_LIMIT, series, c - slope)
         return values["noise.smooth"] ** 2 * unit_variance
 
 
