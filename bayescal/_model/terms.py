@@ -122,21 +122,6 @@ def terms_of(
     return tuple(map(make_term, blocks)), corrected_columns
 
 
-class _ShapeWeights(NamedTuple):
-    """Scale factors of an effect's prior standard deviations, functions of shapes such as a length scale."""
-
-    weights: Callable[..., Any]
-    shapes: dict[str, str]  # keyword argument of `weights` → name in φ
-    count: int  # number of the effect's coefficients
-    index: Int[np.ndarray, "p"]  # coefficient's index at each entry of x; −1: not of the effect
-
-    def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Any:
-        """Return the factors of the prior standard deviations of x (*batch, p)."""
-        factors = self.weights(**{keyword: hyper[name] for keyword, name in self.shapes.items()})
-        factors = xp.broadcast_to(factors, (*batch, self.count))
-        return xp.where(self.index >= 0, factors[..., self.index], 1.0)
-
-
 class PriorDeviations:
     """Prior standard deviations of the coefficients x as a function of φ; 1 for a flat prior."""
 
@@ -149,19 +134,27 @@ class PriorDeviations:
                 mask[term.x_slice] = 1.0
             elif not term.flat:
                 self.fixed_sd[term.x_slice] = term.prior_sd
-        self.weights_by_shape: dict[str, _ShapeWeights] = {}  # shape name → factors
+        # Shape name → its effect, and the coefficient's index at each entry of x (−1: not of the effect).
+        self.weights_by_shape: dict[str, tuple[Effect, Int[np.ndarray, "p"]]] = {}
         for effect in (e for e in effects if e.weights is not None):
             index = np.full(size, -1)
             for term in terms:
                 if term.effect.name == effect.name:
                     index[term.x_slice] = term.index
-            names = {name: f"{effect.name}.{name}" for name in effect.weight_shapes}
-            shape_weights = _ShapeWeights(effect.weights, names, len(effect.coefficients), index)
-            self.weights_by_shape |= dict.fromkeys(names.values(), shape_weights)
+            names = (f"{effect.name}.{name}" for name in effect.weight_shapes)
+            self.weights_by_shape |= dict.fromkeys(names, (effect, index))
 
     def log_weights(self, name: str, hyper: Mapping[str, Any]) -> Float[np.ndarray, "p"]:
         """Return the log factors of prior deviations that depend on one shape (p,), zero for other coefficients."""
-        return np.log(np.maximum(self.weights_by_shape[name].evaluate(hyper), 1e-300))
+        return np.log(np.maximum(self._evaluate_weights(name, hyper), 1e-300))
+
+    def _evaluate_weights(
+        self, name: str, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()
+    ) -> Any:
+        effect, index = self.weights_by_shape[name]
+        shapes = {name: hyper[f"{effect.name}.{name}"] for name in effect.weight_shapes}
+        weights = xp.broadcast_to(effect.weights(**shapes), (*batch, len(effect.coefficients)))
+        return xp.where(index >= 0, weights[..., index], 1.0)
 
     def evaluate(self, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()) -> Float[Any, "*b p"]:
         """Return the prior standard deviations of x at φ; with `batch` (b,) at b values of φ."""
@@ -171,6 +164,7 @@ class PriorDeviations:
         deviations = self.fixed_sd
         for name, members in self.learned_sd_masks.items():
             deviations = xp.where(members > 0, hyper[name], deviations)
-        for shape_weights in {id(w): w for w in self.weights_by_shape.values()}.values():
-            deviations = deviations * shape_weights.evaluate(hyper, batch)
+        names = {effect.name: name for name, (effect, _) in self.weights_by_shape.items()}
+        for name in names.values():
+            deviations = deviations * self._evaluate_weights(name, hyper, batch)
         return xp.broadcast_to(deviations, (*batch, len(self.fixed_sd)))
