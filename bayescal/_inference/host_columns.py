@@ -15,7 +15,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._core.lazy_jax import jax
 from bayescal._core.xp import is_traced
-from bayescal._model.effect import Basis, evaluate_basis
+from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
 
 MAX_ELEMENTS = 4_000_000  # array elements per batch, which bounds memory
@@ -99,4 +99,4 @@ class HostColumns:
     ) -> Any:
         frame = self.frame.shift_columns(shifts)
         with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
-            return evaluate_basis(*basis, frame, shapes, (*batch, *frame.order.shape[:-1]))
+            return basis.evaluate(frame, shapes, (*batch, *frame.order.shape[:-1]))

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bayescal._core.lazy_jax import jax, jnp
-from bayescal._model.effect import Basis, evaluate_basis
+from bayescal._model.effect import Basis
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.terms import ColumnSpec, Term
@@ -227,7 +227,7 @@ class TracedColumns:
 
     def matrix(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
         """Evaluate an effect's basis function as a matrix of columns (n, k)."""
-        return evaluate_basis(*basis, frame, shapes)
+        return basis.evaluate(frame, shapes)
 
     def columns(self, term: Term, shapes: Sequence[Any], shifts: dict, with_grad: bool) -> tuple:
         spec = term.columns

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -354,7 +354,7 @@ class Effect:
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
         """Evaluate the basis as a matrix (n, p), one column per coefficient; raise ModelError for another number."""
         values = {s.name: shapes[s.name] for s in self.column_shapes}
-        return evaluate_basis(self.basis, len(self.coefficients), self.name, frame, values)
+        return Basis(self.basis, len(self.coefficients), self.name).evaluate(frame, values)
 
 
 def _name_type(prior: Any) -> str:
@@ -380,27 +380,26 @@ def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
         yield from (effect, *effect.forms)
 
 
-Basis = tuple[Callable[..., Any], int, str]  # basis, its number of columns, its effect's name
+class Basis(NamedTuple):
+    """An effect's basis function, with its number of columns and the effect's name."""
 
+    function: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float]
+    count: int
+    effect: str
 
-def evaluate_basis(
-    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
-    count: int,
-    name: str,
-    frame: Frame,
-    shapes: Mapping[str, Any],
-    batch: tuple[int, ...] = (),
-) -> Float[Array, "*s n p"]:
-    """Evaluate the basis of the effect `name` as a matrix of `count` columns (*batch, n, p).
+    def evaluate(
+        self, frame: Frame, shapes: Mapping[str, Any], batch: tuple[int, ...] = ()
+    ) -> Float[Array, "*s n p"]:
+        """Evaluate the basis as a matrix of `count` columns (*batch, n, p); raise ModelError for another number.
 
-    With NumPy, shapes may be arrays (*batch, 1): leading axes of the result.
-    """
-    columns = xp.asarray(basis(frame, **shapes), dtype=float)
-    if columns.ndim < 2 + len(batch):
-        columns = xp.broadcast_to(columns, (*batch, frame.size))[..., None]
-    if columns.shape != (*batch, frame.size, count):
-        raise ModelError(
-            f"effect {name!r}: its basis returned shape {columns.shape}; with {count} coefficient(s) and "
-            f"{frame.size} readings it must return {(frame.size, count)}"
-        )
-    return columns
+        With NumPy, shapes may be arrays (*batch, 1): leading axes of the result.
+        """
+        columns = xp.asarray(self.function(frame, **shapes), dtype=float)
+        if columns.ndim < 2 + len(batch):
+            columns = xp.broadcast_to(columns, (*batch, frame.size))[..., None]
+        if columns.shape != (*batch, frame.size, self.count):
+            raise ModelError(
+                f"effect {self.effect!r}: its basis returned shape {columns.shape}; with {self.count} coefficient(s) "
+                f"and {frame.size} readings it must return {(frame.size, self.count)}"
+            )
+        return columns

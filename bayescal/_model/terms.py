@@ -60,7 +60,7 @@ class ColumnSpec(NamedTuple):
     @classmethod
     def from_effect(cls, effect: Effect) -> ColumnSpec:
         shapes = effect.column_shapes
-        basis = effect.basis, len(effect.coefficients), effect.name
+        basis = Basis(effect.basis, len(effect.coefficients), effect.name)
         names = tuple(map(effect.shape_name, shapes))
         return cls(basis, tuple(s.name for s in shapes), names, tuple(s.prior for s in shapes))
 

@@ -109,15 +109,13 @@ class Vector:
         # Directions of the measurand, and normals of the ellipsoid.
         vectors = centred @ np.linalg.cholesky(quadratic_form), centred @ quadratic_form
         direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in vectors)
-        names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
-        is_present = [name in columns for name in names]
-        mask = np.zeros(len(y), bool)
-        if all(is_present):
-            mask = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
+        names, zero = (*DIRECTION, *ACROSS), np.zeros(len(y))
+        columns = dict.fromkeys(names, zero) | frame.columns
+        is_projection = np.any([columns[name] != 0 for name in ACROSS], axis=0)
         for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
-            columns[name] = np.where(mask, columns[name], values) if all(is_present) else values
+            columns[name] = np.where(is_projection, columns[name], values)
         projections = np.sum(normal * outputs, axis=1)
-        return replace(frame, columns=columns), np.where(mask, y, projections)
+        return replace(frame, columns=columns), np.where(is_projection, y, projections)
 
 
 def radial_residual(ratio: Any) -> Any:
