@@ -251,7 +251,8 @@ class Noise(abc.ABC):
     @property
     def stationary(self) -> bool:
         """Return whether the noise has a power spectrum on evenly spaced readings."""
-        return bool(self.parts) and not self.covariates
+        has_spectrum = bool(self.parts) and all(part.has_spectrum for part in self.parts)
+        return has_spectrum and not self.covariates
 
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]

@@ -83,8 +83,15 @@ class NoiseTerm(abc.ABC):
     def spectrum(
         self, values: Values, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
-        """Return the cosine transform of the covariance of readings `step` seconds apart, at eigenvalues `lam`."""
+        """Return the cosine transform of the covariance of readings `step` seconds apart, at eigenvalues `lam`.
+
+        Optional: a sum with a term that does not define it is evaluated by the Kalman filter alone.
+        """
         raise NotImplementedError(f"{self.label} noise has no spectrum here")
+
+    @property
+    def has_spectrum(self) -> bool:
+        return type(self).spectrum is not NoiseTerm.spectrum
 
     @abc.abstractmethod
     def allan(self, values: Values, m: Float[np.ndarray, "k"], step: float) -> Any:
