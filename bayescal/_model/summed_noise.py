@@ -267,12 +267,6 @@ def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> d
     return {SLOPE: float(slope), CURVATURE: float(curvature)}
 
 
-def build_ornstein_uhlenbeck(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
-    """Build Ornstein–Uhlenbeck noise with correlation times that a record can resolve, from `step` to `span`, s."""
-    # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
-    return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
-
-
 def build_sum(
     scale: Positive,
     step: float,
@@ -296,7 +290,8 @@ def _offer_correlated(scale: Positive, frame: Frame) -> list[Noise]:
     if not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    laws: list[Noise] = [build_ornstein_uhlenbeck(scale, step, span)]
+    # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
+    laws: list[Noise] = [OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)]
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
     if longest < MIN_SECOND_TERM_READINGS:
         return laws

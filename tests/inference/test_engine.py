@@ -28,7 +28,6 @@ from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import BatchedDensity, Mixture, draw_weighted
 from bayescal._model import composition, forward
 from bayescal._model.parameters import bind
-from bayescal._model.summed_noise import build_ornstein_uhlenbeck
 from bayescal._model.terms import ColumnSpec
 from bayescal.effects.thermal import BODIES
 from bayescal_models import (
@@ -43,7 +42,7 @@ from tests.support.inside import constants_of, frame_of
 from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
-WANDER = build_ornstein_uhlenbeck(bc.HalfCauchy(0.1), 10.0, 3000.0)
+WANDER = bc.OrnsteinUhlenbeck(10.0, 3000.0, bc.HalfCauchy(0.1), bc.HalfCauchy(0.1))
 KNOWN = np.random.default_rng(9).uniform(0.1, 0.5, 14)
 SCATTER = bc.Heteroscedastic("temperature rate", bc.HalfCauchy(0.1))
 LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
@@ -86,7 +85,7 @@ def simulated(module: Any, **how: Any) -> Callable[[], bc.Measurements]:
 
 PLAIN, BASE = simulated(mems_gyro), GYRO.baseline()
 THERMOMETER = mems_gyro.model.THERMOMETER
-SLOW_NOISE = build_ornstein_uhlenbeck(bc.HalfCauchy(10), 10.0, 3000.0)
+SLOW_NOISE = bc.OrnsteinUhlenbeck(10.0, 3000.0, bc.HalfCauchy(10), bc.HalfCauchy(10))
 CASES: dict[str, tuple[Any, Any]] = {
     "gyro": (LAG, PLAIN),
     "gyro, wandering": (LAG.with_noise(WANDER), PLAIN),

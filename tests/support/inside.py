@@ -44,7 +44,6 @@ from bayescal._model import forward as forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import why_untestable as why_untestable
 from bayescal._model.noise_law import Parameters as Parameters
-from bayescal._model.summed_noise import build_ornstein_uhlenbeck as build_ornstein_uhlenbeck
 from bayescal._model.summed_noise import build_sum as build_sum
 from bayescal._model.vector import invert_equation as invert_equation
 from bayescal._model.vector import radial_residual as radial_residual
