@@ -152,11 +152,7 @@ class Problem:
     @property
     def start(self) -> Float[np.ndarray, "p"]:
         """Return the starting point of x: prior means, or the origin for coefficients that have one (p,)."""
-        x = self.mean_of_x.copy()
-        for b in self.layout.x_blocks:
-            if b.origin:
-                x[b.x_slice] = 0.0
-        return x
+        return np.where(self.layout.x_origins != 0.0, 0.0, self.mean_of_x)
 
     def map_x(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
         """Map the coefficients x of another problem to this one's (p,); missing ones are at their prior means."""
