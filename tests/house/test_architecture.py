@@ -233,7 +233,7 @@ CEILINGS = {
     "bayescal/_data": 4_085,
     "bayescal/_model": 5_313,
     "bayescal/effects": 651,
-    "bayescal/_inference": 5_980,
+    "bayescal/_inference": 5_976,
     "bayescal/_calibration": 4_432,
     "bayescal/_use": 2_753,
     "bayescal/_search": 5_636,
