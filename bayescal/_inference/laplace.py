@@ -44,6 +44,15 @@ class Mode(NamedTuple):
     indefinite: Any  # whether the Hessian had to be modified to be positive definite
 
 
+class FoundMode(dict[str, float]):
+    """φ by name at a mode of the same model: the only starting point of a fit, with the Hessian there."""
+
+    def __init__(self, problem: Problem, mode: Mode) -> None:
+        super().__init__((name, float(value)) for name, value in problem.hyper(mode.v).items())
+        self.priors = {h.name: h.prior for h in problem.hypers}
+        self.guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), not mode.indefinite)
+
+
 @run_on_one_thread
 def find_mode(
     problem: Problem,
@@ -60,7 +69,8 @@ def find_mode(
         starts: candidate starting points, coordinates of φ; default: prior draws.
         x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
         xtol: convergence tolerance, prior standard deviations of φ, posterior of x; log evidence is to about xtol²/2.
-        start: additional starting point, φ by name; absent entries are at their prior medians.
+        start: additional starting point, φ by name; absent entries are at their prior medians. The only one if it is
+            a `FoundMode` of the same φ.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         guess: curvature of a similar density, as a first estimate of the Hessian.
     """
@@ -69,7 +79,9 @@ def find_mode(
     candidates = draw_starts(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # unimodal
         candidates = candidates[:5]
-    if start:
+    if isinstance(start, FoundMode) and start.priors == {h.name: h.prior for h in problem.hypers}:
+        candidates, guess = [start.guess.v], start.guess
+    elif start:
         start_coordinates = np.zeros(dim)
         for i, h in enumerate(problem.hypers):
             start_coordinates[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0

@@ -23,7 +23,7 @@ from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference import memory
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, find_mode
+from bayescal._inference.laplace import FoundMode, Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linearise_model
 from bayescal._inference.means import Means
 from bayescal._inference.newton import HessianGuess
@@ -99,6 +99,11 @@ class EvaluatedStructure:
     def phi(self) -> dict[str, float]:
         """Return shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
+
+    @property
+    def start(self) -> FoundMode:
+        """Return the starting point of a fit of this structure."""
+        return FoundMode(self.problem, self.mode)
 
     @property
     def has_unnamed_noise(self) -> bool:
