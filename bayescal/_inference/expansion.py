@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from bayescal._inference.chebyshev import chebpts, chebvander, values_to_coefficients
+from bayescal._inference.chebyshev import values_to_coefficients
 
 NODES = 9  # Chebyshev nodes of a box
 MAX_BOX_WIDTH_SD = 1.2  # of the largest box, prior standard deviations of a shape
@@ -89,7 +90,7 @@ class Expansion:
         """Evaluate the r factors of the expanded columns at b points of the expansion's box, (b, r)."""
         if not self.half:
             return np.broadcast_to(_get_factors(v.shape[1], self.rank).value, (len(v), self.rank))
-        return chebvander((v[:, 0] - self.middle[0]) / self.half, NODES)[:, self.orders]
+        return chebvander((v[:, 0] - self.middle[0]) / self.half, NODES - 1)[:, self.orders]
 
 
 class ListedColumns(Expansion):
@@ -133,7 +134,7 @@ class Polynomials:
         """Evaluate all t terms at b points (b, t), clipped to the region of the fit along the ray to its centre."""
         z = self._standardise(coordinates)
         clipped = z / np.maximum(1.0, np.max(np.abs(z), axis=1))[:, None]
-        values = chebvander(clipped, self.degree + 1)
+        values = chebvander(clipped, self.degree)
         return np.prod([values[:, j, self._powers[:, j]] for j in range(self.dim)], axis=0)
 
 
@@ -237,13 +238,14 @@ class Expansions:
         """Fit a Chebyshev series on the largest possible box about v; None if the smallest box fails."""
         for halvings in range(self._level, MAX_HALVINGS + 1) if self._failures < MAX_FAILS else ():
             half = 0.5 * MAX_BOX_WIDTH_SD * 2.0**-halvings
-            computed = self._columns(v + half * np.append(chebpts(NODES), _TEST_POINTS)[:, None])
+            computed = self._columns(v + half * np.append(chebpts1(NODES), _TEST_POINTS)[:, None])
             nodes = computed[:NODES].reshape(NODES, -1)
             exact_values = computed[NODES:].reshape(len(_TEST_POINTS), -1)
             coefficients = values_to_coefficients(NODES) @ nodes
             max_value = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(
-                np.abs(chebvander(_TEST_POINTS, NODES) @ coefficients - exact_values), initial=0.0
+                np.abs(chebvander(_TEST_POINTS, NODES - 1) @ coefficients - exact_values),
+                initial=0.0,
             )
             if error <= TOLERANCE * max_value:
                 self._level = halvings

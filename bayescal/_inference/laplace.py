@@ -49,8 +49,12 @@ class FoundMode(dict[str, float]):
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         super().__init__((name, float(value)) for name, value in problem.hyper(mode.v).items())
-        self.priors = {h.name: h.prior for h in problem.hypers}
-        self.guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), not mode.indefinite)
+        self.mode, self.priors = mode, {h.name: h.prior for h in problem.hypers}
+
+    @property
+    def guess(self) -> HessianGuess:
+        inverse = np.linalg.pinv(self.mode.covariance)
+        return HessianGuess(self.mode.v, inverse, not self.mode.indefinite)
 
 
 @run_on_one_thread
@@ -79,12 +83,13 @@ def find_mode(
     candidates = draw_starts(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # unimodal
         candidates = candidates[:5]
-    if isinstance(start, FoundMode) and start.priors == {h.name: h.prior for h in problem.hypers}:
-        candidates, guess = [start.guess.v], start.guess
+    priors = {h.name: h.prior for h in problem.hypers}
+    if isinstance(start, FoundMode) and start.priors == priors:
+        candidates, guess = [start.mode.v], start.guess
     elif start:
         start_coordinates = np.zeros(dim)
-        for i, h in enumerate(problem.hypers):
-            start_coordinates[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
+        for i, (name, prior) in enumerate(priors.items()):
+            start_coordinates[i] = prior.coordinate(start[name]) if name in start else 0.0
         candidates = [start_coordinates, *candidates]
 
     def maximise_from(starts: Sequence[np.ndarray], x: np.ndarray) -> _Peak:

@@ -332,7 +332,7 @@ class StepwiseSearch:
         evaluated = self.structures.evaluate(structure)
         model = evaluated.sized_model
         method = self.method if is_last else self.step_method(model)
-        step = self.fit_step(model, method, evaluated.start)
+        step = self.fit_step(model, method, evaluated.phi)
         added, description = None, ""
         if previous is not None:
             added = " + ".join(sorted(structure.effects - previous.effects)) or None

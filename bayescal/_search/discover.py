@@ -221,7 +221,7 @@ def discover(
 
         def average(method: Method | None, seed: Any) -> Calibration:
             evaluated, reference = structures.evaluate(selected), calibration.reference
-            options = {"seed": seed, "reference": reference, "start": evaluated.start}
+            options = {"seed": seed, "reference": reference, "start": evaluated.phi}
             fitted = fit(evaluated.sized_model, readings, method, **options)
             averaged, _ = average_models(fitted, structures, selected.noise, fitted.seed)
             _, with_latent = add_latent_effects(fitted, averaged, structures, selected)

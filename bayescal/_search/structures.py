@@ -96,13 +96,8 @@ class EvaluatedStructure:
         return self.problem.layout.model
 
     @property
-    def phi(self) -> dict[str, float]:
+    def phi(self) -> FoundMode:
         """Return shapes, noise parameters and spreads at the mode, by name."""
-        return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
-
-    @property
-    def start(self) -> FoundMode:
-        """Return the starting point of a fit of this structure."""
         return FoundMode(self.problem, self.mode)
 
     @property

@@ -82,7 +82,7 @@ def search_device(
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
     )
-    return structure, evaluated.model, evaluated.start
+    return structure, evaluated.model, evaluated.phi
 
 
 def _log_evidences(
