@@ -45,16 +45,11 @@ class Mode(NamedTuple):
 
 
 class FoundMode(dict[str, float]):
-    """φ by name at a mode of the same model: the only starting point of a fit, with the Hessian there."""
+    """φ by name at a mode of the same model, at which alone a fit starts."""
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         super().__init__((name, float(value)) for name, value in problem.hyper(mode.v).items())
         self.mode, self.priors = mode, {h.name: h.prior for h in problem.hypers}
-
-    @property
-    def guess(self) -> HessianGuess:
-        inverse = np.linalg.pinv(self.mode.covariance)
-        return HessianGuess(self.mode.v, inverse, not self.mode.indefinite)
 
 
 @run_on_one_thread
@@ -73,8 +68,7 @@ def find_mode(
         starts: candidate starting points, coordinates of φ; default: prior draws.
         x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
         xtol: convergence tolerance, prior standard deviations of φ, posterior of x; log evidence is to about xtol²/2.
-        start: additional starting point, φ by name; absent entries are at their prior medians. The only one if it is
-            a `FoundMode` of the same φ.
+        start: additional starting point, φ by name, absent ones at prior medians; alone if a `FoundMode` of this φ.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         guess: curvature of a similar density, as a first estimate of the Hessian.
     """
@@ -85,7 +79,8 @@ def find_mode(
         candidates = candidates[:5]
     priors = {h.name: h.prior for h in problem.hypers}
     if isinstance(start, FoundMode) and start.priors == priors:
-        candidates, guess = [start.mode.v], start.guess
+        v, precision = start.mode.v, np.linalg.pinv(start.mode.covariance)
+        candidates, guess = [v], HessianGuess(v, precision, not start.mode.indefinite)
     elif start:
         start_coordinates = np.zeros(dim)
         for i, (name, prior) in enumerate(priors.items()):

@@ -184,6 +184,10 @@ class Problem:
         is_affine = self.is_affine
         return tuple(t for t in self.terms if not is_affine or t.place != "x" or t.columns.names)
 
+    def clear_cache(self) -> None:
+        """Drop the cached Jacobian."""
+        vars(self).pop("_static_jacobian", None)
+
     @cached_property
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
         """Return the Jacobian of φ-independent terms (other columns zero), and the indices in x of φ-dependent ones."""

@@ -21,7 +21,6 @@ from bayescal._calibration.judgement import stands_in_for_effect
 from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
-from bayescal._inference import memory
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import FoundMode, Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linearise_model
@@ -380,11 +379,10 @@ class Structures:
 
     def clear_cache(self) -> None:
         """Drop cached columns, Jacobians and the structures over block means; they are recomputed on demand."""
-        self.record.clear_cache()
         for fit in (*self.visited.values(), *self.previous_round.values()):
-            vars(fit.problem).pop("_static_jacobian", None)
+            fit.problem.clear_cache()
         vars(self).pop("on_means", None)
-        memory.trim()
+        self.record.clear_cache()
 
     def store_score(self, structure: Structure, log_posterior: float) -> None:
         """Store the log posterior of a structure from its score; keep the highest if called again."""
