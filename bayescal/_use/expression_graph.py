@@ -227,7 +227,10 @@ class Graph:
             if op == "input":
                 gradients[args[0]] = self.node_of(adjoint)
                 continue
-            pullbacks = args.pop(0).pullbacks if op == "call" else PULLBACKS.get(op, ())
+            call = args.pop(0) if op == "call" else None
+            pullbacks = PULLBACKS.get(op, ())
+            if call is not None:
+                pullbacks = [partial(call.pullback, i) for i in range(len(args))]
             values = [self.symbols(self._element(a)) for a in args]
             for a, pullback in zip(args, pullbacks, strict=False):
                 if a in dependent:

@@ -145,11 +145,11 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
 
 
 class Call:
-    """A JAX function of `count` scalars as a graph operation, which cannot be exported for the reason `why_not`."""
+    """A JAX function of scalars as a graph operation, which cannot be exported for the reason `why_not`."""
 
-    def __init__(self, function: Callable[..., Any], count: int, why_not: str) -> None:
-        self.function, self.count, self.why_not = function, count, why_not
-        self._batched = jax.jit(jax.vmap(function))
+    def __init__(self, function: Callable[..., Any], why_not: str) -> None:
+        self.function, self.why_not = function, why_not
+        self._vectorised = jax.jit(jnp.vectorize(function))
 
     def add_to(self, graph: Graph, elements: Sequence[Any]) -> Symbol:
         """Add a call of this function on symbols and numbers to a graph."""
@@ -157,18 +157,12 @@ class Call:
 
     def compute(self, *values: Any) -> np.ndarray:
         """Compute the function elementwise."""
-        values = np.broadcast_arrays(*values)
-        return np.asarray(self._batched(*map(np.ravel, values))).reshape(values[0].shape)
+        return np.asarray(self._vectorised(*values))
 
-    @property
-    def pullbacks(self) -> list[Callable[..., Any]]:
-        """Return the vector-Jacobian product of an adjoint d for each argument."""
-
-        def pullback(i: int, d: Any, *values: Symbols) -> Any:
-            derivative = Call(jax.grad(self.function, i), self.count, self.why_not)
-            return d * values[0].graph.symbols(derivative.add_to(values[0].graph, values))
-
-        return [partial(pullback, i) for i in range(self.count)]
+    def pullback(self, i: int, d: Any, *values: Symbols) -> Any:
+        """Return the vector-Jacobian product of an adjoint d for argument i."""
+        derivative = Call(jax.grad(self.function, i), self.why_not)
+        return d * values[0].graph.symbols(derivative.add_to(values[0].graph, values))
 
 
 def _replace_by_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
@@ -189,7 +183,7 @@ def _replace_by_calls(equation: Any, arguments: list[Any], why_not: str) -> list
     for result, variable in enumerate(equation.outvars):
         calls = np.empty(variable.aval.shape, dtype=object)
         for i in range(calls.size):
-            call = Call(partial(evaluate_element, result, i), len(elements), why_not)
+            call = Call(partial(evaluate_element, result, i), why_not)
             calls.flat[i] = call.add_to(graph, elements)
         outputs.append(graph.symbols(calls))
     return outputs
