@@ -246,7 +246,8 @@ def budget(
         reading=expected,
         output_unit=used.about.output_unit,
         uncertainty=variance**0.5,
-        noise=float(used.noise_variance(inputs)[0]) ** 0.5 / abs(slope),
+        noise=float(used.in_use.noise_variance(inputs[used.stimulus], inputs)[0]) ** 0.5
+        / abs(slope),
         k=float(k),
         coefficients=tuple(
             Contribution(u.name, u.unit, *map(float, figures))

@@ -109,15 +109,16 @@ class Compensator:
             readings = readings.align_clock(epoch, lambda: self.dated)
         inputs, frame = gather_inputs(self.inputs, readings, columns, epoch)
         if method == "first order":
-            value, noise_variance, square_slope = self.in_use.run(inputs["output"], inputs)
-            variance, square_slope = noise_variance**2, square_slope**2
+            value, uncertainty, slope = self.in_use.run(inputs["output"], inputs)
+            variance, square_slope = uncertainty**2, slope**2
         else:
             value, variance, square_slope = solve_over_draws(
                 self.equation, self._moments.draws, inputs["output"], inputs, frame
             )
         values = {**inputs, self.stimulus: value}
         if noise:
-            noise_variance = self.noise_variance(values) + inputs.get(UNCERTAINTY, np.zeros(1)) ** 2
+            stated_variance = inputs.get(UNCERTAINTY, np.zeros(1)) ** 2
+            noise_variance = self.in_use.noise_variance(value, inputs) + stated_variance
             variance = variance + square_slope * noise_variance
         limits = {n: span for n, span in self._ranges.items() if n in values}
         outside = {n: (values[n] < low) | (values[n] > high) for n, (low, high) in limits.items()}
@@ -189,14 +190,6 @@ class Compensator:
         if all(i.name != "time" for i in self.inputs):
             return ""
         return ", ".join(self.calibration.dated_effects) or "it"
-
-    def noise_variance(self, points: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the noise variance of one reading, output unit squared, (n,).
-
-        Args:
-            points: the stimulus and the inputs by name, fixed units, (n,) each.
-        """
-        return self.in_use.noise_variance(points[self.stimulus], points)
 
     @property
     def calibrated(self) -> dict[str, tuple[float, float, str]]:

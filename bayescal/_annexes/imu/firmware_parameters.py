@@ -242,7 +242,7 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
     expected = np.broadcast_to(expected, no_stimulus.shape)
     _, sd, slope = program.run(expected, inputs)
     sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
-    noise_variance = compensator.noise_variance({**inputs, compensator.stimulus: no_stimulus})
+    noise_variance = compensator.in_use.noise_variance(no_stimulus, inputs)
     try:
         factor = ws.convert(1.0, calibration.unit, axis.unit, local_gravity=local_gravity)
     except bc.InputError:

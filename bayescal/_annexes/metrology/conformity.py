@@ -362,7 +362,7 @@ class LimitedQuantity:
             values = equation.solve(moments.mean, values, points)[0] - stimulus
         if self.limit.quantity != READING:
             return DrawnQuantity(values, np.zeros(len(stimulus)))
-        noise = np.sqrt(compensator.noise_variance(points))
+        noise = np.sqrt(compensator.in_use.noise_variance(stimulus, points))
         _, slope, _ = equation.linearise(moments.mean, stimulus, points)
         scores = _noise_scores(compensator, points, np.outer(noise, DEVIATIONS))
         return DrawnQuantity(values, noise / np.abs(slope), scores)
