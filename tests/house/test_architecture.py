@@ -235,7 +235,7 @@ CEILINGS = {
     "bayescal/effects": 651,
     "bayescal/_inference": 5_976,
     "bayescal/_calibration": 4_432,
-    "bayescal/_use": 2_753,
+    "bayescal/_use": 2_744,
     "bayescal/_search": 5_632,
     "bayescal/_report": 1_605,
     "bayescal/_cli": 1_661,
