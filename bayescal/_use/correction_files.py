@@ -68,7 +68,6 @@ def program_text(
     cholesky = program.cholesky_factor
     factor = [number_text(cholesky[i, j]) for i in range(len(cholesky)) for j in range(i + 1)]
     expected, gradient = (generate_statements(program.graph, o, names, language) for o in outputs)
-    inputs_used = [program.graph.inputs(nodes) for nodes in outputs]
     filters = {"comment": language.escape_comment, "quoted": python_string}
     return template("bayescal._use", language.template, filters).render(
         p=program,
@@ -82,8 +81,6 @@ def program_text(
         gradient=gradient,
         factor=factor,
         steps=1 if program.affine else MAX_NEWTON_STEPS,
-        uses_stimulus=[STIMULUS in nodes for nodes in inputs_used],
-        uses_inputs=[bool(nodes - {STIMULUS}) for nodes in inputs_used],
     )
 
 
