@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -193,7 +193,7 @@ def render_page(
     }
     functions = (
         *(averaged_over, candidates_table, check_table, compute_budget, group_confounded),
-        *(group_untested, identity, settings_of, sources_of),
+        *(group_untested, identity, sources_of),
     )
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
@@ -204,14 +204,10 @@ def render_page(
         coefficient_tables=offered("coefficient_tables"),
         k=report_text.K,
         max_rows=MAX_ROWS,
+        default_settings=asdict(Settings()),
         before=forewords,
         **{function.__name__: function for function in functions},
     )
-
-
-def settings_of(data: dict[str, Any]) -> Settings:
-    """Return the settings under which the results of a result.json were computed."""
-    return Settings(**data.get("settings", {}))
 
 
 def compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
