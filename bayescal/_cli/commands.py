@@ -293,8 +293,13 @@ class CheckCommand(OwnParts, AsJson, Command):
     calibration: Path = Shared.calibration
 
     def answer(self) -> Answer:
-        checked = bc.check(request.load_saved(self.calibration, self))
-        return Answer(checked, [{"step": 0, **row} for row in checked.data()])
+        calibration = request.load_saved(self.calibration, self)
+        from bayescal._calibration.check import why_not
+
+        checked, why = bc.check(calibration), why_not(calibration)
+        text = f"{checked}\nverdict: {'NOT ' if why else ''}fit for use"
+        rows = [{"step": 0, **row} for row in checked.data()]
+        return Answer(text, rows, ok=not why, why=why)
 
 
 class DiscoverCommand(OwnParts, AsJson, Command):
@@ -324,7 +329,7 @@ class DiscoverCommand(OwnParts, AsJson, Command):
         elif self.next_experiment:
             rivals = discovery.rivals
             ranked = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: none (no other probable candidate)'}"
+            text += f"\n\n{ranked or 'next experiment: none, as no second candidate is probable'}"
             data["next_experiment"] = None if ranked is None else experiment_data(ranked)
         return Answer(text, data)
 

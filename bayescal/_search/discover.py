@@ -144,7 +144,7 @@ class Discovery(Printed):
         text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
             return text
-        return f"{text}, as far as this experiment can see; effects not testable or not detectable: {len(self.unseen)}"
+        return f"{text}, among testable effects; not testable or not detectable: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -158,7 +158,7 @@ class Discovery(Printed):
         lines += map(folded, _describe_findings(self))
         if self.noise:
             laws = [n for n in self.noise if n.probability >= MIN_PROBABILITY]
-            lines.append(folded(f"noise law (probability): {', '.join(map(str, laws))}"))
+            lines.append(folded(f"noise law with missing effects (probability): {', '.join(map(str, laws))}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
@@ -166,7 +166,7 @@ class Discovery(Printed):
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
-        lines += [folded(f"confounded (collinear): {', '.join(g)}") for g in group_confounded(rows)]
+        lines += [folded(f"confounded with each other (columns nearly collinear): {', '.join(g)}") for g in group_confounded(rows)]
         by_reason = group_untested(rows).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]
@@ -443,7 +443,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("candidate", "effect"),
         TableColumn("probability", "probability", probability),
         TableColumn("log BF", factor),
-        TableColumn("expected size", size),
+        TableColumn("size if added", size),
         TableColumn("detectable size", detectable),
         TableColumn("unit", "unit", unit_label, left=True),
         TableColumn("remark", "kind", lambda kind: REMARKS.get(kind, kind or "")),

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.claim import Claim, limit
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.prior_influence import find_not_measured, variance_by_origin
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
@@ -90,6 +90,7 @@ class Budget(Printed):
         uncertainty: combined standard uncertainty of the compensated value, without the noise of the reading.
         noise: standard uncertainty that the noise of one reading adds, stimulus unit.
         k: coverage factor.
+        k_95: coverage factor for a coverage probability of 95 %, from the posterior draws (JCGM 101:2008, 7.7).
         coefficients, sources: rows of the two tables.
         covariance: of the coefficients, in the order of `coefficients`, reported units.
         notes: warnings, one sentence each.
@@ -104,6 +105,7 @@ class Budget(Printed):
     uncertainty: float
     noise: float
     k: float
+    k_95: float
     coefficients: tuple[Contribution, ...]
     sources: tuple[SourceShare, ...]
     covariance: np.ndarray
@@ -151,18 +153,19 @@ class Budget(Printed):
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
         omitted = len(b.coefficients) - len(by_coefficient.rows)
         note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
-        sizes = b.uncertainty, b.noise, b.expanded_reading / b.k, b.expanded, b.expanded_reading
-        combined, noise, total, expanded, of_reading = (f"{number(size)} {unit}" for size in sizes)
+        u, total = b.uncertainty, b.expanded_reading / b.k
+        sizes = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
+        combined, noise, total, expanded, of_reading, u_95 = (f"{number(s)} {unit}" for s in sizes)
         expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
-        coverage = [n for n in b.notes if getattr(n, "code", "") == "budget.few_groups"]
+        coverage = f"For 95 % coverage, from the posterior draws: k = {b.k_95:.2f}, U = {u_95}."
         parts = [
             folded(f"Uncertainty budget of {b.stimulus} at {b.place}"),
             by_coefficient,
             folded(f"{SHARES}{note * (omitted > 0)}", ""),
             by_source,
             f"Combined standard uncertainty {combined}; with the noise of one reading ({noise}): {total}.",
-            folded(" ".join([expanded, *coverage]), ""),
-            folded(" ".join(note for note in b.notes if note not in coverage), ""),
+            folded(f"{expanded} {coverage}", ""),
+            folded(" ".join(b.notes), ""),
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
@@ -233,7 +236,9 @@ def budget(
     variance = float(gradient @ covariance @ gradient)
     posterior = used.equation.moments(ALL_DRAWS)
     inputs = {name: np.array([value]) for name, value in point.items()}
-    dominant = find_not_measured(used.calibration, (posterior.draws @ gradient)[:, None])
+    value_draws = posterior.draws @ gradient
+    dominant = find_not_measured(used.calibration, value_draws[:, None])
+    half_width = float(np.quantile(np.abs(value_draws - value_draws.mean()), 0.95))
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))
     shares = gradient * (covariance @ gradient) / (variance or np.inf)
@@ -249,6 +254,7 @@ def budget(
         noise=float(used.in_use.noise_variance(inputs[used.stimulus], inputs)[0]) ** 0.5
         / abs(slope),
         k=float(k),
+        k_95=half_width / (variance**0.5 or np.inf),
         coefficients=tuple(
             Contribution(u.name, u.unit, *map(float, figures))
             for u, *figures in zip(used.equation.unknowns, *columns, strict=True)
@@ -358,11 +364,6 @@ def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ..
     sources = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
     sources += ["the form of the model"] * (chosen.calibration.form_factor > 1)
     notes += [Claim("budget.beyond_fit", *sources)] * bool(sources)
-    estimated = _estimated_group_sds(chosen.equation)
-    for per in (str(b.coefficient.per) for b in chosen.equation.blocks if b.name in estimated):
-        count = len(chosen.calibration.levels.get(per, ()))
-        if count < limit("budget.few_groups", "groups"):
-            notes.append(Claim("budget.few_groups", group=per, count=count))
     if of_correction and not chosen.equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", chosen.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))
