@@ -89,7 +89,7 @@ class InstrumentsCommand(AsJson, Command):
             instrument = instrument_named(self.check)
             readings = bc.read(self.readings, instrument) if self.readings else None
             check = bc.check_instrument(instrument, readings, seed=self.seed)
-            return Answer(check, ok=check.ok, why=" ".join(check.errors))
+            return Answer(check, why=" ".join(check.errors))
         if self.readings:
             raise InputError("--readings needs --check my.py:INSTRUMENT")
         from bayescal._cli.output import format_instrument, format_instruments
@@ -168,7 +168,7 @@ class PairsCommand(ReadRequest, AsJson, Command):
         calibration = bc.fit(model, readings, seed=self.seed, strict=False)
         verdict = calibration.verdict
         pairs = selections[0].load()(calibration, criterion=self.criterion)
-        return Answer(pairs, ok=verdict.ok, why=" ".join(verdict.reasons))
+        return Answer(pairs, why=" ".join(verdict.reasons))
 
 
 class DemoCommand(AsJson, Command):
@@ -250,8 +250,9 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             print_notes(flag for flag in request.flags_of(fitted) if flag not in first_flags)
             text_options = {"started": reporter.begun, "verbose": self.verbose}
             content = format_search(search, self.json_, **text_options)
-            reason = search.reason if isinstance(search, bc.Channels) else search.gate.reason
-            return Answer(content, ok=search.ok, why=reason, drawn=drawn_all, written=written)
+            gate = search if isinstance(search, bc.Channels) else search.gate
+            why = "" if search.ok else gate.reason
+            return Answer(content, why=why, drawn=drawn_all, written=written)
 
 
 class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
@@ -283,7 +284,7 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
                 with whole_folder(folder) as partial_folder:
                     calibration.save(partial_folder / CALIBRATION)
                 written = f"{folder / CALIBRATION}"
-            return Answer(content, ok=verdict.reliable, why=verdict.why_not, written=written)
+            return Answer(content, why=verdict.why_not, written=written)
 
 
 class CheckCommand(OwnParts, AsJson, Command):
@@ -297,9 +298,8 @@ class CheckCommand(OwnParts, AsJson, Command):
         from bayescal._calibration.check import why_not
 
         checked, why = bc.check(calibration), why_not(calibration)
-        text = f"{checked}\nverdict: {'NOT ' if why else ''}fit for use"
         rows = [{"step": 0, **row} for row in checked.data()]
-        return Answer(text, rows, ok=not why, why=why)
+        return Answer(f"{checked}\nverdict: {'NOT ' if why else ''}fit for use", rows, why=why)
 
 
 class DiscoverCommand(OwnParts, AsJson, Command):
@@ -329,7 +329,7 @@ class DiscoverCommand(OwnParts, AsJson, Command):
         elif self.next_experiment:
             rivals = discovery.rivals
             ranked = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: none, as no second candidate is probable'}"
+            text += f"\n\n{ranked or 'next experiment: none (no second candidate is probable)'}"
             data["next_experiment"] = None if ranked is None else experiment_data(ranked)
         return Answer(text, data)
 
@@ -370,10 +370,9 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
             with deadline.sooner(1 / (len(models) - i)):
                 fits[name] = bc.fit(models[name], readings, method, **kwargs)
         comparison = bc.compare(fits)
-        failed = [
-            f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok
-        ]
-        return Answer(comparison, as_json(comparison), ok=not failed, why="; ".join(failed))
+        verdicts = ((name, c.verdict) for name, c in fits.items())
+        failed = "; ".join(f"{n}: {' '.join(v.reasons)}" for n, v in verdicts if not v.ok)
+        return Answer(comparison, as_json(comparison), why=failed)
 
 
 class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
@@ -407,7 +406,7 @@ class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
         text += f"\nwritten: {self.out}" if self.out else ""
         data = {"rows": len(readings), "rmse": prediction.rmse, "expected_rmse": expected_rmse}
         data |= {"unit": calibration.unit, "file": str(self.out) if self.out else None}
-        return Answer(text, data, ok=calibration.verdict.reliable, why=calibration.verdict.why_not)
+        return Answer(text, data, why=calibration.verdict.why_not)
 
 
 class NoiseCommand(ReadRequest, AsJson, Command):
@@ -447,14 +446,13 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                             bc.plot.save(bc.plot.noise(results[name]), hidden / picture)
                 written.extend(folder / picture for picture in pictures)
 
-            drawn_all = folder is None or draw_safely(draw, folder)
             doubted = [n for n, r in results.items() if any(c.severity != "note" for c in r.claims)]
             warning = f"not to be used as they are: {', '.join(doubted)}" if doubted else ""
             return Answer(
                 "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
                 {name: result.data() for name, result in results.items()},
                 warning=warning,
-                drawn=drawn_all,
+                drawn=folder is None or draw_safely(draw, folder),
                 written=", ".join(map(str, written)),
             )
 
@@ -494,11 +492,10 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
         data |= {"unit": correction.unit, "epoch": correction.about.epoch}
         data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}
-        verdict = request.describe_reliability({"": correction})
+        why = request.describe_reliability({"": correction})
         if result.unsolved:
             why = f"{result.unsolved} readings have no solution and are left empty"
-            verdict = {"ok": False, "why": why}
-        return Answer(text, data, **verdict)
+        return Answer(text, data, why=why)
 
 
 class ExportCommand(InUse, DecisionRule, Command):
@@ -582,7 +579,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         print_notes([f"{name}: {words}" for name, words in omissions if words])
         is_single = isinstance(corrections[0], bc.Compensator)
         verdict = {f"{n}:" * (not is_single): c for n, c in zip(names, corrections, strict=True)}
-        return Answer(text.removesuffix("\n"), **request.describe_reliability(verdict))
+        return Answer(text.removesuffix("\n"), why=request.describe_reliability(verdict))
 
 
 class BudgetCommand(InUse, AsJson, Command):
@@ -596,7 +593,7 @@ class BudgetCommand(InUse, AsJson, Command):
     def answer(self) -> Answer:
         correction = request.load_compensator(self.calibration, self)
         result = bc.budget(correction, parse_numbers(self.at, "--at"), k=self.k)
-        return Answer(result, **request.describe_reliability({"": correction}))
+        return Answer(result, why=request.describe_reliability({"": correction}))
 
 
 class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
@@ -625,15 +622,13 @@ class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
             decisions = decide(chapters[0].used, self.limit, **self.decision_options())
         texts = {"title": self.title, "certificate": certificate}
         report = partial(bc.report, chapters, self.out, decisions=decisions, **texts)
-        is_complete = draw_safely(report)
         verdicts = [c.data["verdict"] for c in chapters]
         return Answer(
             f"written: {self.out}",
             {"file": str(self.out), "chapters": len(chapters)},
-            ok=all(v["ok"] for v in verdicts),
-            why=" ".join(reason for v in verdicts for reason in v["reasons"]),
+            why=" ".join(reason for v in verdicts if not v["ok"] for reason in v["reasons"]),
             warning=decisions.doubt if decisions else "",
-            drawn=is_complete,
+            drawn=draw_safely(report),
         )
 
 

@@ -124,8 +124,7 @@ class Answer:
 
     content: Any  # printed as text, plain data as JSON; nothing for None
     data: Any = None  # printed with --json; default: `content.data()`
-    ok: bool = True  # whether the result is fit for use; if not, the exit status is 1
-    why: str = ""  # reason why the result is not fit for use
+    why: str = ""  # reason why the result is not fit for use; the exit status is then 1
     warning: str = ""  # warning about a usable result; the exit status is 1 too
     drawn: bool = True  # whether all figures were drawn; if not, the exit status is 1
     written: str = ""  # names of the written files
@@ -142,11 +141,11 @@ class Answer:
             print(content)
         if self.written and not json_:
             print(f"\nwritten: {self.written}")
-        if not self.ok:
+        if self.why:
             print(f"bayescal: result not reliable: {self.why}", file=sys.stderr)
         elif self.warning:
             print_notes([self.warning])
-        return self.ok and self.drawn and not self.warning
+        return self.drawn and not (self.why or self.warning)
 
 
 def draw_safely(make: Callable[..., Any], *arguments: Any) -> bool:

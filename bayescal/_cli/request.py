@@ -196,10 +196,9 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
 # saved calibrations ---------------------------------------------------------------------------------------------------
 
 
-def describe_reliability(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
-    """Return whether results are fit for use, and the reasons if not, as keyword arguments of `Answer`."""
-    reasons = [f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not]
-    return {"ok": not reasons, "why": "; ".join(reasons)}
+def describe_reliability(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> str:
+    """Return the reasons why results are not fit for use; empty if all are."""
+    return "; ".join(f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not)
 
 
 def _load_user_parts(parts: OwnParts) -> dict[str, Any]:

@@ -157,8 +157,8 @@ class Discovery(Printed):
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += map(folded, _describe_findings(self))
         if self.noise:
-            laws = [n for n in self.noise if n.probability >= MIN_PROBABILITY]
-            lines.append(folded(f"noise law with missing effects (probability): {', '.join(map(str, laws))}"))
+            laws = ", ".join(str(n) for n in self.noise if n.probability >= MIN_PROBABILITY)
+            lines.append(folded(f"noise law with missing effects (probability): {laws}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
@@ -166,7 +166,7 @@ class Discovery(Printed):
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
-        lines += [folded(f"confounded with each other (columns nearly collinear): {', '.join(g)}") for g in group_confounded(rows)]
+        lines += [folded(f"partly collinear: {', '.join(g)}") for g in group_confounded(rows)]
         by_reason = group_untested(rows).items()
         lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]

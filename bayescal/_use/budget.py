@@ -234,9 +234,8 @@ def budget(
     expected, slope, gradient = _linearise(used, point)
     covariance = used._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    posterior = used.equation.moments(ALL_DRAWS)
     inputs = {name: np.array([value]) for name, value in point.items()}
-    value_draws = posterior.draws @ gradient
+    value_draws = used.equation.moments(ALL_DRAWS).draws @ gradient
     dominant = find_not_measured(used.calibration, value_draws[:, None])
     half_width = float(np.quantile(np.abs(value_draws - value_draws.mean()), 0.95))
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]

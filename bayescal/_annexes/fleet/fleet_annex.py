@@ -58,7 +58,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
         messages += [f"{n_unread} files have no result"] * bool(n_unread)
         data, why = {"file": str(self.out), **batch.data()}, "; ".join(messages)
-        return ws.Answer(batch, data, ok=not messages, why=why, written=str(self.out))
+        return ws.Answer(batch, data, why=why, written=str(self.out))
 
 
 ANNEX = {"commands": (BatchCommand,)}

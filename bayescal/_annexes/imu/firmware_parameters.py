@@ -447,7 +447,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     options = {"devices": devices, "local_gravity": cmd.gravity}
     file = firmware_parameters(compensators, str(cmd.format_), **options)
     text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
-    return ws.Answer(text.removesuffix("\n"), **ws.describe_reliability(compensators))
+    return ws.Answer(text.removesuffix("\n"), why=ws.describe_reliability(compensators))
 
 
 def _by_axis(

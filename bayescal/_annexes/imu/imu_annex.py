@@ -81,7 +81,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         reasons = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
         data = {subfolder: triad.correction.data() for subfolder, triad in triads.items()}
         json_data = data.get("", data) if self.json_ else None
-        return ws.Answer(json_data, ok=not reasons, why="; ".join(reasons[:1]), drawn=is_drawn)
+        return ws.Answer(json_data, why="; ".join(reasons[:1]), drawn=is_drawn)
 
 
 class TriadCommand(TriadOptions, ws.Command):
