@@ -276,9 +276,8 @@ def why_not(calibration: Calibration) -> str:
         return verdict.why_not
     attributes = vars(calibration)  # cached with the other computed attributes
     if "why_not" not in attributes:
-        attributes["why_not"] = judgement.explain_missing_noise(calibration) or " ".join(
-            _list_failures(calibration)
-        )
+        no_noise = judgement.explain_missing_noise(calibration)
+        attributes["why_not"] = no_noise or " ".join(_list_failures(calibration))
     return attributes["why_not"]
 
 

@@ -247,10 +247,9 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
                 f"as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
-        seed = seed_of(seed)
-        sums = _evaluate_sums(readings, seed)
+        sums = _evaluate_sums(readings, seed := seed_of(seed))
     readings, runs, unit = sums.readings, sums.runs, readings.unit("output") or ""
-    measured = allan.allan_deviation(readings, runs=runs)
+    measured = allan.allan_deviation(readings, sums.residuals, runs)
     draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in sums.noises])
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
@@ -354,6 +353,7 @@ class EvaluatedSums(NamedTuple):
     probabilities: dict[Terms, float]  # the most probable first
     claims: tuple[Claim, ...]  # processing of the record
     readings: Measurements  # the record, or means of it
+    residuals: Float[np.ndarray, "n"]  # output without its polynomial in temperature, output unit
     runs: EvenRuns  # runs of `readings`
     count: int | None  # readings in a mean; None where no Allan deviation falls with slope −½
 
@@ -361,8 +361,8 @@ class EvaluatedSums(NamedTuple):
 @run_on_one_thread
 def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     """Compute the evidence of sums of noise terms for a channel at rest; draw the parameters of the probable sums."""
-    output = np.asarray(readings["output"], float)
     runs = allan.even_runs(readings)
+    columns, output, scale, claims = _list_columns(readings, runs)
     z, line = _find_line(output, runs)
     count = _count_readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.
@@ -370,9 +370,14 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     if count is not None and count > 1:
         readings, runs = _average(readings, runs, count)
         base = (AVERAGING,)
-        output = np.asarray(readings["output"], float)
+        columns, output, scale, claims = _list_columns(readings, runs)
         z, line = _find_line(output, runs)
-    columns, scale, claims = _run_columns(readings, runs)
+    if not scale > 0:
+        raise InputError(
+            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is held, or "
+            "rounded more coarsely than its noise: record each value once, with more digits"
+        )
+    run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
     criteria = {"tone": (z, LINE_Z)}
     if not base:
         negative_sd = _negative_correlation_sd(output, runs)
@@ -382,14 +387,15 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     variance, _ = allan.allan_variances(output, runs)
     max_duration = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
     channel_fields = scale, max_duration, runs.factors * runs.step, variance, line
-    model, parameters = SummedNoise(runs.step, max_duration, ("walk",)), {WHITE: scale}
-    parameters["noise.walk"] = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    walk = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    parameters = {WHITE: np.full((1, 1), scale), "noise.walk": np.full((1, 1), walk)}
+    model = SummedNoise(runs.step, max_duration, ("walk",))
     random, weights = np.random.default_rng(seed), Counter[Terms]()
     imputations = list[tuple[list[RestNoise], dict[Terms, float]]]()
     time_limit = deadline.current()
     time_limit.defer_interrupt()
     for k in range(IMPUTATIONS if runs.lost else 1):
-        imputed = [_impute_run(run, model, parameters, runs.step, random) for run in columns]
+        imputed = [_impute_run(run, model, parameters, runs.step, random) for run in run_columns]
         lines = [line[TONE_FREQ]] if "tone" in optional else []
         channel = _RestRecord(imputed, EvenSpectrum(imputed, runs.step, lines), *channel_fields)
         fits: dict[Terms, GaussianFit] = {base: _fit_sum(channel, base, {})}
@@ -401,7 +407,8 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
             claims.append(Claim("noise.ended", why=time_limit.why))
         imputations.append(_sample_sums(channel, fits, seed + k))
         best = imputations[-1][0][0]
-        model, parameters = best.model, {n: float(d[0]) for n, d in best.draws.items()}
+        model, parameters = best.model, {n: d[:1, None] for n, d in best.draws.items()}
+        residuals = columns[:, -1] - columns[:, :-1] @ channel.spectrum.regress(model, parameters)
         if time_limit.over:
             break
     # The mixture over imputations of lost readings.
@@ -411,7 +418,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     noises = [noise for sampled, _ in imputations for noise in sampled]
     noises.sort(key=lambda noise: -weights[noise.model.terms])
     probable_sums: dict[Terms, Any] = dict(weights.most_common())
-    return EvaluatedSums(noises, probable_sums, tuple(claims), readings, runs, count)
+    return EvaluatedSums(noises, probable_sums, tuple(claims), readings, residuals, runs, count)
 
 
 def _enumerate_sums(
@@ -573,37 +580,32 @@ def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
-def _run_columns(
+def _list_columns(
     readings: Measurements, runs: EvenRuns
-) -> tuple[list[Float[np.ndarray, "n r"]], float, list[Claim]]:
-    """Return each run's columns (temperature polynomial, if it varies, and output; NaN for lost readings), a robust
-    standard deviation from differences of neighbours, output unit, and claims about the processing.
+) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n"], float, list[Claim]]:
+    """Return the columns, centred (a polynomial in temperature, if it varies; the output), the residuals of their
+    least-squares fit and a robust standard deviation of neighbours' differences, output unit; and claims.
     """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
     changes = np.concatenate([np.diff(run) for run in runs.arrange(output)])
     scale = 1.4826 / math.sqrt(2) * float(np.nanmedian(np.abs(changes - np.nanmedian(changes))))
-    if not scale > 0:
-        raise InputError(
-            f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is held, or "
-            "rounded more coarsely than its noise: record each value once, with more digits"
-        )
-    columns = (output - np.median(output))[:, None]
-    min_range = limit("noise.temperature", "degrees")
-    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > min_range:
-        temperature = np.asarray(readings["temperature"], float)
+    columns = output[:, None]
+    temperature = np.asarray(readings["temperature"] if readings.has("temperature") else [0.0])
+    if np.ptp(temperature) > limit("noise.temperature", "degrees"):
         position = 2 * (temperature - temperature.min()) / np.ptp(temperature) - 1
         columns = np.column_stack([legvander(position, CURVE_DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
         claims.append(Claim("noise.lost", share=runs.lost))
-    run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
-    return run_columns, scale, claims
+    columns = columns - columns.mean(axis=0)
+    fitted = columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
+    return columns, columns[:, -1] - fitted, scale, claims
 
 
 def _impute_run(
     columns: Float[np.ndarray, "n r"],
     model: SummedNoise,
-    values: Mapping[str, float],
+    values: Mapping[str, Float[np.ndarray, "1 1"]],
     step: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "n r"]:
@@ -623,9 +625,8 @@ def _impute_run(
     curve = [np.interp(indices, indices[~is_lost], column[~is_lost]) for column in columns.T[:-1]]
     design = np.column_stack([np.ones(n), *curve])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
-    arrays = {name: np.array([[value]]) for name, value in values.items()}
-    terms = model.spectrum(arrays, step, compute_eigenvalues(n, np.arange(n)))
-    density = arrays[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    terms = model.spectrum(values, step, compute_eigenvalues(n, np.arange(n)))
+    density = values[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
     weight = np.append(0.0, 1 / density[0, 1:])
 
     def product(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:

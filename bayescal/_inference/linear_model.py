@@ -78,10 +78,6 @@ class LinearModel:
         return law(columns)
 
     @cached_property
-    def white_residual(self) -> Float[np.ndarray, "n"]:
-        return self.whiten(self.residual[:, None])[:, 0]
-
-    @cached_property
     def white_nuisance(self) -> Float[np.ndarray, "n q"]:
         return self.whiten(self.nuisance)
 
@@ -127,7 +123,9 @@ class LinearModel:
     def conditional_residuals(self) -> Float[np.ndarray, "n"]:
         """Return the residuals after one Gauss–Newton step of all coefficients and shapes, output unit (n,)."""
         # The step is (AᵀA + W)⁻¹(Aᵀr − W·z).
-        rhs = self.white_nuisance.T @ self.white_residual - self.weight * self.z
+        rhs = (
+            self.white_nuisance.T @ self.whiten(self.residual[:, None])[:, 0] - self.weight * self.z
+        )
         return self.residual - self.nuisance @ (self.root @ (self.root.T @ rhs))
 
     @cached_property

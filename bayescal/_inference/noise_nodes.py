@@ -387,6 +387,11 @@ class EvenSpectrum:
             parts = [self._evaluate(law, {n: v[c] for n, v in parameters.items()}) for c in chunks]
         return np.concatenate(parts)
 
+    def regress(self, law: Noise, values: Values) -> Float[np.ndarray, "k"]:
+        """Regress the output on the other columns by generalised least squares under a law with one parameter set."""
+        gram = self._products.gram(self._nodes.weights(law, values))[0]
+        return np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
+
     def _evaluate(self, law: Noise, values: Values) -> Float[np.ndarray, "s"]:
         weights = self._nodes.weights(law, values)
         gram, log_det = self._products.gram(weights), weights.log_det

@@ -226,7 +226,9 @@ def adapt_proposal(
         limit: log density that reveals a higher mode, at which adaptation stops.
     """
     # Population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907.
-    mixture, pool = make_mode_mixture(mode.v, mode.covariance), Rounds(prior)
+    # A kernel at the mode, and a defensive one 1.7 times as wide.
+    chol, pool = np.linalg.cholesky(mode.covariance), Rounds(prior)
+    mixture = Mixture(mode.v[None], chol, mode.v, WIDE_RATIO * chol, 0.4)
     for k in range(rounds if len(mode.v) else 0):
         v, log_proposal = draw_proposals(mixture, prior, rng, proposals)
         log_density = values(v)
@@ -510,12 +512,6 @@ def draw_prior(prior, rng: np.random.Generator, count: int) -> Float[np.ndarray,
         return np.log(np.abs(rng.standard_cauchy(count)))
     normal = rng.standard_normal(count)
     return np.log(np.abs(normal)) if isinstance(prior, HalfNormal) else normal
-
-
-def make_mode_mixture(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
-    """Return the initial proposal: a Student-t kernel at the mode, and a defensive one 1.7 times as wide."""
-    chol = np.linalg.cholesky(covariance) if len(v) else covariance
-    return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
 def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:

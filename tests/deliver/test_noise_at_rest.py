@@ -105,7 +105,11 @@ def test_a_dependence_on_temperature_is_no_noise() -> None:
     data = bc.Measurements.from_arrays(
         GYRO, time=plain["time"], output=output, temperature=temperature
     )
-    assert bc.noise(data).law == "white"
+    found = bc.noise(data)
+    assert found.law == "white" and "noise.outside" not in {claim.code for claim in found.claims}
+    assert symbol(found, "N").low < 60 * N < symbol(found, "N").high  # not hidden by the drift
+    steady = bc.noise(plain).measured.deviation[:5]
+    assert found.measured.deviation[:5] == pytest.approx(steady, rel=0.02)
 
 
 def records(count: int) -> np.ndarray:
