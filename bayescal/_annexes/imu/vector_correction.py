@@ -292,7 +292,7 @@ class TermRow(NamedTuple):
 def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
-        ws.TableColumn("outputs = offset + matrix · inputs", lambda r: r.name),
+        ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
         ws.TableColumn(
             "value ± standard uncertainty", lambda r: ws.with_error(r.value, r.uncertainty)
         ),
@@ -320,9 +320,9 @@ def term_rows(
     size = terms.shape[1] - 9 * bool(secondary)
     if size > 12:
         pairs = [axes[i] + axes[j] for i, j in PAIRS]
-        names += [(f"second order {a}·{p}", f"1/{per}") for a in axes for p in pairs]
+        names += [(f"second order of {a}: {p[0]}·{p[1]}", f"1/{per}") for a in axes for p in pairs]
     if size > 30:
-        names += [(f"cube {a}", f"1/{per}^2") for a in axes]
+        names += [(f"third order of {a}: {a}³", f"1/{per}^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
     rows = zip(POWER_UNITS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
