@@ -51,10 +51,11 @@ def ranges(calibration: Calibration) -> ResultTable:
         role += " (constant)" * (low == high)
         rows.append([quantity, unit_label(unit), number(low, 4), number(high, 4), role])
 
-    roles = {"output": OUTPUT_ROLE}
-    if model.instrument.use is not None:
-        stimulus_role = "the input, which the instrument measures"
-        roles = {model.instrument.use.stimulus: stimulus_role} | roles
+    use, roles = model.instrument.use, {"output": OUTPUT_ROLE}
+    if use is not None:
+        roles = {use.stimulus: "the input, which the instrument measures"} | roles
+    if "time" in used_columns and not calibration.dated_effects:
+        roles["time"] = "by differences alone: elapsed, lags, correlation of noise"
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is None or name in ("output_uncertainty", "temperature_point"):
@@ -134,9 +135,8 @@ def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
 
 
 def _format_percent(share: float | None) -> str:
-    if share is None:
-        return "–"
-    return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %"
+    percent = f"{100 * (share or 0.0):z.1f} %"
+    return "–" if share is None else "> 99.9 %" if share > 0.999 else percent
 
 
 def steps(chapter: Chapter) -> ResultTable:

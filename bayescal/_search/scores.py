@@ -210,12 +210,8 @@ class ReducedModel(NamedTuple):
         """Compute the log Bayes factor from half the log determinant and the explained sum of squares of columns."""
         # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
         rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)
-        return self.logdet_change - half_logdet - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
-
-    @property
-    def logdet_change(self) -> float:
-        """Return the part of every log Bayes factor due to the determinant: the change by the dropped effects."""
-        return self.scorer.half_logdet - self.half_logdet
+        half_logdet = self.half_logdet + half_logdet - self.scorer.half_logdet
+        return -half_logdet - 0.5 * self.scorer.linear.size * np.log(rss_ratio)
 
     @run_on_one_thread
     def score_pairs(self, scores: Scores) -> list[tuple[float, ScoredPoint, ScoredPoint]]:

@@ -67,10 +67,11 @@ def add_inadequacy(
     """
     p_complete = complete or 0.0
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
-    value = "unknown" if complete is None else f"{complete:.2f}"
+    value = "unknown, taken as 0" if complete is None else f"{complete:.2f}"
     note = (
-        f"Model form: the probability that it is complete is {value}; predictions, corrections and budgets therefore "
-        f"have {factor:.2f} times the standard uncertainty of the expected output. Tables of coefficients do not."
+        f"Model form: complete with probability P = {value}; predictions, corrections and budgets therefore have "
+        f"{factor:.2f} = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) times the standard uncertainty of the expected output. "
+        "Tables of coefficients do not."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _run_spreads(calibration, structures, structure)

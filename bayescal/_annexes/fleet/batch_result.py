@@ -59,7 +59,7 @@ HEADS = {"between devices": "sd of estimates", "population sd": "sd in the popul
 HEADS |= {"typical sd": "standard uncertainty (median)"}
 EFFECT_HEADS = {"devices": "found, by device", "possible": "it or a rival found"}
 EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
-EFFECT_HEADS |= {"share": "expected share", "low": "95 % share if any: from", "high": "to"}
+EFFECT_HEADS |= {"share": "expected share", "low": "95 % interval if any: from", "high": "to"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:

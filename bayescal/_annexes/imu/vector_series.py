@@ -80,9 +80,8 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(gravity)])
     is_kept = orders <= np.max(orders * np.any(terms, axis=(0, 1)), initial=1)
     terms, residuals, orders = terms[:, :, is_kept], residuals[:, is_kept], orders[is_kept]
-    flat_terms = terms.reshape(len(terms), -1)
-    covariance = calibration.form_factor**2 * np.atleast_2d(np.cov(flat_terms.T))
-    mean = np.mean(terms, axis=0)
+    flat_terms = calibration.form_factor * terms.reshape(len(terms), -1)
+    covariance, mean = np.atleast_2d(np.cov(flat_terms.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += residuals.T @ residuals / len(residuals)
     scale_sd, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
     shift = scale_sd * (mean * orders).ravel()
