@@ -289,19 +289,20 @@ class BatchResult:
 
     def __str__(self) -> str:
         outliers = {name: "; ".join(messages) for name, messages in self.odd.items()}
-        lines = [f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"]
-        lines += format_reasons(self.unreliable)
+        fitted = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
+        lines = [fitted, *format_reasons(self.unreliable)]
         lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
-        if outliers:
-            chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
-            lines.append(f"{len(outliers)} of {len(self)} devices are outliers ({chance}):")
+        head = f"{len(outliers)} of {len(self)} devices are outliers"
+        lines += [f"{head} (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"] * bool(outliers)
         lines += format_reasons(outliers, suffix=", all in `odd`")
         lines += format_reasons(self.missing, "no results of ", " files")
         lines += format_reasons(self.left_out, "not read: ", ", not read either")
         lines += [format_table(self.coefficients(), 4, HEADS)] * bool(self.fitted)
-        if len(self.effects):
-            table = format_table(self.effects.head(MAX_PRINTED_ROWS), 3, EFFECT_HEADS)
-            lines.append(f"effects in addition to the model given:\n{table}")
+        if len(effects := self.effects.head(MAX_PRINTED_ROWS)):
+            table = effects.assign(**{"in fleet": effects["in fleet"].map(ws.probability)})
+            lines += ["effects added to the model given:", format_table(table, 3, EFFECT_HEADS)]
+            rare = ", ".join(effects.query("devices > 0 and `in fleet` < 0.5")["effect"])
+            lines += [f"found in single devices, improbable in the fleet: {rare}"] * bool(rare)
         return "\n".join(lines)
 
 
