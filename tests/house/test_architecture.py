@@ -239,7 +239,7 @@ CEILINGS = {
     "bayescal/_search": 5_629,
     "bayescal/_report": 1_601,
     "bayescal/_cli": 1_659,
-    "bayescal/_annexes/fleet": 1_672,
+    "bayescal/_annexes/fleet": 1_671,
     "bayescal/_annexes/imu": 2_683,
     "bayescal/_annexes/metrology": 1_573,
     "bayescal/_annexes/validation": 727,

@@ -246,8 +246,7 @@ class BatchResult:
             mean, sd, population = g["mean"].to_numpy(), g["sd"].to_numpy(), np.nan
             if len(g) > 1 and np.isfinite(sd).all():
                 population = np.sqrt(estimate_population(mean, sd**2)[1])
-            between = g["mean"].std(ddof=1)
-            return [name, np.median(mean), between, population, np.median(sd), unit, len(g)]
+            return [name, np.median(mean), g["mean"].std(), population, np.median(sd), unit, len(g)]
 
         by_unknown = self.table().query("ok").groupby(["coefficient", "unit"], sort=False)
         rows = [row(name, unit, g) for (name, unit), g in by_unknown]  # pyright: ignore
@@ -288,13 +287,13 @@ class BatchResult:
         return f"<pre>{ws.html_text(self)}</pre>"
 
     def __str__(self) -> str:
-        outliers = {name: "; ".join(messages) for name, messages in self.odd.items()}
+        odd = {name: "; ".join(messages) for name, messages in self.odd.items()}
         fitted = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
         lines = [fitted, *format_reasons(self.unreliable)]
         lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
-        head = f"{len(outliers)} of {len(self)} devices are outliers"
-        lines += [f"{head} (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"] * bool(outliers)
-        lines += format_reasons(outliers, suffix=", all in `odd`")
+        chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
+        lines += [f"{len(odd)} of {len(self)} devices are outliers ({chance}):"] * bool(odd)
+        lines += format_reasons(odd, suffix=", all in `odd`")
         lines += format_reasons(self.missing, "no results of ", " files")
         lines += format_reasons(self.left_out, "not read: ", ", not read either")
         lines += [format_table(self.coefficients(), 4, HEADS)] * bool(self.fitted)
