@@ -136,7 +136,7 @@ def _read_netcdf(
         "confounded": tuple(Confounder(**values) for values in metadata["confounded"]),
     }
     if attributes.get(IDENTITY) != identity(Fitted(**fields)):
-        raise ValueError("its identity differs from its content (was a noise law changed?)")
+        raise ValueError("its stored SHA-256 is not that of its content (was a noise law changed?)")
     return fields
 
 

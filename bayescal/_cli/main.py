@@ -42,8 +42,8 @@ def application(name: str | None = None) -> typer.Typer:
     """Build the application of all commands; to save time, only `name`, if given, gets its options."""
     app = typer.Typer(
         name="bayescal",
-        help="Bayesian calibration of inertial and tilt sensors: compare, see where the model fails, "
-        "find the missing effect, add it, watch the error fall.",
+        help="Bayesian calibration of inertial and tilt sensors: fit a model, check its residuals, "
+        "find missing effects, and add them.",
         epilog="Start with: bayescal demo",
         no_args_is_help=True,
         add_completion=False,

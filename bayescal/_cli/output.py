@@ -191,7 +191,7 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
 
 def _reason_not_tested(step: Step) -> str:
     reasons = " ".join(step.calibration.verdict.reasons)
-    return f"no probabilities: {reasons or 'the search was ended before'}"
+    return f"no probabilities: {reasons or 'effects missing from this model were not evaluated'}"
 
 
 def _missing_lines(path: SearchPath) -> list[str]:

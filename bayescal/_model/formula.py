@@ -350,7 +350,7 @@ class _TypedLine:
         unit = a.unit
         if unit is not None and unit.powers:
             if not isinstance(b.tree, float) or abs(b.tree) > 10:
-                raise self.make_error(b.start, f"the power of {unit} must be a constant up to 10")
+                raise self.make_error(b.start, f"{unit} needs a constant exponent from -10 to 10")
             unit = UNITY.times(unit, b.tree)
         elif b.unit is not None:
             unit = UNITY

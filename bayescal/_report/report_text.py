@@ -199,7 +199,7 @@ def _prior_lines(effect: Effect) -> list[str]:
             prior = f"between-group standard deviation estimated, {prior}"
         if effect.weights is not None:
             sizes = [effect.measure] if effect.measure else effect.weight_shapes
-            prior = f"prior 0 ± a share of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
+            prior = f"normal prior, mean 0, sd depending on {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
         group = f", one for each {c.per}" if c.per else ""
         if effect.is_placeholder and len(effect.coefficients) > 1:
             lines.append(f"{len(effect.coefficients)} weights of a curve: {prior}{group}")

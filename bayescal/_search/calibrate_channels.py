@@ -39,7 +39,7 @@ NEW_RUN_RATIO = 1.1
 @renamed(trails="search_paths")
 @dataclass(frozen=True, repr=False)
 class Channels(Printed):
-    """Result of `calibrate_channels`."""
+    """Searches of all channels and the evidence on shared shapes; the result of `calibrate_channels`."""
 
     search_paths: Mapping[str, SearchPath]  # of each channel, by name
     shared: tuple[SharedShape, ...]  # evidence of all channels on each effect with a shared shape
@@ -128,10 +128,10 @@ def _format_shared(s: SharedShape) -> str:
     """Format the result for an effect whose shape the channels share, in one line."""
     (median, low, high), unit = s.posterior, unit_label(s.shape.unit)
     strong_names = [n for n in s.log_ratios if s.log_bayes_factor(n) > settings().strong_evidence]
-    channel_text = ", ".join(strong_names) or "none alone"
+    channel_text = ", ".join(strong_names) or "no single channel"
     return (
-        f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "
-        f"{number(median)} {unit} (95 %: {number(low)} to {number(high)}), shown by {channel_text}"
+        f"{s.effect}: probability {probability(s.probability)} that the device has it; {s.shape.name} "
+        f"{number(median)} {unit} (95 %: {number(low)} to {number(high)}); strong evidence in {channel_text}"
     )
 
 

@@ -162,7 +162,7 @@ class Discovery(Printed):
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
-        note = f"± standard uncertainty (k = 1); detectable: with probability {100 * settings().power:g} %"
+        note = f"± standard uncertainty (k = 1); detectable: size found with probability {100 * settings().power:g} %"
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
@@ -235,7 +235,7 @@ def discover(
 def find_missing(
     library: Library, structure: Structure, untestable: Sequence[Candidate], stopped: str
 ) -> Discovery:
-    """Find the effects missing from a structure; without time for scores, from the evaluated structures alone."""
+    """Find the effects missing from a structure; if time runs out, without computing scores."""
     with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as limit:
         limit.ask()
         return summarise_discovery(library, structure, untestable, stopped)

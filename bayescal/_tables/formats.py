@@ -109,7 +109,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             sheet, text = next(filled_sheets, (None, b""))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
-    note = f"read from the sheet {sheet.title!r}, the first of {len(sheets)}"
+    note = f"read from the sheet {sheet.title!r}, the first non-empty one of {len(sheets)} sheets"
     return parse_text(text, file).table(*[note] * (len(sheets) > 1))
 
 
@@ -150,9 +150,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
         raise InputError(
-            f"{file!r} contains vectors of {len(lengths) or 'no'} lengths, so that its readings are ambiguous: "
-            f"{sizes}. Save vectors of one length, as numbers or text (tables and timetables by table2struct(T, "
-            "ToScalar=true))"
+            f"{file!r} must contain vectors of one length, an element for each reading; it has: {sizes}. Save them "
+            "as numbers or text (tables and timetables by table2struct(T, ToScalar=true))"
         )
     rows = lengths.pop()
     long_vectors = {name: vector for name, vector in columns.items() if len(vector) == rows}

@@ -124,7 +124,7 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}
-        meaning = f"lag of {lag.column} behind the thermometer by {lag.tau!r} s, 0 at the start"
+        meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
         add(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
         meaning = (
             f"derivative of {lag.name} with respect to its time constant, to propagate that uncertainty; 0 at the "

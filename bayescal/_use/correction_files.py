@@ -183,8 +183,8 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
     names = [sensor_name(None, f"{prefix}{instrument}") for instrument in instruments]
     if doubles := [n for n in names if names.count(n) > 1]:
         raise InputError(
-            f"two corrections are of {instruments[names.index(doubles[0])]}, but a unit has one sensor of each kind: "
-            "export the second to a separate file, with a name"
+            f"two corrections are for the instrument {instruments[names.index(doubles[0])]}, but a unit has one sensor "
+            "of each instrument: export the second to a separate file, under another name"
         )
     return names
 

@@ -215,8 +215,8 @@ class BatchResult:
             return self.results[device]
         if device in self._by_name:
             return self._by_name[device]
-        names = ", ".join(self.devices[:5])
-        raise bc.InputError(f"there is no device {device!r} among the {len(self)}: {names} …")
+        names = ", ".join(self.devices[:5]) + " …" * (len(self) > 5)
+        raise bc.InputError(f"there is no device {device!r}; the {len(self)} devices are: {names}")
 
     def table(self) -> pd.DataFrame:
         """Return one row per device and unknown: device, coefficient, mean, sd, unit, ok, reason.
@@ -291,7 +291,7 @@ class BatchResult:
         fitted = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
         lines = [fitted, *format_reasons(self.unreliable)]
         lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
-        chance = f"by chance in {FAMILY_WISE_ERROR:.0%} of fleets"
+        chance = f"family-wise error rate {FAMILY_WISE_ERROR:.0%}"
         lines += [f"{len(odd)} of {len(self)} devices are outliers ({chance}):"] * bool(odd)
         lines += format_reasons(odd, suffix=", all in `odd`")
         lines += format_reasons(self.missing, "no results of ", " files")

@@ -256,8 +256,8 @@ def _fit_run(
     deviation = np.max(np.abs(closure.parameters - origin)[3:])
     if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
-            "the outputs integrated over the moves are inconsistent with the poses for any matrix: turn the unit "
-            f"less between two poses, about all three axes, and hold it still for longer. {MOVES_ADVICE}"
+            "the outputs integrated over the moves are inconsistent with the poses for any matrix: make smaller turns "
+            f"between poses, with turns about all three axes, and hold each pose longer. {MOVES_ADVICE}"
         )
     ends = {k: " to ".join(ws.number(end, 5) for end in session.spans[k]) for k in sorted(outliers)}
     kinds = {k: "pose" if k < len(windows) else "move" for k in ends}

@@ -101,8 +101,8 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     if np.any(residuals):
         rms = np.sqrt(np.mean(residuals[:, :3] ** 2, axis=0))
         notes.append(
-            f"Temperature dependence beyond power {MAX_DEGREE} is not corrected, but is in the uncertainty (of "
-            f"offsets at most {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} rms)."
+            f"Temperature dependence beyond degree {MAX_DEGREE} is not corrected; the uncertainty includes it "
+            f"(offsets: at most {ws.number(float(rms.max()), 2)} {ws.unit_label(instrument.unit)} rms)."
         )
     reason = ws.why_not(calibration)
     notes += [f"{ws.NOT_RELIABLE}{reason}"] * bool(reason)
