@@ -25,7 +25,7 @@ from ._cli.options import AsJson as AsJson
 from ._cli.options import ColumnOptions as ColumnOptions
 from ._cli.options import Command as Command
 from ._cli.options import DecisionRule as DecisionRule
-from ._cli.options import InUse as InUse
+from ._cli.options import MemberOptions as MemberOptions
 from ._cli.options import MethodName as MethodName
 from ._cli.options import ModelOptions as ModelOptions
 from ._cli.options import Options as Options

@@ -128,11 +128,11 @@ class Calibration(Printed, Fitted):
             "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
             "constant_data": readings.to_xarray().drop_vars("output"),
         }
-        count = self.joint.x.shape[1]
-        groups = {name: _for_netcdf(group, count) for name, group in groups.items()}
+        draws_per_chain = self.joint.x.shape[1]
+        groups = {n: _prepare_for_netcdf(g, draws_per_chain) for n, g in groups.items()}
         if not self.layout.is_improper:
             prior = to_xarray(self.unknowns, self.unknowns.values(*_prior_draws(self)))
-            groups["prior"] = _for_netcdf(prior, PRIOR_DRAWS)
+            groups["prior"] = _prepare_for_netcdf(prior, PRIOR_DRAWS)
         return xr.DataTree.from_dict(groups)
 
     def with_log_likelihood(self) -> xr.DataTree:
@@ -143,11 +143,11 @@ class Calibration(Printed, Fitted):
         """
         import xarray as xr
 
-        count = self.joint.x.shape[1]
-        density = _for_netcdf(self.log_likelihood(), count)
+        draws_per_chain = self.joint.x.shape[1]
+        density = _prepare_for_netcdf(self.log_likelihood(), draws_per_chain)
         groups = {name: child.to_dataset() for name, child in self.tree.children.items()}
         for name, group in groups.items():
-            if name != "prior" and group.sizes.get("draw") == count:
+            if name != "prior" and group.sizes.get("draw") == draws_per_chain:
                 groups[name] = group.isel(draw=density["draw"].values)
         return xr.DataTree.from_dict({**groups, "log_likelihood": density})
 
@@ -156,12 +156,12 @@ class Calibration(Printed, Fitted):
         return save(self, Path(path))
 
 
-def _for_netcdf(group: xr.Dataset, count: int) -> xr.Dataset:
+def _prepare_for_netcdf(group: xr.Dataset, draws_per_chain: int) -> xr.Dataset:
     """Rename a group's variables for NetCDF and add chain and draw coordinates; thinned draws keep their index."""
     import pandas as pd
 
     if "draw" in group.sizes:  # ArviZ's plots need the coordinates
-        step = -(-count // group.sizes["draw"])
+        step = -(-draws_per_chain // group.sizes["draw"])
         # Indices of pandas: xarray would load Dask to look at arrays.
         draws = pd.RangeIndex(0, step * group.sizes["draw"], step)
         group = group.assign_coords(chain=pd.RangeIndex(group.sizes["chain"]), draw=draws)

@@ -28,15 +28,15 @@ from bayescal._cli.options import (
     ColumnOptions,
     Command,
     DecisionRule,
+    DefinitionOptions,
     FitRequest,
-    InUse,
+    MemberOptions,
     ModelOptions,
-    OwnParts,
     ReadRequest,
     SearchRequest,
     Shared,
+    StructureOptions,
     Texts,
-    UsedParts,
     draw_safely,
     opt,
     optional_names,
@@ -287,7 +287,7 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
             return Answer(content, why=verdict.why_not, written=written)
 
 
-class CheckCommand(OwnParts, AsJson, Command):
+class CheckCommand(DefinitionOptions, AsJson, Command):
     """Check the residuals of a fitted model."""
 
     example = "bayescal check result/calibration.nc"
@@ -302,7 +302,7 @@ class CheckCommand(OwnParts, AsJson, Command):
         return Answer(f"{checked}\nverdict: {'NOT ' if why else ''}fit for use", rows, why=why)
 
 
-class DiscoverCommand(OwnParts, AsJson, Command):
+class DiscoverCommand(DefinitionOptions, AsJson, Command):
     """Find missing effects, and tests to distinguish them."""
 
     example = "bayescal discover result/calibration.nc"
@@ -375,7 +375,7 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
         return Answer(comparison, as_json(comparison), why=failed)
 
 
-class PredictCommand(ColumnOptions, UsedParts, AsJson, Command):
+class PredictCommand(ColumnOptions, StructureOptions, AsJson, Command):
     """Predict readings with a calibration and compare them."""
 
     example = "bayescal predict result/calibration.nc new.csv --out predicted.csv"
@@ -457,7 +457,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             )
 
 
-class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
+class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
     """Compute the measurand from the readings."""
 
     example = "bayescal compensate result/calibration.nc flight.csv --out done.csv"
@@ -498,7 +498,7 @@ class CompensateCommand(ColumnOptions, InUse, AsJson, Command):
         return Answer(text, data, why=why)
 
 
-class ExportCommand(InUse, DecisionRule, Command):
+class ExportCommand(MemberOptions, DecisionRule, Command):
     """Write C99, Python, JSON, parameters or a certificate."""
 
     example = "bayescal export result/calibration.nc --format c --out gyro.h"
@@ -582,7 +582,7 @@ class ExportCommand(InUse, DecisionRule, Command):
         return Answer(text.removesuffix("\n"), why=request.describe_reliability(verdict))
 
 
-class BudgetCommand(InUse, AsJson, Command):
+class BudgetCommand(MemberOptions, AsJson, Command):
     """Print the uncertainty budget of a corrected value."""
 
     example = "bayescal budget result/calibration.nc --at temperature=60"
@@ -596,7 +596,7 @@ class BudgetCommand(InUse, AsJson, Command):
         return Answer(result, why=request.describe_reliability({"": correction}))
 
 
-class ReportCommand(OwnParts, DecisionRule, AsJson, Command):
+class ReportCommand(DefinitionOptions, DecisionRule, AsJson, Command):
     """Write a report for sign-off as one HTML file."""
 
     example = "bayescal report result -o report.html"

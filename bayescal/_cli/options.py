@@ -350,7 +350,7 @@ class SearchRequest(FitRequest, ModelOptions, ReadRequest):
         }
 
 
-class OwnParts(Options):
+class DefinitionOptions(Options):
     """Options with the user-defined effects and instrument of a saved calibration."""
 
     effects_file: Path | None = Shared.effects
@@ -361,7 +361,7 @@ class OwnParts(Options):
     )
 
 
-class UsedParts(OwnParts):
+class StructureOptions(DefinitionOptions):
     """Options that select the result to use: the model average, or the most probable structure."""
 
     one_structure: Literal["average", "best"] = opt(
@@ -369,7 +369,7 @@ class UsedParts(OwnParts):
     )
 
 
-class InUse(UsedParts):
+class MemberOptions(StructureOptions):
     """Options of an instrument in use: its device, run or cell."""
 
     member: Texts = opt("device=A17: device (or run, cell) in use; repeatable.")

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal._cli.options import (
-    InUse,
+    DefinitionOptions,
+    MemberOptions,
     MethodName,
-    OwnParts,
     ReadRequest,
     SearchRequest,
     parse_numbers,
@@ -201,14 +201,14 @@ def describe_reliability(names: Mapping[str, bc.Compensator | CorrectionInUse]) 
     return "; ".join(f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not)
 
 
-def _load_user_parts(parts: OwnParts) -> dict[str, Any]:
+def _load_user_parts(parts: DefinitionOptions) -> dict[str, Any]:
     """Load user-defined effects and instrument as keyword arguments of `bc.load`."""
     instrument_file = parts.instrument_file
     instruments = () if instrument_file is None else (instrument_named(instrument_file),)
     return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
 
-def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
+def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
     """Load a saved calibration, or that of a result folder.
 
     Args:
@@ -230,7 +230,7 @@ def load_saved(path: Path, user: OwnParts) -> bc.Calibration:
     return bc.load(path.with_name(files[-1]), **_load_user_parts(user))
 
 
-def load_compensator(path: Path, user: InUse) -> bc.Compensator:
+def load_compensator(path: Path, user: MemberOptions) -> bc.Compensator:
     """Load the compensator of one output from a saved calibration."""
     correction = load_correction(path, user)
     if not isinstance(correction, bc.Compensator):
@@ -240,7 +240,7 @@ def load_compensator(path: Path, user: InUse) -> bc.Compensator:
     return correction
 
 
-def load_correction(path: Path, user: InUse) -> bc.Compensator | CorrectionInUse:
+def load_correction(path: Path, user: MemberOptions) -> bc.Compensator | CorrectionInUse:
     """Load the correction of a saved calibration with one output or three axes."""
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
@@ -257,7 +257,7 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return folders
 
 
-def load_chapters(paths: list[Path], user: OwnParts) -> list[Chapter]:
+def load_chapters(paths: list[Path], user: DefinitionOptions) -> list[Chapter]:
     """Load the chapters of a report, from saved calibrations and result folders."""
     from bayescal._report.result_json import chapters, read_chapter
 

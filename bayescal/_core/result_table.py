@@ -129,7 +129,7 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
     for lines, i in product((2, 3, 4), widest_first):
         if sum(widths) > space:
             folds = (_folded_name(head[i], w) for w in range(minima[i], widths[i] + 1))
-            split_head[i] = next(fold for fold in folds if len(fold) <= lines)
+            split_head[i] = next(wrapped for wrapped in folds if len(wrapped) <= lines)
             widths[i] = max(minima[i], *map(_width, split_head[i]))
     if sum(widths) > space:
         i = max(range(max(1, len(head) - 1)), key=lambda i: flush_left[i] * widths[i])

@@ -34,7 +34,7 @@ from bayescal._data.read_options import (
 )
 from bayescal._data.records import Records
 from bayescal._tables import cells as of_cells
-from bayescal._tables.cells import MAX_BAD, Cells, format_date
+from bayescal._tables.cells import MAX_INVALID_ROWS, Cells, format_date
 from bayescal._tables.raw_table import Objections, Table, load_whole, option
 
 _EMPTY_FAULT = "holds no number (empty, NaN, - or the like)"
@@ -169,7 +169,7 @@ class ColumnReader:
         """Check and convert the cells of the column; leave it out if it is empty and not required."""
         is_label = self.column.unit is None
         is_empty = cells.values == "" if is_label else np.isnan(cells.values)
-        if not self.column.required and not cells.bad and is_empty.all():
+        if not self.column.required and not cells.invalid_texts and is_empty.all():
             self._flag("is empty and ignored")
             return
         if is_label:
@@ -183,7 +183,7 @@ class ColumnReader:
         if has_dates := texts is not None:  # only a time column is read as dates
             cells = self._read_dates(texts)
         unit = "s" if has_dates else self._find_unit(cells)
-        raw, bad_rows = cells.values, set(cells.bad)
+        raw, bad_rows = cells.values, set(cells.invalid_texts)
         self._note_text(cells, unit, has_dates)
         searches = (find_overloads, _OVERLOAD_FAULT), (find_placeholders, _PLACEHOLDER_FAULT)
         for find, template in searches:
@@ -254,7 +254,7 @@ class ColumnReader:
             if self.is_time and (inferred := of_cells.detect_epoch_unit(cells.values)):
                 self._flag(f"read as {units.format_unit(inferred)} since 1970, by its magnitude")
                 return inferred
-            if not (self.is_time and cells.bad and np.isnan(cells.values).all()):
+            if not (self.is_time and cells.invalid_texts and np.isnan(cells.values).all()):
                 like = self.column.example
                 cure = f"Write it in the header, such as '{self.header.name} [{like}]', or give UNIT, such as {like}"
                 self._report("the header has no unit", "", cure, suggestion)
@@ -272,20 +272,20 @@ class ColumnReader:
 
     def _note_text(self, cells: Cells, unit: str | None, has_dates: bool) -> None:
         """Add a problem for cells that contain text in place of a number or a date."""
-        if not cells.bad:
+        if not cells.invalid_texts:
             return
         expected, date = _describe_number(unit), f"a date such as {of_cells.EXAMPLE}"
         if has_dates:
             expected = f"{date}, with a time zone in all cells or in none"
         elif self.is_time:
             expected = date if unit is None else f"{expected}, or a date"
-        texts = list(dict.fromkeys(cells.bad.values()))
+        texts = list(dict.fromkeys(cells.invalid_texts.values()))
         hint = "Correct the cell, or remove the row"
         if any(map(of_cells.DECIMAL_COMMA.fullmatch, texts)):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
         quoted = ", ".join(repr(t[:60]) for t in texts[:_MAX_QUOTED])
         quoted += " …" * (len(texts) > _MAX_QUOTED)
-        self._report(f"reads {quoted}", expected, hint, rows=sorted(cells.bad))
+        self._report(f"reads {quoted}", expected, hint, rows=sorted(cells.invalid_texts))
 
     def _unwrap(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Unwrap a counter whose period the user gives."""
@@ -396,7 +396,7 @@ class ColumnReader:
         bad = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
         bad_rows = np.setdiff1d(np.flatnonzero(bad), list(noted_rows))
         is_empty = np.isnan(raw[bad_rows])
-        if is_empty.any() and len(noted_rows) < MAX_BAD:
+        if is_empty.any() and len(noted_rows) < MAX_INVALID_ROWS:
             self._note_missing(bad_rows[is_empty], _EMPTY_FAULT, expected)
         if (infinite_rows := bad_rows[~is_empty]).size:
             first_value = float(raw[infinite_rows[0]])

@@ -238,8 +238,8 @@ def find_repeated_rows(columns: Columns) -> np.ndarray:
 
 
 MIN_CHANGES = 20  # changes of a column needed to determine their distribution
-# Quantile of a thermometer's changes that is taken as its normal rate; corners of a profile may exceed it.
-NORMAL_CHANGE_QUANTILE = 0.9
+# Quantile of a thermometer's changes that is taken as its typical rate; corners of a profile may exceed it.
+TYPICAL_CHANGE_QUANTILE = 0.9
 # °C: repeatability of a thermometer with an error limit of 0.5 °C (uniform distribution).
 MIN_ANOMALY_DEGREES = 0.3
 # Rounding steps above which a change is a jump; noise toggles by one or two.
@@ -346,7 +346,7 @@ def find_jumps(values: np.ndarray, segments: Segments, least: float = 0.0) -> np
             continue
         padded = np.pad(levels, HALF_WIDTH, mode="reflect")
         medians = np.median(sliding_window_view(padded, 2 * HALF_WIDTH + 1), axis=1)
-        change = float(np.quantile(np.abs(np.diff(levels)), NORMAL_CHANGE_QUANTILE))
+        change = float(np.quantile(np.abs(np.diff(levels)), TYPICAL_CHANGE_QUANTILE))
         tolerance = max(least, MIN_JUMP_STEPS * step, MIN_JUMP_SD * estimate_noise_sd(levels))
         is_outlier = np.abs(levels - medians) > tolerance + HALF_WIDTH * change
         outliers.append(segment[np.repeat(is_outlier, counts)])

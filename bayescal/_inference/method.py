@@ -57,14 +57,14 @@ class Verdict:
         return " ".join(self.reasons if not self.ok else self.against)
 
     @classmethod
-    def read(cls, described: dict[str, Any]) -> Verdict:
+    def read(cls, data: dict[str, Any]) -> Verdict:
         """Restore a verdict from its fields as read from JSON.
 
         Raises:
             KeyError: a field is missing.
         """
-        described = {"against": (), "checked": False, **described}
-        values = {f.name: described[f.name] for f in fields(cls)}
+        data = {"against": (), "checked": False, **data}
+        values = {f.name: data[f.name] for f in fields(cls)}
         return cls(**{n: tuple(v) if isinstance(v, list) else v for n, v in values.items()})
 
     def __str__(self) -> str:

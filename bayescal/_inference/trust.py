@@ -96,5 +96,5 @@ def judge_chains(chains: Chains, sampler: str, notes: tuple[str, ...]) -> Verdic
         reasons.append(
             f"{chains.divergences} divergent transitions: the posterior is strongly curved."
         )
-    numbers: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": chains.divergences}
-    return Verdict(not reasons, tuple(reasons), notes, sampler, **numbers)
+    diagnostics: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": chains.divergences}
+    return Verdict(not reasons, tuple(reasons), notes, sampler, **diagnostics)

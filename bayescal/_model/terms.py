@@ -33,8 +33,8 @@ class ColumnSpec(NamedTuple):
         """Return a copy of the specification with corrected input columns."""
         specs = self, *(c.spec for c in corrections)
         fields = ("shapes", "names", "priors")
-        shapes = {name: tuple(chain(*(getattr(s, name) for s in specs))) for name in fields}
-        return self._replace(**shapes, corrections=tuple(corrections))
+        joined_fields = {name: tuple(chain(*(getattr(s, name) for s in specs))) for name in fields}
+        return self._replace(**joined_fields, corrections=tuple(corrections))
 
     def shift_paths(
         self, values: Sequence[Any], evaluate: Callable[[ColumnSpec, Sequence[Any]], Any]

@@ -241,8 +241,8 @@ class Foreword:
     title: str  # heading
     note: str  # small print below the section
     verdict: str = ""  # conclusion, in a box; empty for none
-    bad: bool = False  # whether the verdict is negative
-    why: str = ""  # reason of the verdict
+    is_negative: bool = False  # whether the verdict is negative
+    reason: str = ""  # reason of the verdict
     # headings, with labels and texts below each
     lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
     table: tuple[str, ResultTable] | None = None  # with its caption

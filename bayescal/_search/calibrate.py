@@ -101,9 +101,9 @@ def calibrate(
             dates.
     """
     with deadline.until(time_limit):
-        records = prepare_readings(model, readings, holdout, keep_spikes, ignore, covariates)
+        measurements = prepare_readings(model, readings, holdout, keep_spikes, ignore, covariates)
         options = method, seed_of(seed), reference, max_effects
-        search = StepwiseSearch(*records, *options, frozenset(accept_conflicts))
+        search = StepwiseSearch(*measurements, *options, frozenset(accept_conflicts))
         search.fit_first_step(model, effects, widen_noise)
         follow(search.build_path())
         with deadline.sooner(discover.SEARCH_TIME_SHARE):

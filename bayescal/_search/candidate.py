@@ -17,7 +17,7 @@ from bayescal._inference.density import Density
 from bayescal._inference.linear_model import find_amplitude
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
-from bayescal._search.scores import ScoredPoint, Scores, mean_log_bayes_factor
+from bayescal._search.scores import ScoredPoint, Scores, log_mean_bayes_factor
 from bayescal._search.structures import EvaluatedStructure, Structures
 
 # Probability from which an effect that is not found is called a lead: odds of 1 to 4, worth a further run.
@@ -82,7 +82,7 @@ def select_forms(structures: Structures, points: Scores) -> Scores:
     forms: dict[str, Sequence[ScoredPoint]] = {}
     for name, scores in points.items():
         family = structures.family(name)
-        forms[family] = max(forms.get(family, scores), scores, key=mean_log_bayes_factor)
+        forms[family] = max(forms.get(family, scores), scores, key=log_mean_bayes_factor)
     return forms
 
 
@@ -104,7 +104,7 @@ def summarise_candidate(
         best_point, total = points[0], float(np.trace(points[0].gram))
         candidate = replace(
             candidate,
-            log_bayes_factor=mean_log_bayes_factor(points),
+            log_bayes_factor=log_mean_bayes_factor(points),
             z=_z_score(best_point, library.is_grouped(scored_form)),
             shape={**best_point.point.shapes, **best_point.prior_scale.shapes},
             visibility=float(np.trace(best_point.information)) / total if total > 0 else 0.0,

@@ -81,19 +81,19 @@ class Scorer:
         self.library, self.fit = library, fit
         self.linear = linear = library.structures.linearise(fit)
         self.linear_means = library.average_rows(linear)
-        whitened_by_rows = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
+        whitened_by_model = dict[LinearModel, tuple[np.ndarray, np.ndarray]]()
         for rows in {linear, self.linear_means}:
             whitened_columns = rows.decorrelate(np.column_stack([rows.nuisance, rows.residual]))
-            whitened_by_rows[rows] = whitened_columns[:, :-1], whitened_columns[:, -1]
+            whitened_by_model[rows] = whitened_columns[:, :-1], whitened_columns[:, -1]
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
-        nuisance, _ = whitened_by_rows[linear]
+        nuisance, _ = whitened_by_model[linear]
         self.inner = nuisance.T @ nuisance
         self.cross = np.empty((nuisance.shape[1], library.n_columns))
         self.scores = np.empty(library.n_columns)
         gram: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.iterate_blocks(self.linear_means.size):
             rows, first = self.linear_for(points), points[0].block.start
-            nuisance, residual = whitened_by_rows[rows]
+            nuisance, residual = whitened_by_model[rows]
             candidate_columns = rows.decorrelate(self.columns(rows, points))
             block = slice(first, points[-1].block.stop)
             self.cross[:, block] = nuisance.T @ candidate_columns
@@ -242,6 +242,6 @@ class ReducedModel(NamedTuple):
         return sorted(((f, points[i], points[j]) for f, (i, j) in pairs), key=lambda m: -m[0])
 
 
-def mean_log_bayes_factor(points: Sequence[ScoredPoint]) -> float:
-    """Return a candidate's log Bayes factor from its scores, averaged over its grid."""
+def log_mean_bayes_factor(points: Sequence[ScoredPoint]) -> float:
+    """Return the log of a candidate's mean Bayes factor over its grid points."""
     return float(np.logaddexp.reduce([p.log_bayes_factor for p in points]) - math.log(len(points)))

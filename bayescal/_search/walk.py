@@ -17,7 +17,7 @@ from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
-from bayescal._search.scores import MAX_STARTS, ScoredPoint, Scorer, mean_log_bayes_factor
+from bayescal._search.scores import MAX_STARTS, ScoredPoint, Scorer, log_mean_bayes_factor
 from bayescal._search.structures import LAW_WINDOW_NATS, EvaluatedStructure, Structure, Structures
 
 # Most probable structures whose neighbours are evaluated; 4 find what enumeration finds (tests/search).
@@ -76,9 +76,9 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
     """Evaluate structures until no neighbour of the most probable ones is left; yield each.
 
     Args:
-        library: the candidates; its structures keep the evaluated ones.
+        library: the candidates; evaluated structures are cached in `library.structures`.
         max_effects: largest number of effects to add.
-        start: structure evaluated last, from which the search continues if it is probable; it has no effect before.
+        start: structure to evaluate after the search without it, which then continues from it if it is probable.
     """
     structures = library.structures
     start_fit = structures.evaluate(Structure())
@@ -141,7 +141,7 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
                 log_posteriors[neighbour] = structures.evaluate(neighbour, fit).log_posterior
             else:
                 # The score stands for the fit: it decides only the order in which steps are shown.
-                factor = mean_log_bayes_factor(reduced.score_candidates([name])[name])
+                factor = log_mean_bayes_factor(reduced.score_candidates([name])[name])
                 log_posteriors[neighbour] = fit.log_posterior + structures.log_odds[name] + factor
         if current.noise != goal.noise:
             neighbour = current.with_noise(goal.noise)
@@ -445,4 +445,4 @@ def _propose_moves(scorer: Scorer, scope: Scope) -> Iterator[Move]:
 
 def _make_addition(structure: Structure, log_posterior: float, points: list[ScoredPoint]) -> Move:
     starts = tuple(point.start for point in points[:MAX_STARTS])
-    return Move(structure, log_posterior + mean_log_bayes_factor(points), starts)
+    return Move(structure, log_posterior + log_mean_bayes_factor(points), starts)

@@ -152,7 +152,7 @@ def detect_epoch_unit(values: np.ndarray, max_span: float = _MAX_SPAN_SECONDS) -
 
 
 TEXT = np.dtypes.StringDType()
-MAX_BAD = 1000  # largest number of non-numeric cells whose text is stored
+MAX_INVALID_ROWS = 1000  # largest number of rows with invalid cells that are recorded
 MISSING = frozenset(  # texts that mark a missing reading, of loggers and C's printf
     ("", "nan", "-nan", "na", "n/a", "#n/a", "#nan", "null", "none", "nil", "-", "--")
     + ("1.#qnan", "-1.#ind", "nan(ind)", "-nan(ind)")
@@ -166,12 +166,12 @@ class Cells:
 
     Attributes:
         values: float64, NaN for empty or invalid cells; or stripped text, "" for empty cells.
-        bad: index → text of invalid cells, which are not numbers as expected; the first 1000.
+        invalid_texts: index → text of invalid cells, which are not numbers as expected; the first 1000.
         texts: all cells as text, if any is invalid; else None.
     """
 
     values: np.ndarray
-    bad: Mapping[int, str] = field(default_factory=dict)
+    invalid_texts: Mapping[int, str] = field(default_factory=dict)
     texts: np.ndarray | None = None
 
     @property
@@ -201,26 +201,27 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
     The order of month, day and year is `order`, or the only order in which all cells are dates. If it is ambiguous, the
     possible orders are returned too.
     """
-    rows, bad, has_zone, unambiguous = np.full((len(ORDERS), len(texts)), np.nan), {}, None, True
+    rows, invalid_texts = np.full((len(ORDERS), len(texts)), np.nan), dict[int, str]()
+    has_zone, unambiguous = None, True
     for i, text in enumerate(map(format_cell, texts)):
         if dates := parse_date(text):
             rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
             has_zone = has_time_zone(text) if has_zone is None else has_zone
             unambiguous &= "" in dates
         is_invalid = has_time_zone(text) != has_zone if dates else not is_missing(text)
-        if is_invalid and len(bad) < MAX_BAD:
-            bad[i] = text
+        if is_invalid and len(invalid_texts) < MAX_INVALID_ROWS:
+            invalid_texts[i] = text
     if unambiguous:
-        return Cells(rows[0], bad), []
+        return Cells(rows[0], invalid_texts), []
     values, is_date = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
     valid_orders = [n for n, row in values.items() if not np.isnan(row[is_date]).any()]
     if not order and len(valid_orders) != 1:
         possible = [n for n, row in values.items() if not np.isnan(row).all()]
-        return Cells(np.fmax.reduce(rows), bad), valid_orders or possible
+        return Cells(np.fmax.reduce(rows), invalid_texts), valid_orders or possible
     seconds = values[order or valid_orders[0]]
-    invalid = np.flatnonzero(is_date & np.isnan(seconds))[:MAX_BAD]
-    bad |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
-    return Cells(seconds, bad), []
+    invalid = np.flatnonzero(is_date & np.isnan(seconds))[:MAX_INVALID_ROWS]
+    invalid_texts |= {int(i): f"{format_cell(texts[i])} in another order" for i in invalid}
+    return Cells(seconds, invalid_texts), []
 
 
 def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
@@ -236,8 +237,8 @@ def to_numbers(texts: Sequence[str], decimal: str = ".") -> Cells:
             return Cells(np.fromiter(map(float, normalised), np.float64, len(normalised)))
     values = np.fromiter(map(to_number, normalised), np.float64, len(normalised))
     invalid = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    bad = {i: texts[i].strip() for i in invalid[:MAX_BAD]}
-    return Cells(values, bad, np.array(texts, TEXT) if invalid else None)
+    invalid_texts = {i: texts[i].strip() for i in invalid[:MAX_INVALID_ROWS]}
+    return Cells(values, invalid_texts, np.array(texts, TEXT) if invalid else None)
 
 
 def is_missing(text: str) -> bool:
@@ -268,8 +269,8 @@ def to_cells(array: np.ndarray, is_number: bool, decimal: str = ".") -> Cells:
         return Cells(array.astype(np.float64))
     has_text = array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType)
     if is_number and not has_text:
-        bad = {i: str(value) for i, value in enumerate(array[:MAX_BAD].tolist())}
-        return Cells(np.full(len(array), np.nan), bad)
+        invalid_texts = {i: str(value) for i, value in enumerate(array[:MAX_INVALID_ROWS].tolist())}
+        return Cells(np.full(len(array), np.nan), invalid_texts)
     missing = getattr(sys.modules.get("pandas"), "NA", None)  # exists only if pandas is imported
     texts = array.astype(object)
     if not is_number or array.dtype != TEXT:

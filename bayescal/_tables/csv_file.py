@@ -20,7 +20,7 @@ import numpy as np
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell, csv_cell_read
-from bayescal._tables.cells import MAX_BAD, TEXT, is_missing, parse_date, to_number
+from bayescal._tables.cells import MAX_INVALID_ROWS, TEXT, is_missing, parse_date, to_number
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, check_width, unusable
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # of UTF-8
@@ -295,7 +295,7 @@ def _scan_lines(text: CsvText) -> None:
         else:
             blanks.append(row)
             continue
-        if fields != expected and len(ragged_rows) < MAX_BAD:
+        if fields != expected and len(ragged_rows) < MAX_INVALID_ROWS:
             ragged_rows.append((row, line.decode().strip()[:80], fields))
     if ragged_rows:
         _refuse_ragged(text, ragged_rows)

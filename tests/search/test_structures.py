@@ -20,7 +20,7 @@ from bayescal._search.discover import enumerate_structures
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import fit_to_residuals
 from bayescal._search.posterior import Posterior
-from bayescal._search.scores import Scorer, mean_log_bayes_factor
+from bayescal._search.scores import Scorer, log_mean_bayes_factor
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import explore
 from bayescal_models import mems_gyro, still_sensor
@@ -130,7 +130,7 @@ def test_a_long_record_is_looked_over_by_means(monkeypatch: pytest.MonkeyPatch) 
             view = Scorer(known := Library(made), at)
             assert known.unaveraged >= (toggle if most < n else set())
             found = view.reduced_model().score_candidates([*known.points])
-            gains.append(np.array([mean_log_bayes_factor(points) for points in found.values()]))
+            gains.append(np.array([log_mean_bayes_factor(points) for points in found.values()]))
         assert np.argmax(gains[0]) == np.argmax(gains[1])
         np.testing.assert_allclose(gains[0], gains[1], rtol=0.01, atol=0.2)
 

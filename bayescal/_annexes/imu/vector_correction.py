@@ -76,27 +76,27 @@ class CorrectedVector:
 
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
-    """Three-axis correction: offset, matrix, higher-order terms over temperature, covariance; call it with outputs.
+    """Correction of three outputs to the input vector with its covariance, over temperature; call it with outputs.
 
         correct = bc.vector_correction(calibration)
-        found = correct([[0.01, 0.02, 0.99]], temperature=25.0)
-        found.vector, found.covariance, found.magnitude, found.tilt
+        corrected = correct([[0.01, 0.02, 0.99]], temperature=25.0)
+        corrected.vector, corrected.covariance, corrected.magnitude, corrected.tilt
 
     Attributes:
         outputs: names of the three outputs.
-        unit: of the outputs and of the input.
-        reference: T0, °C.
+        unit: unit of the outputs and of the input.
+        reference: reference temperature T0, °C.
         low, high: calibrated temperature range, °C; None if not recorded.
         terms: (k, p), a row per power of T − T0: offset (3), matrix by rows (9); if any, second order by rows (18),
             cubes of each axis (3), secondary input by rows (9).
-        covariance: of the flattened `terms` (k·p, k·p).
-        noise: standard deviation of an output in the calibration's best reading, `unit`.
+        covariance: covariance of the flattened `terms` (k·p, k·p).
+        noise: smallest standard deviation of a calibration reading about its expected output, `unit`.
         notes: notes on use, one sentence each.
-        source: identity of the calibration.
+        source: identity of the calibration (SHA-256).
         beside: columns of the secondary input; empty if there is none.
         instrument: name of the instrument.
         reach: largest magnitude of the input in the calibration, `unit`.
-        against: why the result must not be used, also among the notes; empty if it may.
+        against: why the result must not be used (also among the notes); empty if it may be used.
     """
 
     outputs: tuple[str, ...]
@@ -272,11 +272,11 @@ class VectorCorrection:
 
         def equation(force: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
             predicted = slopes_by_terms(force, self.order, acts) @ terms[..., None]
-            slopes = _slopes_by_force(terms, force, self.order)
+            slopes = _slopes_by_stimulus(terms, force, self.order)
             return predicted[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
 
         force = ws.stepped(equation, y, y, NEWTON_STEPS)
-        inverse = np.linalg.inv(_slopes_by_force(terms, force, self.order))
+        inverse = np.linalg.inv(_slopes_by_stimulus(terms, force, self.order))
         return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), temperatures
 
 
@@ -334,7 +334,7 @@ def term_rows(
 
 
 def slopes_by_terms(
-    force: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
+    stimulus: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
     """Return the Jacobian of the three outputs with respect to a correction's terms up to an order in the input."""
 
@@ -342,22 +342,22 @@ def slopes_by_terms(
         """Return the Jacobian of matrix · values with respect to the matrix's entries, row by row."""
         return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
 
-    blocks = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), by_rows(force)]
-    blocks += [by_rows(force[:, FIRST] * force[:, SECOND])] if order > 1 else []
-    blocks += [force[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
+    blocks = [np.broadcast_to(np.eye(3), (len(stimulus), 3, 3)), by_rows(stimulus)]
+    blocks += [by_rows(stimulus[:, FIRST] * stimulus[:, SECOND])] if order > 1 else []
+    blocks += [stimulus[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
     blocks += [] if secondary is None else [by_rows(secondary)]
     return np.concatenate(blocks, axis=2)
 
 
-def _slopes_by_force(
-    terms: Float[np.ndarray, "n p"], force: Float[np.ndarray, "n 3"], order: int
+def _slopes_by_stimulus(
+    terms: Float[np.ndarray, "n p"], stimulus: Float[np.ndarray, "n 3"], order: int
 ) -> Float[np.ndarray, "n 3 3"]:
     """Return H, the Jacobian of the three outputs with respect to the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
         second = terms[:, 12:30].reshape(-1, 3, 6)
-        slopes = slopes + second * force[:, None, SECOND] @ np.eye(3)[FIRST]
-        slopes = slopes + second * force[:, None, FIRST] @ np.eye(3)[SECOND]
+        slopes = slopes + second * stimulus[:, None, SECOND] @ np.eye(3)[FIRST]
+        slopes = slopes + second * stimulus[:, None, FIRST] @ np.eye(3)[SECOND]
     if order > 2:
-        slopes = slopes + (3 * terms[:, 30:33] * force**2)[:, :, None] * np.eye(3)
+        slopes = slopes + (3 * terms[:, 30:33] * stimulus**2)[:, :, None] * np.eye(3)
     return slopes

@@ -222,8 +222,8 @@ class Decisions(ws.Printed):
             "Does it conform?",
             " ".join((f"Of the calibration {self.calibration}.", *self.notes)),
             verdict=met if self.conforms else "Not every limit is shown to be met.",
-            bad=not self.conforms,
-            why=f"Decision rule: {self.rule_in_words}.",
+            is_negative=not self.conforms,
+            reason=f"Decision rule: {self.rule_in_words}.",
             table=("Decisions", replace(table, columns=(*table.columns, why), fold=1)),
         )
 

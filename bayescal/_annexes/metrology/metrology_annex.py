@@ -11,7 +11,7 @@ import bayescal as bc
 from bayescal import workshop as ws
 
 
-class DecideCommand(ws.InUse, ws.DecisionRule, ws.AsJson, ws.Command):
+class DecideCommand(ws.MemberOptions, ws.DecisionRule, ws.AsJson, ws.Command):
     """Decide whether limits are met, with guard bands and risks.
 
     Exit status: 0 if every limit is met; 1 if a limit is not met or undecided.

@@ -112,7 +112,7 @@ class Workbench:
     def act(self, name: str, *arguments: Any) -> None:
         """Run an action of the session in a worker thread, then show the resulting state."""
         self.work.forget_preview()
-        self.error.searching(False)  # clears the last search's progress
+        self.error.show_search_progress(False)  # clears the last search's progress
         status = f"{name.replace('_', ' ')} {' '.join(map(str, arguments))} …"
         self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
@@ -176,17 +176,17 @@ class Workbench:
     def find_all(self) -> None:
         """Run the search from the current state; add a state for each step."""
         self.other, self._progress, self._stopping = None, "", False
-        self.error.searching(True, "searching …")
+        self.error.show_search_progress(True, "searching …")
 
         def follow(path: Any) -> None:
             self.work.on_page(lambda: self._searched(path))
 
         def ended(_: Any) -> None:
-            self.error.searching(False, self._progress)
+            self.error.show_search_progress(False, self._progress)
             self.done()
 
         def failed() -> None:
-            self.error.searching(False)
+            self.error.show_search_progress(False)
 
         search = lambda: self.session.find_all(follow)  # noqa: E731
         self.work.run(search, ended, status="Finding all …", changes=True, failed=failed)
@@ -194,7 +194,7 @@ class Workbench:
     def _searched(self, path: Any) -> None:
         self._progress = path.progress
         if not self._stopping:
-            self.error.searching(True, self._progress)
+            self.error.show_search_progress(True, self._progress)
         if len(self.session.states) > len(self.error.rows.rows):
             self.error.show(self.session.current)
 
@@ -202,7 +202,7 @@ class Workbench:
         """Stop the search with the best model so far."""
         self.session.stop()
         self._stopping = True
-        self.error.searching(True, "stopping …")
+        self.error.show_search_progress(True, "stopping …")
 
     def _set_busy(self, busy: bool) -> None:
         for pane in (self.model, self.missing, self.error):

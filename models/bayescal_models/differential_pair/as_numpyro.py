@@ -27,8 +27,8 @@ from scipy.special import eval_legendre
 import bayescal as bc
 from bayescal_models.differential_pair import reference_problem
 
-SENSITIVITY = "environment.shared[sensitivity]"
-CENTRED_SITES = ("u", "w", "scale.device", SENSITIVITY)  # determined by readings rather than priors
+SENSITIVITY_SITE = "environment.shared[sensitivity]"
+CENTRED_SITES = ("u", "w", "scale.device", SENSITIVITY_SITE)  # determined by readings, not priors
 ORDERS, DEPARTURE_ORDERS = np.arange(9), np.arange(6)  # polynomial orders of u and departures
 DISTURBANCE = 1000.0  # µg rms over the record
 RATIOS = 0.6**ORDERS  # relative prior sd of the orders of u
@@ -38,7 +38,7 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     """Define the NumPyro model: acceleration µg, sign and device index (n,), P_n (n, 9); output µg or None."""
     group_sds = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
-        for name, size in (("scale.device", 5000.0), (SENSITIVITY, 0.2))
+        for name, size in (("scale.device", 5000.0), (SENSITIVITY_SITE, 0.2))
     }
     u = numpyro.sample(
         "u", Normal(0.0, DISTURBANCE * RATIOS / np.sqrt(np.sum(RATIOS**2))).to_event(1)
@@ -49,7 +49,7 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     powers = order_ratio**DEPARTURE_ORDERS
     with numpyro.plate("devices", devices):
         kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, group_sds["scale.device"]))
-        sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, group_sds[SENSITIVITY]))
+        sensitivity = numpyro.sample(SENSITIVITY_SITE, Normal(1.0, group_sds[SENSITIVITY_SITE]))
         departure_sd = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
         mean = sensitivity[:, None] * u[: len(DEPARTURE_ORDERS)]
         w = numpyro.sample("w", Normal(mean, departure_sd).to_event(1))

@@ -37,7 +37,7 @@ WHOLE = (
 
 
 class ErrorPane(Pane):
-    """Pane of the errors: the report's picture of the path to the current step, and the tree of steps."""
+    """Pane with the figure of the errors along the path to the current step, and the tree of steps."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
@@ -62,8 +62,8 @@ class ErrorPane(Pane):
     def busy(self, busy: bool) -> None:
         self.rows.busy = self.find.disabled = busy
 
-    def searching(self, on: bool, text: str = "") -> None:
-        """Show the progress of the search, and whether it is running."""
+    def show_search_progress(self, on: bool, text: str = "") -> None:
+        """Show the progress text of a search; enable the stop button while the search is running."""
         self.halt.disabled = not on
         self.progress.object = text
 

@@ -97,33 +97,33 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     samples = {n: calibration.samples(n) for n in names}
     samples |= {n: np.full(len(samples[SENSITIVITY_NAME]), v) for n, v in calibration.model.fixed}
     readings, reference = calibration.readings, cast("dict[str, float]", calibration.reference)
-    table = _arrange_records(readings)
-    sensitivity = np.asarray(samples[SENSITIVITY_NAME])[:, table.order]
-    progress = (table.time - reference["time_mean"]) / reference["time_span"]
+    records = _arrange_records(readings)
+    sensitivity = np.asarray(samples[SENSITIVITY_NAME])[:, records.order]
+    progress = (records.time - reference["time_mean"]) / reference["time_span"]
     basis = np.stack(legendre_polynomials(progress, SHARED_ORDERS))
     terms = np.stack([samples[n] for n in order_names(SHARED)], axis=1)[:, :, None] * basis
     u, higher = terms[:, :ORDERS].sum(axis=1)[:, None], terms[:, ORDERS:].sum(axis=1)[:, None]
     if "environment.temperature" in samples:
-        temperature_change = readings["temperature"][table.rows] - reference["T0"]
+        temperature_change = readings["temperature"][records.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
-    departures, departure_rms = _compute_v(samples, table, basis)
+    departures, departure_rms = _compute_v(samples, records, basis)
     environment = sensitivity[:, :, None] * u + higher + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
-        table.names,
-        table.outer,
-        table.time,
-        scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., table.order],
+        records.names,
+        records.outer,
+        records.time,
+        scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., records.order],
         sensitivity=sensitivity,
         shared=(u + higher).mean(axis=1),
         environment=environment,
         departure=departure_rms,
-        bias=np.asarray(samples.get("bias.device", zero))[..., table.order],
+        bias=np.asarray(samples.get("bias.device", zero))[..., records.order],
         noise=np.asarray(samples["noise.white"]),
-        commanded=readings["acceleration"][table.rows].mean(axis=0),
-        records=readings["output"][table.rows],
-        known=fitted[table.rows] - environment.mean(axis=0),
+        commanded=readings["acceleration"][records.rows].mean(axis=0),
+        records=readings["output"][records.rows],
+        known=fitted[records.rows] - environment.mean(axis=0),
         others=tuple(n for n in calibration.model.names if n not in EFFECTS),
     )
 
