@@ -435,11 +435,11 @@ def _iterate_chunks(problem: Problem, draws: Vectors) -> Iterator[tuple[slice, V
 def _mean_and_input_sds(
     problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
-    """Return expected outputs, and the standard deviation due to each term: noise on an input, or the deviation of an
-    unseen member (zero at readings of members seen in the fit)."""
+    """Return the expected outputs (b, n), and the standard deviation of the output due to each of `terms`."""
     if not terms:
         return problem.expected(draws.x, hyper), []
     mean, gradients = problem.expected_with_slopes(draws.x, hyper, terms)
+    # A term is noise on an input, or the deviation of an unseen member, zero at readings of members seen in the fit.
     sds = list[Any]()
     for t, gradient in zip(terms, gradients, strict=True):
         prior_sd = t.prior_sd

@@ -37,8 +37,8 @@ class Prediction:
 
     Attributes:
         mean: posterior mean of the expected output, output unit, (n,).
-        model_sd: standard uncertainty of the expected output, from coefficients, from the model's form (`form_factor`
-            of the calibration) and, for unseen groups, from between-group standard deviations, estimated or plausible.
+        model_sd: standard uncertainty of the expected output: coefficients (times `form_factor`), noise on inputs, and
+            for unseen groups between-group standard deviations, also of plausible effects (`unfound_spreads`).
         sd: standard uncertainty of a reading: noise included.
         residual: output − mean.
     """

@@ -109,7 +109,7 @@ def find_not_measured(
 ) -> NotMeasured | None:
     """Return the unknowns whose priors determine a quantity more than the readings do, or None.
 
-    Only coefficients with a stated prior that matter in use are tested, not those of a rig or a thermometer.
+    Only `name` and coefficients with a stated prior (not flat or hierarchical) in a slot that corrections use count.
 
     Args:
         calibration: a fit, or an average over structures; an effect is tested on the draws that include it.

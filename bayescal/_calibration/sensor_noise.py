@@ -710,13 +710,13 @@ def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
 def _draw_parameters(
     channel: _RestRecord, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> dict[str, np.ndarray]:
-    """Resample parameters by the weights of v to equal probability; `share` of all resampled draws."""
+    """Resample noise parameters to equally weighted draws, `share` of `MIXTURE_DRAWS`, by parameter name."""
     chosen = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
     priors = channel.model(terms).parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
-        if is_coherent.any():
+        if is_coherent.any():  # its rms is drawn about the estimate from the longest run instead
             frequency = float(np.median(parameters[TONE_FREQ][is_coherent])) * channel.spectrum.step
             run = max(channel.columns, key=len)[:, -1]
             error = parameters[WHITE] / math.sqrt(len(run))

@@ -167,9 +167,9 @@ CONFIGURATION_READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
 
 
 def obey_no_folder() -> None:
-    """Import libraries that read configuration files of the current folder from another folder, so that they do not.
+    """Import libraries from another folder, so that they ignore configuration files in the current folder.
 
-    Must be called before threads start, since the current folder is a property of the process.
+    Only libraries with such a file are imported. Call before threads start: the current folder is the process's.
     """
     readers = [library for file, library in CONFIGURATION_READERS.items() if os.path.lexists(file)]
     if readers:

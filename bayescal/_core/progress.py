@@ -69,7 +69,7 @@ def counted(items: Sequence[Any], noun: str) -> Iterator[Any]:
 
 @contextmanager
 def stage(operation: str, delay: float = FIRST_SECONDS) -> Iterator[None]:
-    """Print progress lines of an operation after `delay` seconds, and whenever there is no other line."""
+    """Print a progress line after `delay` seconds, then after each `INTERVAL_SECONDS` without one."""
     start, end_event = time.monotonic(), threading.Event()
 
     def watch() -> None:

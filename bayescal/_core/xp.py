@@ -70,7 +70,7 @@ class Namespace:
         return placed
 
     def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
-        """Run a recursion over rows (n, …), or a tuple of such, as `jax.lax.scan`: state, out = advance(state, row)."""
+        """Scan advance(state, row) → (state, output) over rows (n, …), or a tuple of them; return stacked outputs."""
         if is_traced((start, rows)):
             return import_module("jax").lax.scan(advance, start, rows)[1]
         state, outputs = start, []

@@ -195,7 +195,7 @@ class ColumnRule:
     def matches(
         self, headers: Sequence[Header], unmatched: Collection[int], user_units: Mapping[str, str]
     ) -> dict[int, Header]:
-        """Return the unmatched headers, by index, that have a name of the first name tier that any of them has.
+        """Return the unmatched headers, by index, that match the first of the `name_tiers` with any match.
 
         `user_units`: header or name → unit given by the user.
         """

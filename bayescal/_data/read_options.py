@@ -261,7 +261,7 @@ def parse_period(text: str) -> tuple[float, str]:
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Parse the time of a first reading; return seconds, and whether they count from 1970 (or from a calibration)."""
+    """Return the time of a first reading, s, and whether it is a date (from 1970; else on the calibration's clock)."""
     with contextlib.suppress(ValueError):
         (seconds,) = parse_date(text).values()
         if seconds >= EARLIEST:

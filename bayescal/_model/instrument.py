@@ -202,7 +202,7 @@ class Instrument:
 
     @property
     def unit(self) -> str:
-        """Return the fixed unit of the output; "any" before it is tailored to readings."""
+        """Return the unit of the output, or "any" until the instrument is tailored to readings."""
         unit = self.column("output").unit
         assert unit is not None
         return unit

@@ -47,10 +47,10 @@ FLICKER_FLOOR = 2 * math.log(2) / math.pi  # Allan variance of flicker noise ove
 
 @static
 class NoiseTerm(abc.ABC):
-    """One term of a noise sum, on a record.
+    """One term of a sum of noise processes, with bounds and priors for one record.
 
     Attributes:
-        shortest, longest: correlation times that the record can resolve, s: the median step and the longest run.
+        shortest, longest: bounds of the correlation time, s: the median time step, and the duration of the longest run.
         correlated: prior of a correlated term's standard deviation, output unit.
         column: covariate of a tone's frequency; empty: constant frequency.
     """

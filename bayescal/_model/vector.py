@@ -91,11 +91,11 @@ class Vector:
     ) -> tuple[Frame, Float[np.ndarray, "n"]] | None:
         """Replace magnitude readings by projections on directions from an ellipsoid fitted to the outputs.
 
-        Projections are linear in the slots of a linear equation, so that a fit converges from any start. Magnitudes of
-        outputs far from the true one (a hard iron, another unit) let a fit converge to a zero scale factor.
+        Projections are linear in the slots of a linear equation, so that a fit converges from any start. A fit to
+        magnitudes far from the true one (hard iron, another unit) may converge to a zero scale factor.
 
         Returns:
-            Frame and outputs; None if outputs are near the magnitude, the measurand is known, or the ellipsoid fails.
+            Frame and outputs; None if the measurand is known, magnitudes are near the true one, or no ellipsoid fits.
         """
         if self.acting is not None:
             return None

@@ -106,10 +106,10 @@ def render_svg(figure: Figure) -> str:
 
 
 def embed(svg: str, prefix: str, alt: str) -> Markup:
-    """Convert an SVG of Matplotlib, with escaped labels, to inline SVG of the page.
+    """Convert Matplotlib's SVG, whose labels are already escaped, to inline SVG for the page.
 
-    Black becomes the page's text colour, fonts become the page's, ids get a prefix; external references (document type,
-    metadata) and comments, which repeat the labels, are removed.
+    Black becomes the page's text colour, fonts become the page's, ids are prefixed by `prefix`, and `alt` becomes the
+    ARIA label. External references (document type, metadata) and comments, which repeat the labels, are removed.
     """
     markup = svg[svg.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", markup, flags=re.DOTALL)

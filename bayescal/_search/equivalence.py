@@ -38,9 +38,9 @@ Array = Float[np.ndarray, "n k"]
 
 
 class Equivalent(NamedTuple):
-    """Effects of which readings determine only a combination: the first is in the span of the others and the model.
+    """Collinear effects: the columns of the first are in the span of those of the others and of the model.
 
-    A single effect is in the span of the model's `coefficients`.
+    The readings determine only a combination. A single effect is in the span of the model's `coefficients` alone.
     """
 
     effects: tuple[str, ...]

@@ -57,7 +57,7 @@ class TermComparison(NamedTuple):
 
     @property
     def is_unnamed(self) -> bool:
-        """Return whether an unnamed effect that may repeat from run to run was added."""
+        """Return whether an effect without physical interpretation, not along time, was added."""
         return any(e.unnamed and e.along != "time" for e in self.added)
 
     @property

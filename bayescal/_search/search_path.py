@@ -53,7 +53,7 @@ class Step:
     outlying_groups: tuple[Claim, ...] = ()  # claims of implausible deviations of group members
 
     def with_reasons(self, reasons: Sequence[str]) -> Step:
-        """Return the step with reasons against its calibration in the verdict."""
+        """Return a copy of the step whose verdict states these reasons against the use of its calibration."""
         verdict = {"against": tuple(reasons), "checked": True}
         return replace(self, calibration=self.calibration.with_verdict(**verdict))
 

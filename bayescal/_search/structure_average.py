@@ -104,7 +104,7 @@ def _run_spreads(
 def average_models(
     last: Calibration, structures: Structures, noise: str, seed: int
 ) -> tuple[Calibration, tuple[StructureShare, ...]]:
-    """Average the last model's calibration over the structures; return the average and the structures' weights."""
+    """Return the Bayesian model average over the structures (`last` if only one is probable), and their weights."""
     shares = structure_shares(structures, noise)
     last_effects = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:

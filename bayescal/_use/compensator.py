@@ -65,11 +65,11 @@ class Compensator:
     """A compensator from readings to the stimulus: call it with readings, or export it.
 
         compensate = bc.compensator(calibration)
-        found = compensate(readings)                      # or compensate(output=1.2, temperature=40.0)
+        compensated = compensate(readings)                # or compensate(output=1.2, temperature=40.0)
         compensate.export("calibration.h")                # or .json, .py
 
     Attributes:
-        calibration, equation: the calibrated model, and its equation in use.
+        calibration, equation: the calibrated model, and its equation for the instrument in use.
         draws: maximum number of posterior draws to average over.
     """
 

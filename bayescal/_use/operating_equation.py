@@ -341,8 +341,8 @@ class OperatingEquation:
     def moments(self, draws: int) -> PosteriorMoments:
         """Return at most `draws` evenly thinned draws of θ, with mean and covariance of all draws.
 
-        Measured unknowns include the uncertainty of the model's form; new deviations in use are uncorrelated with them,
-        in the draws as well, so that results from draws and from moments agree.
+        The covariance of measured unknowns is multiplied by `form_factor`². Deviations of new group members are drawn
+        uncorrelated with them, in the thinned draws as well, so that results from draws and from moments agree.
         """
         calibration, unknowns = self.calibration, self.unknowns
         (_, v), problem = calibration.draws(), calibration.problem

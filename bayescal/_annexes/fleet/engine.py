@@ -86,7 +86,7 @@ def _open_local_cluster(workers: int | None) -> LocalCluster:
 
 
 def dask_setup(_: Any) -> None:
-    """Prepare a local worker before its first task."""
+    """Make a local worker ignore configuration files in its current folder; Dask calls this first."""
     ws.obey_no_folder()
 
 

@@ -122,7 +122,9 @@ def propagation(
     correlated: bool = True,
     method: Any = "draws",
 ) -> dict[str, Any]:
-    """Propagate inputs b1, b2, … to output quantities, with correlations by the uncertainties of pairwise sums.
+    """Propagate inputs b1, b2, … to output quantities.
+
+    Return y, u: values and standard uncertainties of the outputs, then of their pairwise sums; r: correlations by u.
 
     Args:
         values: equations of the output quantities.
@@ -131,10 +133,8 @@ def propagation(
         method: "draws" (JCGM 101) or "first order" (JCGM 100).
     """
     if observations is not None:
-        mean, covariance = (
-            np.mean(observations, axis=1),
-            np.cov(observations) / len(observations[0]),
-        )
+        mean = np.mean(observations, axis=1)
+        covariance = np.cov(observations) / len(observations[0])
         covariance = covariance if correlated else np.diag(np.diag(covariance))
     else:
         covariance = u**2 * (np.full((len(mean), len(mean)), r) + (1 - r) * np.eye(len(mean)))

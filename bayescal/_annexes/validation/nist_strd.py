@@ -125,5 +125,5 @@ def relative_error(value: Any, certified: Any) -> float:
 
 
 def digits(error: float) -> float:
-    """Return the number of digits to which values with a relative error agree."""
+    """Return the log relative error −log10(error), the number of agreeing digits, from 0 to `MAX_DIGITS`."""
     return MAX_DIGITS if error < 10.0**-MAX_DIGITS else max(0.0, -math.log10(error))

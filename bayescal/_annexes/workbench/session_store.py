@@ -20,7 +20,7 @@ from bayescal import workshop as ws
 
 @dataclass(frozen=True)
 class Origin:
-    """Sources of a session for its script: instrument, files and options of reading."""
+    """Inputs of a session, from which its script is written: instrument, files and read options."""
 
     instrument: str  # name of an installed one, or my.py:INSTRUMENT; empty if made in Python
     files: tuple[str, ...] = ()  # files, holdout: absolute paths of readings; empty if in memory

@@ -5,7 +5,7 @@ It is the model that `bc.fit(equivalent_model(), readings)` fits. NUTS is run on
     nuts = NUTS(bc.non_centred(model), dense_mass=True, target_accept_prob=0.95)
     MCMC(nuts, num_warmup=1000, num_samples=4000).run(key, **model_arguments(readings))
 
-Rate output y of reading i in run j, °/s (source 1, the line; runs and sizes assumed by us):
+Rate output y of reading i in run j, °/s (straight line in temperature: source 1; runs and sizes assumed by us):
 
     y_i = c0 + c1·(T_i − T0) + d_j + e_i,     d_j ~ N(0, s²),     e_i ~ N(0, σ²)
 """

@@ -1,10 +1,10 @@
-"""Zero-rate output of a MEMS gyro from the physics of its two resonances (source 1).
+"""Zero-rate output of a MEMS gyro from the physics of its two resonances.
 
 Drive mode x and sense mode y, per unit mass: `ẍ + b_d·ẋ + ω_d²·x = F(t)` and `ÿ + b_s·ẏ + ω_s²·y = −2Ω·ẋ`. Young's
 modulus decreases with temperature, `E(T) = E0·(1 − K_ET·(T−T0))`, and with it both stiffnesses. A quadrature error
 contributes to the zero-rate output through the same resonance denominator `D(T)` as the rate.
 
-Source: source 1 (mode equations, modulus); the K_ET values, the ratio and Q are ours.
+Mode equations and modulus: source 1; the values of K_ET, the frequency ratio and Q are assumed by us.
 """
 
 from __future__ import annotations
