@@ -28,12 +28,11 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import explained_sum_of_squares
-from bayescal._model.effect import CENTRAL_95
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
-Z_NOTE = "log Bayes factor: dependence over all readings against none; z: of the worst region alone, largest of many"
+Z_NOTE = "log Bayes factor: smooth dependence common to all runs; z: worst region's mean over its standard error"
 
 
 @dataclass(frozen=True)
@@ -167,9 +166,7 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
             f"the rms is {check.rms / check.noise:.1f} times that",
             "",
         ]
-    lines.append(check_table(rows) if rows else "no covariate varies")
-    if any(r["log_bayes_factor"] < 0 and abs(r["worst"]["z"]) > CENTRAL_95 for r in rows):
-        lines.append(Z_NOTE)
+    lines += [check_table(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
     depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
     lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {depends or 'none'}"))

@@ -94,7 +94,7 @@ def unknown_rows(
             extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at {place}"
             rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
-            means = [c["mean"] for c in coefficients if groups.get(c["name"]) == key]
+            means = [c["given"]["mean"] for c in coefficients if groups.get(c["name"]) == key]
             extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
             rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
@@ -135,7 +135,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
-    `given`: mean and sd conditional on inclusion. All values of a shape (a nonlinear parameter) are conditional.
+    `given`: mean and sd conditional on inclusion. All values of a hyperparameter are conditional.
 
     Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
@@ -144,7 +144,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         values = calibration.samples(u.name)
         is_present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
         subset = values[is_present] if is_present.sum() > 1 else values
-        values = subset if u.kind == "shape" else values  # absent, a shape has no value
+        values = subset if u.block is None else values  # absent, a hyperparameter has no value
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
         row = {

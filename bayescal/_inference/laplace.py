@@ -67,8 +67,8 @@ def find_mode(
     Args:
         starts: candidate starting points, coordinates of φ; default: prior draws.
         x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
-        xtol: convergence tolerance, prior standard deviations of φ, posterior of x; log evidence is to about xtol²/2.
-        start: additional starting point, φ by name, absent ones at prior medians; alone if a `FoundMode` of this φ.
+        xtol: tolerance of a step, in prior standard deviations of φ, posterior ones of x; log evidence is to xtol²/2.
+        start: additional starting point, φ by name, others at prior medians; a `FoundMode` of this φ is the only one.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         guess: curvature of a similar density, as a first estimate of the Hessian.
     """

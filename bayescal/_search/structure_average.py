@@ -69,9 +69,9 @@ def add_inadequacy(
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
     value = "unknown, taken as 0" if complete is None else f"{complete:.2f}"
     note = (
-        f"Model form: complete with probability P = {value}; predictions, corrections and budgets therefore have "
-        f"{factor:.2f} = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) times the standard uncertainty of the expected output. "
-        "Tables of coefficients do not."
+        f"Model inadequacy: the model is complete with probability P = {value}; predictions, corrections and budgets "
+        f"multiply the standard uncertainty of the expected output by √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = "
+        f"{factor:.2f}. Tables of coefficients do not include this factor."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _run_spreads(calibration, structures, structure)
