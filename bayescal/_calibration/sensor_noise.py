@@ -254,8 +254,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
     edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
-    random = np.random.default_rng(seed)
-    estimates = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
+    estimates = np.sqrt(draws * np.random.default_rng(seed).chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
     claims, step = list(sums.claims), runs.step / (sums.count or 1)
     if sums.count is None:
@@ -363,6 +362,10 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     """Compute the evidence of sums of noise terms for a channel at rest; draw the parameters of the probable sums."""
     runs = allan.even_runs(readings)
     columns, output, scale, claims = _list_columns(readings, runs)
+    if not np.ptp(columns[:, -1]) > 0:
+        raise InputError(
+            f"{readings.file}: the output is constant: the sensor or the logger is stuck"
+        )
     z, line = _find_line(output, runs)
     count = _count_readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.
@@ -596,7 +599,7 @@ def _list_columns(
         columns = np.column_stack([legvander(position, CURVE_DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
-        claims.append(Claim("noise.lost", share=runs.lost))
+        claims.append(Claim("noise.lost", share=100 * runs.lost))
     columns = columns - columns.mean(axis=0)
     fitted = columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
     return columns, columns[:, -1] - fitted, scale, claims

@@ -118,9 +118,7 @@ class EffectsCommand(AsJson, Command):
 class SimulateCommand(AsJson, Command):
     """Simulate a test campaign with hidden effects."""
 
-    example = (
-        "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out sim.csv"
-    )
+    example = "bayescal simulate --instrument mems_gyro --effect bias.thermal_lag=0.05 --out a.csv"
     instrument: str = Shared.instrument
     out: Path = opt("Output file (.csv).", ...)
     effect: Texts = opt("Effect to hide, name=size; repeatable.")
@@ -354,11 +352,12 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
         instrument, _, readings = request.open_request(self)
         names = self.structures or [name for name, _ in instrument.structures]
         effects = request.load_effects(self, instrument, readings)
+        if len(names) < 2:
+            raise InputError(f"give two structures or more (--structure), not {len(names)}")
         models = {}
         for name in names:  # "line+bias.thermal_lag"
-            structure, *effect_names = (part.strip() for part in name.split("+"))
             model_options = ReadRequest()
-            model_options.structure, model_options.add = structure, effect_names
+            model_options.structure, *model_options.add = (p.strip() for p in name.split("+"))
             model_options.reference_dcc = self.reference_dcc
             models[name] = request.compose(instrument, model_options, effects)
             models[name].require(readings)
@@ -452,7 +451,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                 "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
                 {name: result.data() for name, result in results.items()},
                 warning=warning,
-                drawn=folder is None or draw_safely(draw, folder),
+                drawn=folder is None or draw_safely(draw, folder),  # before `written` is listed
                 written=", ".join(map(str, written)),
             )
 

@@ -79,7 +79,7 @@ def find_mode(
         candidates = candidates[:5]
     priors = {h.name: h.prior for h in problem.hypers}
     if isinstance(start, FoundMode) and start.priors == priors:
-        v, precision = start.mode.v, np.linalg.pinv(start.mode.covariance)
+        v, precision = start.mode.v, np.linalg.pinv(np.nan_to_num(start.mode.covariance))
         candidates, guess = [v], HessianGuess(v, precision, not start.mode.indefinite)
     elif start:
         start_coordinates = np.zeros(dim)

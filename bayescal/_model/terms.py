@@ -152,7 +152,7 @@ class PriorDeviations:
         self, name: str, hyper: Mapping[str, Any], batch: tuple[int, ...] = ()
     ) -> Any:
         effect, index = self.weights_by_shape[name]
-        shapes = {name: hyper[f"{effect.name}.{name}"] for name in effect.weight_shapes}
+        shapes = {shape: hyper[f"{effect.name}.{shape}"] for shape in effect.weight_shapes}
         weights = xp.broadcast_to(effect.weights(**shapes), (*batch, len(effect.coefficients)))
         return xp.where(index >= 0, weights[..., index], 1.0)
 

@@ -118,9 +118,7 @@ def inputs_in_use(equation: OperatingEquation) -> list[Input]:
             "these are further apart), 0 at the start"
         )
         add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
-    for (
-        lag
-    ) in equation.nodes.lags:  # exports compute lags and their derivatives ∂lag/∂τ from a record
+    for lag in equation.nodes.lags:  # exports compute lags and ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}

@@ -236,10 +236,11 @@ def _fit_run(
         fit = linear_model.estimate_variances()
         step = fit.mean[:N_INTEGRATED] - closure.parameters
         size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
-        max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit)
+        cov = linear_model.covariance(fit.bias_variance, fit.angle_variance)
+        max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit, cov)
         for _ in range(MAX_STEP_HALVINGS if size >= CONVERGENCE_SD else 0):
             candidate = _integrate_moves(path, force, closure.parameters + step)
-            if _LinearModel.build(session, candidate, outliers).weighted_rss(fit) < max_rss:
+            if _LinearModel.build(session, candidate, outliers).weighted_rss(fit, cov) < max_rss:
                 closure = candidate
                 break
             step = 0.5 * step
@@ -368,11 +369,10 @@ class _LinearModel(NamedTuple):
             best[i] = float(candidates @ np.exp(density - logsumexp(density)))
         return self.estimate(best[0], best[1])
 
-    def weighted_rss(self, fit: _Estimate) -> float:
+    def weighted_rss(self, fit: _Estimate, covariance: Float[np.ndarray, "n n"]) -> float:
         """Return the weighted rss with the parameters of this model's integration, and the others of `fit`."""
         values = np.concatenate([self.closure.parameters, fit.mean[N_INTEGRATED:]])
         residuals = self.output - self.design @ values
-        covariance = self.covariance(fit.bias_variance, fit.angle_variance)
         squares = residuals @ np.linalg.solve(covariance, residuals)
         return float(squares + np.sum(((values - self.session.prior_mean) / PRIOR_SD) ** 2))
 

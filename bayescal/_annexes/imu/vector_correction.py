@@ -63,15 +63,15 @@ class CorrectedVector:
         roll, across = np.arctan2(y, z), np.hypot(y, z)
         roll_sd = self._propagate(np.array([0 * x, np.cos(roll), -np.sin(roll)]))
         pitch_slope = np.array([-across, x * np.sin(roll), x * np.cos(roll)]) / (x**2 + across**2)
-        with np.errstate(
-            divide="ignore"
-        ):  # where x is vertical, the uncertainty of roll is infinite
-            tilt = {"roll": (roll, roll_sd / across)}
-        return tilt | {"pitch": (np.arctan2(-x, across), self._propagate(pitch_slope))}
+        roll_sd = np.divide(roll_sd, across, np.full_like(across, np.inf), where=across > 0)
+        return {
+            "roll": (roll, roll_sd),
+            "pitch": (np.arctan2(-x, across), self._propagate(pitch_slope)),
+        }
 
     def _propagate(self, gradient: Float[np.ndarray, "3 n"]) -> np.ndarray:
         """Return the standard uncertainty of a quantity with a gradient in f̂."""
-        return np.sqrt(np.einsum("in,nij,jn->n", gradient, self.covariance, gradient))
+        return np.sqrt(np.abs(np.einsum("in,nij,jn->n", gradient, self.covariance, gradient)))
 
 
 @dataclass(frozen=True, eq=False)

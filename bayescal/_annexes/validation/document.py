@@ -54,8 +54,8 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
             footer = [""] * (LINES + 1 - len(lines)) + [f"{TITLE}, page {i} of {len(pages)}"]
             for k, line in enumerate([*lines, *footer], 1):
                 y = 1 - (MARGIN + k * LINE_INCHES) / HEIGHT
-                colour = "#a33c00" if line.endswith("FAILED") else "black"
-                weight = "bold" if line in bold or line.endswith("FAILED") else "normal"
+                colour = "#a33c00" if "FAILED" in line else "black"
+                weight = "bold" if line in bold or "FAILED" in line else "normal"
                 text_style = {"fontsize": POINTS, "weight": weight, "color": colour}
                 figure.text(MARGIN / WIDTH, y, line, **text_style)
             pdf.savefig(figure)

@@ -63,24 +63,24 @@ class PageWorker:
         """
 
         def work() -> None:
-            result, error = None, ""
+            result, error, is_skipped = None, "", not is_current()
             try:
-                result = job() if is_current() else None
+                result = None if is_skipped else job()
             except bc.BayescalError as caught:
-                error = str(caught)
+                error = str(caught) or type(caught).__name__
             except Exception as caught:
                 logging.getLogger("bayescal").error("in the workbench", exc_info=caught)
                 error = f"{type(caught).__name__}: {caught}"
-            self.on_page(lambda: finish(result, error))
+            self.on_page(lambda: finish(result, error, is_skipped))
 
-        def finish(result: Any, error: str) -> None:
+        def finish(result: Any, error: str, is_skipped: bool) -> None:
             if status:
                 self._under_way.remove(entry)
                 self._follow()
             if error and is_current():
                 self._tell(error, True)
                 failed()
-            elif is_current():
+            elif is_current() and not is_skipped:
                 then(result)
 
         entry = status, changes
