@@ -599,7 +599,7 @@ def _list_columns(
         columns = np.column_stack([legvander(position, CURVE_DEGREE)[:, 1:], columns])
         claims.append(Claim("noise.temperature", "temperature", degree=CURVE_DEGREE))
     if runs.lost:
-        claims.append(Claim("noise.lost", share=100 * runs.lost))
+        claims.append(Claim("noise.lost", share=runs.lost))
     columns = columns - columns.mean(axis=0)
     fitted = columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
     return columns, columns[:, -1] - fitted, scale, claims

@@ -20,8 +20,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from bayescal._inference.chebyshev import values_to_coefficients
-
 NODES = 9  # Chebyshev nodes of a box
 MAX_BOX_WIDTH_SD = 1.2  # of the largest box, prior standard deviations of a shape
 MAX_HALVINGS = 7  # of the box width, at most
@@ -39,6 +37,22 @@ MAX_CACHED_POINTS = 8  # cached Taylor series
 _NUMBERS = itertools.count()
 _ORDERS = np.arange(NODES)
 _TEST_POINTS = np.array([-0.93, -0.31, 0.47, 0.98])  # where a series is tested, in half widths
+
+
+@cache
+def values_to_coefficients(count: int) -> Float[np.ndarray, "k c"]:
+    """Return the matrix that maps values at Chebyshev nodes to Chebyshev coefficients (a discrete cosine transform)."""
+    scale = np.where(np.arange(count) == 0, 1, 2)[:, None] / count
+    return scale * chebvander(chebpts1(count), count - 1).T
+
+
+def lagrange_at_nodes(
+    low: float, high: float, count: int, x: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "c"], Float[np.ndarray, "n c"]]:
+    """Return the Chebyshev nodes on [low, high] (c,) and their Lagrange polynomials at x (n, c)."""
+    centre, half_width = 0.5 * (low + high), 0.5 * (high - low)
+    lagrange = chebvander((x - centre) / half_width, count - 1) @ values_to_coefficients(count)
+    return centre + half_width * chebpts1(count), lagrange
 
 
 class Factors(NamedTuple):

@@ -29,7 +29,7 @@ from scipy.fft import dct
 from scipy.linalg import block_diag
 
 from bayescal._data.records import EVEN_STEPS
-from bayescal._inference.chebyshev import lagrange_at_nodes
+from bayescal._inference.expansion import lagrange_at_nodes
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import compute_eigenvalues, transform_end
 

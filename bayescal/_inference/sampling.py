@@ -39,7 +39,11 @@ KERNEL_COUNT = 256  # mixture components, around resampled draws
 MIN_KERNEL_COUNT = 128  # in up to three dimensions
 KERNEL_WIDTH = 0.7  # width of a component, in standard deviations of φ: the mixture has heavier tails than the target
 # Limits of the ratio of the target's width along an axis to the Laplace approximation's.
-AXIS_WIDTH_LIMITS = 0.25, 4.0
+AXIS_WIDTH_LIMITS = 0.25, 4.0  # per round
+WIDTH_ROUNDS = 2  # in which the widths are adapted
+AXIS_INFLATION = (
+    1.15  # of the widths: a proposal somewhat wider than the target has lighter weights
+)
 WIDE_RATIO = 1.7  # width of the defensive component over the Laplace approximation's
 PRIOR_WEIGHT = 0.2  # probability of proposals from the prior: no weight exceeds likelihood over 0.2 times evidence
 # Weights of the prior and of the kernel at the mode if each proposal costs a pass over the readings.
@@ -124,11 +128,15 @@ class Mixture(NamedTuple):
             terms *= -half
             kernel_sums[start : start + DISTANCE_BATCH_DRAWS] = np.exp(terms, out=terms) @ counts
         # Far away the kernels underflow to zero: the defensive component dominates.
-        log_kernels = np.log(kernel_sums / len(self.centres) + 1e-300) - _get_log_volume(self.chol)
+        log_kernels = (
+            np.log(kernel_sums / len(self.centres) + 1e-300) - np.linalg.slogdet(self.chol)[1]
+        )
         down, up = self.widths
         z = _whiten(self.axes, v - self.middle)
         log_wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / dof)
-        log_wide -= _get_log_volume(self.axes) + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
+        log_wide -= np.linalg.slogdet(self.axes)[1] + np.sum(
+            np.log(0.5 * (down + up) * np.ones(dim))
+        )
         return norm + np.logaddexp(
             log_kernels + math.log1p(-self.split_weight), log_wide + math.log(self.split_weight)
         )
@@ -136,10 +144,6 @@ class Mixture(NamedTuple):
 
 def _whiten(chol: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.linalg.solve(chol, v.T).T if chol.size else v
-
-
-def _get_log_volume(axes: np.ndarray) -> float:
-    return float(np.linalg.slogdet(axes)[1])
 
 
 class BatchedDensity:
@@ -362,19 +366,22 @@ def draw_weighted(
 
 
 def _make_axis_mixture(density: BatchedDensity) -> Mixture:
-    """Return a split-t proposal at the mode, with two widths along each principal axis.
+    """Return a split-t proposal at the mode, with two widths along each axis: columns of a Cholesky factor.
 
-    The widths match the density two Laplace standard deviations from the mode, where a Gaussian is two nats lower. The
-    degrees of freedom grow with the dimension, so that draws and target have similar distances from the mode.
+    The coordinates of largest variance, whose densities are the most skewed, come first; the others follow by
+    regression. The widths match the density two standard deviations from the mode, where a Gaussian is two nats lower.
+    The degrees of freedom grow with the dimension, so that draws and target have similar distances from the mode.
     Source: H. Rue, S. Martino and N. Chopin, J. R. Stat. Soc. B 71 (2009) 319, §6.5 (axes explored for INLA).
     """
     mode, dim = density.mode, len(density.mode.v)
-    variances, vectors = np.linalg.eigh(mode.covariance)
-    axes = vectors * np.sqrt(variances)
-    ends = mode.v + np.concatenate([-2 * axes.T, 2 * axes.T])
-    drop = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
-    down, up = np.clip(np.sqrt(2 / drop), *AXIS_WIDTH_LIMITS)
-    root = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
+    order = np.argsort(-np.diag(mode.covariance), kind="stable")
+    axes, widths = np.zeros((dim, dim)), np.ones((2, dim))
+    axes[order] = np.linalg.cholesky(mode.covariance[np.ix_(order, order)])
+    for _ in range(WIDTH_ROUNDS):
+        ends = mode.v + np.concatenate([-2 * (axes * widths[0]).T, 2 * (axes * widths[1]).T])
+        drop = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
+        widths *= np.clip(np.sqrt(2 / drop), *AXIS_WIDTH_LIMITS)
+    root, (down, up) = WIDE_RATIO * np.linalg.cholesky(mode.covariance), AXIS_INFLATION * widths
     return Mixture(mode.v[None], root, mode.v, axes, 1 - KERNEL_WEIGHT, (down, up), T_DOF + dim)
 
 
@@ -419,15 +426,13 @@ def _fill_pool(
 
 
 def choose_proposal_count(density: BatchedDensity) -> int:
-    """Return the number of proposals to draw, smaller if each costs a pass over many readings."""
-    problem, is_costly = density.problem, density.table is None
-    is_long = problem.record.size > MIN_COSTLY_READINGS
-    if is_costly and (is_long or not problem.noise.gaussian):
+    """Return the number of proposals to draw; if each costs a pass over the readings, batches are added as needed."""
+    problem = density.problem
+    if density.table is None:
         return MIN_PROPOSALS
-    if is_costly or problem.size > 100:
-        return MEDIUM_PROPOSALS
-    is_closed_form = density.is_exact and problem.is_affine
-    return MEDIUM_PROPOSALS if is_long and not is_closed_form else MAX_PROPOSALS
+    is_long = problem.record.size > MIN_COSTLY_READINGS
+    is_costly = is_long and not (density.is_exact and problem.is_affine)
+    return MEDIUM_PROPOSALS if is_costly or problem.size > 100 else MAX_PROPOSALS
 
 
 def _draw_coefficients(
