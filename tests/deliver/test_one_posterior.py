@@ -199,11 +199,11 @@ def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
         assert screen[row.name] == with_error(row.value, row.uncertainty)
         words = f"{row.value:.9g} +- {row.uncertainty:.3g}"
         assert words in c and words in python and repr(row.value) in c and repr(row.value) in python
-    # Coefficients are the correction in other words, where a new run brings nothing of its own.
-    coefficients = on_screen(trail)
+    # Coefficients are the correction in other words, where a new run brings nothing; u of the form is the correction's.
+    coefficients, form = on_screen(trail), trail.calibration.form_factor
     for i, a in enumerate("xyz"):
         factor = 1e-3 if correct.unit == "g" else 1.0  # mg
-        offset = correct.offset[i] / factor, correct.uncertainty[0, i] / factor
+        offset = correct.offset[i] / factor, correct.uncertainty[0, i] / (factor * form)
         assert with_error(*offset) == coefficients[f"bias.constant[{a}]"]
     # Where nothing acts, what is corrected is the offset.
     found = correct(correct.offset[None], correct.reference, noise=0.0)
