@@ -167,7 +167,7 @@ def test_without_promotion_weights_are_rejected_and_the_fallback_is_right(lever)
     assert found.layout.promoted == ()
     assert found.verdict.sampler == "NUTS on whitened unknowns"
     (note,) = found.verdict.notes
-    assert "too strong for the linearised posterior" in note
+    assert "too nonlinear for importance weights" in note
     assert float(note.partition("k̂ = ")[2].partition(",")[0]) > 0.5
     assert_exact(found, exact_moments(lever), 0.5 * effective(found))
 
@@ -182,7 +182,7 @@ def test_long_nuts_agrees_with_the_grid(lever) -> None:
 def test_strongly_nonlinear_model_falls_back_to_nuts_and_is_right(valve) -> None:
     found = bc.fit(VALVE.baseline(), valve)
     assert found.verdict.sampler == "NUTS on whitened unknowns"
-    assert any("too strong for the linearised posterior" in note for note in found.verdict.notes)
+    assert any("too nonlinear for importance weights" in note for note in found.verdict.notes)
     assert found.verdict.ok
     reference = bc.fit(VALVE.baseline(), valve, bc.NUTS(draws=2500), seed=3)
     ours, theirs = found.samples("opening.run"), reference.samples("opening.run")
