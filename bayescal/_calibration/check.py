@@ -266,24 +266,24 @@ def check(calibration: Calibration) -> Check:
     )
 
 
-def why_not(calibration: Calibration) -> str:
-    """Return the reasons why a calibration is not fit for use, or ""; run the acceptance checks if not done yet."""
+def why_not(calibration: Calibration, checks: Check | None = None) -> str:
+    """Return why a calibration is not fit for use, or ""; run acceptance checks not done yet (`checks`: residual)."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
     attributes = vars(calibration)  # cached with the other computed attributes
     if "why_not" not in attributes:
         no_noise = judgement.explain_missing_noise(calibration)
-        attributes["why_not"] = no_noise or " ".join(_list_failures(calibration))
+        attributes["why_not"] = no_noise or " ".join(_list_failures(calibration, checks))
     return attributes["why_not"]
 
 
-def _list_failures(calibration: Calibration) -> Sequence[judgement.Claim]:
+def _list_failures(calibration: Calibration, checks: Check | None) -> Sequence[judgement.Claim]:
     if claims := judgement.contradictions(calibration, noise_floor(calibration)):
         return claims
     mode_claims = tuple(judgement.multimodality(calibration))
-    options = {"leave_one_group_out": leave_one_group_out(calibration), "mode_claims": mode_claims}
-    return judgement.failures(judgement.Subject(calibration, check=check(calibration), **options))
+    results = checks or check(calibration), leave_one_group_out(calibration), mode_claims
+    return judgement.failures(judgement.Subject(calibration, (), *results))
 
 
 def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:

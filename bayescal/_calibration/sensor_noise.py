@@ -411,9 +411,9 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         imputations.append(_sample_sums(channel, fits, seed + k))
         best = imputations[-1][0][0]
         model, parameters = best.model, {n: d[:1, None] for n, d in best.draws.items()}
-        residuals = columns[:, -1] - columns[:, :-1] @ channel.spectrum.regress(model, parameters)
         if time_limit.over:
             break
+    residuals = columns[:, -1] - columns[:, :-1] @ channel.spectrum.regress(model, parameters)
     # The mixture over imputations of lost readings.
     imputations = imputations[-(IMPUTATIONS - 1) :]
     for _, probabilities in imputations:

@@ -295,7 +295,7 @@ class CheckCommand(DefinitionOptions, AsJson, Command):
         calibration = request.load_saved(self.calibration, self)
         from bayescal._calibration.check import why_not
 
-        checked, why = bc.check(calibration), why_not(calibration)
+        why = why_not(calibration, checked := bc.check(calibration))
         rows = [{"step": 0, **row} for row in checked.data()]
         return Answer(f"{checked}\nverdict: {'NOT ' if why else ''}fit for use", rows, why=why)
 

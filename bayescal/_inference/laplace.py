@@ -49,7 +49,7 @@ class FoundMode(dict[str, float]):
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         super().__init__((name, float(value)) for name, value in problem.hyper(mode.v).items())
-        self.mode, self.priors = mode, {h.name: h.prior for h in problem.hypers}
+        self.mode, self.priors = mode, problem.priors
 
 
 @run_on_one_thread
@@ -77,13 +77,12 @@ def find_mode(
     candidates = draw_starts(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # unimodal
         candidates = candidates[:5]
-    priors = {h.name: h.prior for h in problem.hypers}
-    if isinstance(start, FoundMode) and start.priors == priors:
+    if isinstance(start, FoundMode) and start.priors == problem.priors:
         v, precision = start.mode.v, np.linalg.pinv(np.nan_to_num(start.mode.covariance))
         candidates, guess = [v], HessianGuess(v, precision, not start.mode.indefinite)
     elif start:
         start_coordinates = np.zeros(dim)
-        for i, (name, prior) in enumerate(priors.items()):
+        for i, (name, prior) in enumerate(problem.priors.items()):
             start_coordinates[i] = prior.coordinate(start[name]) if name in start else 0.0
         candidates = [start_coordinates, *candidates]
 

@@ -184,6 +184,11 @@ class Problem:
         is_affine = self.is_affine
         return tuple(t for t in self.terms if not is_affine or t.place != "x" or t.columns.names)
 
+    @cached_property
+    def priors(self) -> dict[str, Any]:
+        """Return the priors of φ's coordinates, by name."""
+        return {h.name: h.prior for h in self.hypers}
+
     def clear_cache(self) -> None:
         """Drop the cached Jacobian."""
         vars(self).pop("_static_jacobian", None)

@@ -41,9 +41,7 @@ KERNEL_WIDTH = 0.7  # width of a component, in standard deviations of φ: the mi
 # Limits of the ratio of the target's width along an axis to the Laplace approximation's.
 AXIS_WIDTH_LIMITS = 0.25, 4.0  # per round
 WIDTH_ROUNDS = 2  # in which the widths are adapted
-AXIS_INFLATION = (
-    1.15  # of the widths: a proposal somewhat wider than the target has lighter weights
-)
+AXIS_INFLATION = 1.15  # of the widths: weights of too narrow a proposal have heavy tails
 WIDE_RATIO = 1.7  # width of the defensive component over the Laplace approximation's
 PRIOR_WEIGHT = 0.2  # probability of proposals from the prior: no weight exceeds likelihood over 0.2 times evidence
 # Weights of the prior and of the kernel at the mode if each proposal costs a pass over the readings.
@@ -128,15 +126,12 @@ class Mixture(NamedTuple):
             terms *= -half
             kernel_sums[start : start + DISTANCE_BATCH_DRAWS] = np.exp(terms, out=terms) @ counts
         # Far away the kernels underflow to zero: the defensive component dominates.
-        log_kernels = (
-            np.log(kernel_sums / len(self.centres) + 1e-300) - np.linalg.slogdet(self.chol)[1]
-        )
+        volumes = np.linalg.slogdet(np.stack([self.chol, self.axes]))[1]  # logarithms
+        log_kernels = np.log(kernel_sums / len(self.centres) + 1e-300) - volumes[0]
         down, up = self.widths
         z = _whiten(self.axes, v - self.middle)
         log_wide = -half * np.log1p(np.sum((z / np.where(z < 0, down, up)) ** 2, axis=1) / dof)
-        log_wide -= np.linalg.slogdet(self.axes)[1] + np.sum(
-            np.log(0.5 * (down + up) * np.ones(dim))
-        )
+        log_wide -= volumes[1] + np.sum(np.log(0.5 * (down + up) * np.ones(dim)))
         return norm + np.logaddexp(
             log_kernels + math.log1p(-self.split_weight), log_wide + math.log(self.split_weight)
         )

@@ -412,7 +412,7 @@ def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> H
     """Map the Hessian at the mode of a source problem to a target problem, in the coordinates that they share."""
     if not np.all(np.isfinite(mode.covariance)):
         return None
-    names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in problem.hypers}
+    names, priors = problem.layout.index_in_phi, problem.priors
     shared = [(i, h.name) for i, h in enumerate(source.hypers) if priors.get(h.name) == h.prior]
     rows, target = np.array([(i, names[n]) for i, n in shared], dtype=int).reshape(-1, 2).T
     count = len(names)

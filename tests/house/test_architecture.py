@@ -233,7 +233,7 @@ CEILINGS = {
     "bayescal/_data": 4_085,
     "bayescal/_model": 5_313,
     "bayescal/effects": 651,
-    "bayescal/_inference": 5_969,
+    "bayescal/_inference": 5_968,
     "bayescal/_calibration": 4_432,
     "bayescal/_use": 2_739,
     "bayescal/_search": 5_629,
