@@ -13,6 +13,26 @@ The public names stand in `__init__.pyi`, grouped by what they are for. Each loa
 `import bayescal` and `bayescal --help` cost nothing.
 """
 
+# Terms, and the files and names below bayescal/ that define them; tests/house/test_map.py holds each.
+# | Allan deviation | `_data/allan_deviation.py` `allan_deviation` |
+# | checkpoint, resumed session | `_annexes/workbench/session_store.py` `save_session` |
+# | collinear, equivalent effects | `_search/equivalence.py` `Equivalent`, `_core/null_space.py` `Spans` |
+# | conformity, tolerance limits, guard band | `_annexes/metrology/conformity.py`, `_annexes/metrology/decide.py` |
+# | convergence diagnostics | `_inference/trust.py` `judge_chains` |
+# | coverage factor, sensitivity coefficient | `_use/budget.py` `Contribution`, `budget` |
+# | credible interval | `_calibration/summary.py` `unknown_rows` |
+# | degrees of freedom of the noise | `_inference/least_squares.py` `LeastSquares` |
+# | evidence, marginal likelihood, Laplace approximation | `_inference/laplace.py` `find_mode` |
+# | hold-out test | `_calibration/predict.py` `HoldoutTest` |
+# | importance weight, effective sample size | `_core/importance_weights.py` `smoothed`, `effective_size` |
+# | leave-one-out, leave-one-group-out | `_calibration/compare.py` `compare`, `_calibration/leave_group_out.py` |
+# | misspecification, inadequacy | `_calibration/check.py` `check`, `_search/structure_average.py` `add_inadequacy` |
+# | outlier, spike | `_data/set_aside.py` `set_aside` |
+# | prior | `_model/prior.py` `Normal` |
+# | residual | `_calibration/check.py` `check` |
+# | tolerance of a solver, xtol, ftol | `_inference/laplace.py` `XTOL_SD`, `_inference/newton.py` `FTOL_NATS` |
+# | whitening | `_inference/noise_on_record.py` `whitening`, `_inference/linear_model.py` `LinearModel` |
+
 import lazy_loader
 
 from bayescal._core import lazy_jax as lazy_jax  # sets JAX up once it is imported

@@ -221,7 +221,7 @@ INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an in
 
 @run_on_one_thread
 def check(calibration: Calibration) -> Check:
-    """Check a fitted model's residuals: dependence on covariates, autocorrelation, outliers, normality.
+    """Check residuals for misspecification: dependence on covariates, autocorrelation, outliers, non-normality.
 
     With fixed coefficients, the reference noise is that of a refit with free ones: misfit would inflate it.
     """

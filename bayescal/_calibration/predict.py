@@ -1,4 +1,4 @@
-"""Predictions of a calibrated model with their uncertainty; hold-out tests."""
+"""Predictions of a calibrated model with their uncertainty; hold-out tests of these predictions."""
 
 from __future__ import annotations
 

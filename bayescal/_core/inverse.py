@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-MAX_NEWTON_STEPS = 20  # quadratic convergence needs few
+MAX_NEWTON_STEPS = 20  # few are needed: the error decreases quadratically
 MAX_ROUNDING_ERRORS = 1e4  # tolerance of a solution, in rounding errors of the output
 
 

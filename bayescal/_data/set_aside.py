@@ -1,4 +1,4 @@
-"""Exclusion of faulty readings before a calibration: clipped or stuck ones, spikes, wrong temperatures.
+"""Exclusion of faulty readings before a calibration: outliers (spikes), clipped or stuck ones, wrong temperatures.
 
 Spikes of the output, single readings far from both neighbours, are faults of the record and not of the sensor; one can
 outweigh thousands of readings. Where a thermometer that the model needs has a spike, repeats a value, is stuck or

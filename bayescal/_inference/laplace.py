@@ -1,4 +1,4 @@
-"""Mode of a model: φ̂ by marginal likelihood, x̂ given φ̂ by Gauss–Newton, and the Laplace approximation.
+"""Mode and log evidence of a model, by the Laplace approximation: φ̂ by marginal likelihood, x̂ by Gauss–Newton.
 
 The joint density of coefficients and their standard deviation is unbounded at zero deviation; the marginal of φ is not.
 """

@@ -57,8 +57,8 @@ def add_inadequacy(
     """Return a calibration with the uncertainty of model inadequacy and of undetected deviations of new runs.
 
     If the model is complete, the expected output has the variance of the draws; if not, `INCOMPLETE_FACTOR`² times as
-    much (model inadequacy: M. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). New runs have the deviations
-    that the few fitted runs cannot exclude.
+    much (inadequacy, or misspecification: M. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). New runs have
+    the deviations that the few fitted runs cannot exclude.
 
     Args:
         calibration: a calibration of one structure, or averaged over several.

@@ -2,8 +2,8 @@
 
 Two tables split the same variance, correlations included:
 
-- *by coefficient*: sensitivity c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u², which adds up
-  to one and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
+- *by coefficient*: sensitivity coefficient c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u²;
+  shares add up to one, and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
 - *by source*: origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
   between-run deviations (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
   between-group standard deviations and nonlinear parameters, has its own row.

@@ -11,8 +11,8 @@
 
 A row is (canonical name `slot.cause`, factory, plausible size, unit) or these and a source that replaces the table's.
 The plausible size is the standard deviation of the prior or, for a group standard deviation, the scale of its prior.
-`make_common_effects` builds the effects of quantities that every test records: temperature, time, supply voltage. Of
-two rows with the same name the first is used. `effect` makes the factory of an effect of one instrument from a basis,
+`make_common_effects` builds the effects of quantities that every test records: temperature, time, supply voltage. If
+two rows have the same name, the first is used. `effect` makes the factory of an effect of one instrument from a basis,
 `family` that of an effect on several slots with the same basis. An effect whose coefficients have different sizes
 stands in the table as an `Effect`.
 """
@@ -131,7 +131,7 @@ def thermal_lag(
     Args:
         low, high: limits of the time constant τ, s.
         start, start_unit: plausible contribution of the lag at the start of a run, and its unit.
-        rate: size and unit of c·dT/dt, the alternative form for short τ, and its source; no such form if empty.
+        rate: size, unit and source of c·dT/dt, the alternative form for short τ; empty: no such form.
         options: further options of `effects.thermal_lag`.
     """
 
@@ -177,7 +177,7 @@ def make_common_effects(
         order: highest power of the temperature; the fourth is nearly collinear with the second.
         causes: effects to build, named without the slot; all if empty.
         per: group with one coefficient per member; None: one coefficient.
-        source: template of the source text; its two fields take the fraction of `size` and the condition for it.
+        source: template of the source text, with two {} fields: the fraction of `size`, and the condition for it.
     """
     source = source or f"ours: {{:g}} of {size:g} {unit}{{}}"
     half, q, slope = 0.5 * size, 0.25 * size, f"{unit}/degC"

@@ -1,4 +1,4 @@
-"""ARCHITECTURE.md is a map of what is there: the files and names that its tables give exist.
+"""ARCHITECTURE.md and the index of terms are maps of what is there: the files and names in their tables exist.
 
 A row of a table names places in its last cell: a file, then names in it.
 """
@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-ROWS = [line for line in PAGE.splitlines() if re.match(r"\|.*`.*\|$", line)]
+PAGES = [(ROOT / name).read_text("utf-8") for name in ("ARCHITECTURE.md", "bayescal/__init__.py")]
+ROWS = [line for page in PAGES for line in page.splitlines() if re.match(r"(# )?\|.*`.*\|$", line)]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("|")[1].strip().replace("*", ""))
@@ -24,5 +24,5 @@ def test_a_row_names_what_is_there(row: str) -> None:
             text = (below if below.exists() else ROOT / quoted).read_text("utf-8")
         else:
             defined = rf"^(?:class |def )?{quoted}\b"
-            assert re.search(defined, text, re.MULTILINE), f"ARCHITECTURE.md: no {quoted} there"
+            assert re.search(defined, text, re.MULTILINE), f"{row}: no {quoted} there"
     assert text, "name a place"

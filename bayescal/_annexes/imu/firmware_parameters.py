@@ -11,7 +11,7 @@ calc_thermal_offsets_3D, and temp_comp_params_gyro_0.yaml and similar files): fo
     corrected = raw − (X0_a + X1_a·d + X2_a·d² + X3_a·d³),   d = clip(T, TMIN, TMAX) − TREF,
 
 applied where TC_Gn_ID is the sensor's device_id and TC_G_ENABLE is 1. An accelerometer's X0 is 0, as in
-PX4's own calibration (temperature_calibration/accel.cpp): at rest its constant is collinear with gravity.
+PX4's own calibration (temperature_calibration/accel.cpp): at rest its constant is an alias of gravity.
 
 ArduPilot (ardupilot, libraries/AP_InertialSensor/AP_InertialSensor_tempcal.cpp, polynomial_eval and
 correct_sensor): for IMU n = 1, 2, 3, in rad/s and m/s² with coefficients in millionths,

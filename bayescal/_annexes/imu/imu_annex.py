@@ -54,8 +54,8 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         undetermined = bc.undetermined(model, readings)
         if undetermined.add:
             ws.print_notes([str(undetermined)])
-        # Chains would explore the priors of unidentified directions for minutes; without residual degrees of freedom
-        # to estimate the noise, so would draws.
+        # Chains would explore the priors of unidentified directions for minutes. With no more readings than
+        # coefficients the noise is not estimated, and importance sampling would explore its prior.
         has_no_dof = len(readings) <= sum(len(e.coefficients) for e in model.effects)
         method = bc.LeastSquares() if has_no_dof else bc.Marginal(chains=not undetermined.add)
         max_effects = 0 if self.baseline or has_no_dof else MAX_EFFECTS_ADDED

@@ -55,7 +55,7 @@ MAX_ITERATIONS = 60  # integrations; four suffice for a matrix with errors of a 
 MAX_STEP_HALVINGS = 10  # of a step that increases the residual sum of squares (rss)
 MAX_RSS_RATIO = 1.01  # of an accepted step's rss to the one before; the Jacobian is of first order
 MAX_MATRIX_DEVIATION = 0.5  # of an entry from nominal: above it a wrong unit or axis
-CONVERGENCE_SD = 0.01  # largest last step, in standard uncertainties
+XTOL_SD = 0.01  # largest last step, in standard uncertainties
 OUTLIER_PROBABILITY = 0.01  # family-wise, that a move or pose without error is set aside
 MAX_OUTLIER_FRACTION = 0.2  # of the moves
 # Prior standard deviations of bias (rad/s), matrix, sensitivity to specific force (rad/s/g) and to squared rate (s/rad)
@@ -238,7 +238,7 @@ def _fit_run(
         size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
         cov = linear_model.covariance(fit.bias_variance, fit.angle_variance)
         max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit, cov)
-        for _ in range(MAX_STEP_HALVINGS if size >= CONVERGENCE_SD else 0):
+        for _ in range(MAX_STEP_HALVINGS if size >= XTOL_SD else 0):
             candidate = _integrate_moves(path, force, closure.parameters + step)
             if _LinearModel.build(session, candidate, outliers).weighted_rss(fit, cov) < max_rss:
                 closure = candidate
@@ -255,7 +255,7 @@ def _fit_run(
                     f"their scatter. {MOVES_ADVICE}"
                 )
     deviation = np.max(np.abs(closure.parameters - origin)[3:])
-    if size >= CONVERGENCE_SD or not deviation < MAX_MATRIX_DEVIATION:
+    if size >= XTOL_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over the moves are inconsistent with the poses for any matrix: make smaller turns "
             f"between poses, with turns about all three axes, and hold each pose longer. {MOVES_ADVICE}"

@@ -14,7 +14,7 @@ class Campaign:
         temperatures: soak temperatures of the chamber, °C.
         runs: number of runs, each with a new mounting.
         soak: time before the first position at a temperature, s.
-        dwell: time between readings, s.
+        dwell: time between positions, s.
         noise: standard deviation of the noise of a reading, µg.
         thermometer_noise: standard deviation of the measured temperature about the set point, °C.
     """

@@ -4,16 +4,17 @@ Measurement equation, output in µg of nominal scale (volts become µg by the no
 
     output = K0 + (1 + κ)·g·aᵢ + K2·aᵢ² + K3·aᵢ³ + Kip·aᵢ·aₚ,      aᵢ = sin(θ + ψ),  aₚ = cos(θ + ψ), in g
 
-θ is set on the head (column `position_angle`), whose axis lies level; ψ is the zero of the head with the tilt of the
-fixture and of the input axis about that axis, which one mounting does not separate. A tilt η of the head's axis with a
-tilt β of the input axis along it adds g·sin β·sin η: below 1 µg for 1 mrad each, and an exact alias of K0; so is
-1 − cos β of κ. K0 is not multiplied by 1 + κ.
+θ is the set angle of the head (column `position_angle`), whose axis is level. ψ is the sum of the head's zero error and
+the tilts of fixture and input axis about the head's axis, which one mounting does not separate. A tilt η of the head's
+axis together with a tilt β of the input axis along it adds g·sin β·sin η, 1 µg for 1 mrad each, an exact alias of K0;
+the factor cos β is an alias of κ. K0 is not multiplied by 1 + κ.
 
 Slots: `bias` = K0, µg; `scale` = κ; `zero` = ψ, rad; `second_order` = K2 and `cross_coupling` = Kip, µg/g²;
-`third_order` = K3, µg/g³. Plausible sizes are those of a quartz-flexure accelerometer (Q-flex): bias 4 mg, 30 µg/°C,
-180 ppm/°C, misalignment 2 mrad. K2 contributes cos 2θ and a constant, Kip sin 2θ, K3 sin 3θ: eight or more positions
-separate them from K0, κ and ψ, four do not. A dividing error of one period per turn is an exact alias of K2 and Kip for
-any number of positions: both are reported; a head of known error, or an inverted device, separates them.
+`third_order` = K3, µg/g³; `gravity`, a relative deviation of aᵢ and aₚ. Plausible sizes are those of a quartz-flexure
+accelerometer (Q-flex): bias 4 mg, 30 µg/°C, 180 ppm/°C, misalignment 2 mrad. K2 contributes cos 2θ and a constant, Kip
+sin 2θ, K3 sin 3θ: eight or more positions separate them from K0, κ and ψ, four do not. A dividing error of one period
+per turn is an exact alias of K2 and Kip for any number of positions; a head of known error, or an inverted device,
+separates them.
 
 `zero.temperature` is a fixture tilt that depends on temperature, `zero.harmonic` the head's dividing error.
 

@@ -32,9 +32,9 @@ class Conditions:
 
     Attributes:
         angle: set angle θ, rad.
-        time, run_time: time since the start of the test, and of the run, s.
-        temperature, departure: device temperature, and the same minus T0, the mean rounded to 1 °C, °C.
-        run, run_deviates: run index, from 0; standard normal deviates of each run, by slot.
+        time, run_time: time since the start of the test and since the start of the run, s.
+        temperature: measured temperature of the device, °C; departure: T − T0, °C, T0 the mean of T rounded to 1 °C.
+        run: run index, from 0; run_deviates: slot → standard normal deviates, constant within a run.
         approach: +1 if the temperature was reached from below, −1 from above, 0 at the first set point.
     """
 

@@ -6,16 +6,16 @@ commanded acceleration along the arm (µg, outward):
 
     output = s·(1 + κ)·[a·(1 + ρ) − δ·da/dt] + bias + ε·(g + r·dΩ/dt) + λd·u + v,       a = Ω²·r
 
-κ is `scale`, ρ `input`, δ `timing`, ε `misalignment`; u is `environment`, λd `sensitivity`, v `departure`. Sizes
-are ours, the equation is source 3's. g of `misalignment.device` is an alias of a bias, r·dΩ/dt is not; `input.radius`
-is an exact alias of `scale.device`, hence untestable.
+κ is `scale`, ρ `input`, δ `timing`, ε `misalignment`; u is `environment`, λd `sensitivity`, v `departure`. The equation
+is from source 3; sizes are assumed by us. The term ε·g of `misalignment.device` is an alias of a bias, ε·r·dΩ/dt is
+not; `input.radius` is an exact alias of `scale.device` and cannot be tested.
 
 The radius r of the arm in r·dΩ/dt is 1 m (`RADIUS`). Noise: white, 100 µg; or, if the readings show it, larger while
 the arm changes its speed (`noise.py`).
 
-λd·u is a product of unknowns, so one factor is sampled with the hyper-parameters: the orders of u, whose number does
-not grow with that of the devices; λd would form a funnel with its estimated standard deviation. At constant
-acceleration each device's scale factor and the constant part of its environment are confounded: record steps.
+λd·u is a product of unknowns, so one factor must be sampled with the hyper-parameters: the coefficients of u, whose
+number does not grow with the number of devices. (Sampled λd would form a funnel with its standard deviation.) At
+constant acceleration each device's scale factor and the constant part of its environment are confounded: record steps.
 
 Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by `pairing/measure.py`.
 """

@@ -1,8 +1,8 @@
 """Changes of a column within the averaging time of a reading: end values, derivative, and a noise law.
 
-The mean of a second-order term in the acceleration exceeds its value at the mean acceleration by the variance of the
-acceleration within the reading. The noise law gives such readings less weight than those on a plateau, by an estimated
-parameter.
+The mean of a squared acceleration exceeds the square of the mean acceleration by the variance of the acceleration
+within the reading. The noise law gives readings with a changing acceleration less weight than those on a plateau; the
+size of this reduction is estimated.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SHARE_NAME = "noise.while_changing"
 def mean_derivative(r: bc.Frame, values: Any) -> Any:
     """Return the mean time derivative of a column within each reading, unit/s, (n,).
 
-    A reading lasts from the midpoint to the previous reading to the midpoint to the next one.
+    A reading lasts from the midpoint between its time and the previous one to the midpoint to the next one.
     """
     interval_before = xp.where(r.step > 0, r.step, 0.0)
     interval_after = xp.append(interval_before[1:], 0.0)
@@ -35,9 +35,9 @@ def mean_derivative(r: bc.Frame, values: Any) -> Any:
 def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     """Return the values of a column at the beginning and the end of each reading, (n,) each, from its means (n,).
 
-    They are the slopes e of the cubic spline through the integral of the column, which the means determine: for equal
-    steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a weighted mean of the means with weights
-    z^|j|, z = √3 − 2. Outside a record the column is extrapolated as constant.
+    The means determine the integral of the column at the ends of the readings. The end values e are the slopes of the
+    cubic spline through it: for equal steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), hence a weighted mean
+    of the means with weights z^|j|, z = √3 − 2. Outside a record the column is extrapolated as constant.
     Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
     """
     sorted_values, position = xp.asarray(values)[r.order], xp.arange(r.size)

@@ -4,15 +4,14 @@ A reading is the mean of three outputs while the table turns about an axis u of 
 
     y_a = ω_a + b_a + Σ_j G_aj·ω_j + K2_a·ω_a² + Ω·(θ × u)_a + e_a,     ω = Ω·u + ω_E
 
-G has the deviations of the scale factors and six misalignments, θ is the rotation error of the mounting on the table,
-of standard uncertainty `pose_uncertainty` about each body axis, and ω_E the Earth's rotation if given. (G·θ, at most
-2 % of θ, is neglected, so that the output is linear in all unknowns.) All readings of one mounting share θ: more
-readings about one axis do not determine its misalignments better than the uncertainty of the mounting. By default
-readings about one axis, in both directions, belong to one mounting; the column `mounting` states it otherwise, as for a
-table of two or three axes, where all readings belong to one.
+G has the deviations of the scale factors on its diagonal and six misalignments off it, θ is the rotation error of the
+mounting on the table, of standard uncertainty `pose_uncertainty` about each body axis, and ω_E the Earth's rotation if
+given. (G·θ, at most 2 % of θ, is neglected, so that the output is linear in all unknowns.) All readings of one mounting
+have the same θ, whose uncertainty limits that of the misalignments. By default all readings about one axis, in both
+directions, are one mounting; a column `mounting` overrides this, as for a table of two or three axes (one mounting).
 
-**Moves.** `moves` of bayescal integrates the outputs during a rotation (move) between two poses of accelerometers; a
-reading is their mean over the move, or a pose, along a direction a(t) fixed in the unit,
+**Moves.** `bayescal.moves` integrates the outputs during a rotation (a move) between two poses at rest, in which
+accelerometers measure gravity. A reading is the mean output over a move, or a pose, along a direction a(t),
 
     y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
 
@@ -20,12 +19,12 @@ with the g-sensitivity matrix Γ and the specific force f; the means of a_a, a_a
 of the Earth's rotation are columns. `moved()` is the baseline for moves: no mounting errors, unknown `earth.rotation`.
 
 **Identifiability.** Readings at rest determine the bias and, in poses of known gravity, its g-sensitivity. Rotation
-about one axis determines the column of G of that axis; about three axes all of G, its off-diagonals no better than the
-mounting. An error of the table's rate is an exact alias of a common scale factor of all three axes. Of the Earth's
-rotation, 15.04 °/h = 0.0042 °/s, the component along the table's axis remains after whole turns of the table.
+about one axis determines the column of G of that axis; rotation about three axes determines all of G, its off-diagonals
+with at least the uncertainty of the mounting. An error of the table's rate is an exact alias of a common scale factor
+of all three axes. Full turns of the table cancel the Earth's rotation (15.04 °/h) except along the table's axis.
 
-Moves about level axes determine all of G in the axes of the accelerometers, no better than these are known. A constant
-rate about the vertical in every pose is an alias of a bias.
+Moves about level axes determine all of G in the axes of the accelerometers, with at least the uncertainty of these
+axes. A constant rate about the vertical in every pose is an alias of a bias.
 
 Noise: white, one standard deviation for all three axes; for moves in addition to each reading's known uncertainty.
 """

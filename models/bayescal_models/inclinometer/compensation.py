@@ -3,17 +3,17 @@
     tilts = inclinometer.compensate(calibration, reading_x, reading_y)
     tilts.x, tilts.sd_x                rad
 
-Two laws:
+There are two formulas (argument `law`):
 
-- "document" (source 4, with our sign): x' = x − S_x(y), y' = y − S_y(x), S the calibrated zero at the other axis'
-  *uncompensated* reading. It neglects the change of S over the other axis' error (0.7″/deg over 100″ is 0.02″),
-  and everything that depends on the axis' own tilt (S_e/cos x, κ, exact placement angle).
-- "exact": the measurement equation itself is inverted for both axes at once,
+- "document" (source 4, with our sign): x' = x − S_x(y), y' = y − S_y(x), with the calibrated zero S at the
+  *uncompensated* reading of the other axis. It neglects the change of S due to that axis' error (0.7″/deg times 100″ is
+  0.02″), and all terms that depend on the axis' own tilt (S_e/cos x, κ, exact placement angle).
+- "exact": the measurement equations of both axes are solved together,
 
       x = arcsin[ sin(reading_x)/(1 + κ_x) − cos x·zero_x(x, y) − m_x·sin y ],   y likewise,
 
-  by alternating `bayescal.compensator` of one axis at the tilt of the other, starting from the readings. Each iteration
-  multiplies the error by the zero's slope (10⁻³ to 10⁻²), so that four or five iterations reach 10⁻¹² rad.
+  by fixed-point iteration: `bayescal.compensator` of each axis at the other's tilt, starting from the readings. An
+  iteration multiplies the error by the zero's slope (10⁻³ to 10⁻²), so that four or five iterations reach 10⁻¹² rad.
 
 Tilts are computed at the posterior mean. Their standard uncertainty includes, to first order, the coefficients, a new
 mounting (estimated standard deviation) and the noise of the reading, but no errors of the test rig (dividing table,
@@ -44,7 +44,7 @@ class CompensatedTilts:
     Attributes:
         x, y: tilts at the posterior mean.
         sd_x, sd_y: combined standard uncertainty of coefficients, mounting and noise.
-        passes: number of iterations; 1 for the law "document".
+        passes: number of iterations; 1 for the formula "document".
     """
 
     x: np.ndarray
@@ -111,7 +111,7 @@ def compensate(
         covariates: further covariates of effects, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis or law, a pair of readings that corresponds to no tilt, or a missing covariate.
+        InputError: unknown axis or formula, a pair of readings that corresponds to no tilt, or a missing covariate.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
     if law not in ("exact", "document"):

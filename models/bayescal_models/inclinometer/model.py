@@ -10,21 +10,21 @@ and at a tilt x, with the other axis at y,
 
     reading = arcsin[ (1 + κ)·( sin x + cos x·zero(ω) + m·sin y ) ]
 
-Document: ω = y, and zero(ω) a line. S_e is not an angle of the axis and not multiplied by cos x; it is part of
-`zero` here, and `zero.electrical_tilt`, S_e·(1/cos x − 1), removes the cosine. Exact (`geometry.py`):
-ω = atan2(sin y, √(1 − sin²x − sin²y)).
+Source 4 takes ω = y, and a line for zero(ω); exact is ω = atan2(sin y, √(1 − sin²x − sin²y)) (`geometry.py`). S_e is
+not an angle of the axis, so cos x does not multiply it; here it is part of `zero`, and the effect
+`zero.electrical_tilt`, S_e·(1/cos x − 1), cancels the cosine.
 
-**One instrument, two tables.** *Zero test*: rows of `axis`, `run`, `placement_angle`, `output` (files may call it
-`zero_offset`), no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is affine. *Verification data*: two rows
-of each set-up, (axis x, true_angle x, placement_angle y, output of x) and the same for y. The column `true_angle`
-distinguishes the two. `output` is in arcsec, tilts in rad (files carry their own units).
+**One instrument, two tests.** A *zero test* has the columns `axis`, `run`, `placement_angle` and `output` (or
+`zero_offset`) and no tilt: reading = zero + m·sin ω + dividing + base_tilt, which is linear. *Verification data* have
+two rows per set-up, (axis x, true_angle x, placement_angle y, output of x) and likewise for y. The column `true_angle`
+distinguishes the two tests. `output` is in arcsec, tilts in rad (files carry their own units).
 
-**Sign.** reading = truth + zero. Source 4's S is a *correction*: minus that.
+**Sign.** reading = truth + zero. Source 4's S is a *correction*, with the opposite sign.
 
-Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, excluded in use:
-`dividing`, `base_tilt` (arcsec; added to the tilt). Effects on the instrument have one
-coefficient per axis (accelerometer); the dividing table is common to all. A *run* is one mounting of
-one axis, its label unique to it (x1, y1, …); of several devices each axis has a label of its own (7 x, 7 y, …).
+Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); `dividing` and `base_tilt` (arcsec; added to the tilt)
+are errors of the test rig, which compensation excludes. Effects on the instrument have one coefficient per axis
+(accelerometer); those on the dividing table are common to all axes. A *run* is one mounting of one axis, with a unique
+label (x1, y1, …); with several devices, each axis of each device has its own label (7 x, 7 y, …).
 
 **Aliases.** `dividing.face` is an exact alias of S_e, and `dividing.wobble` of m = 1 of the projection of one
 axis (a second axis on the same table, with projections of its own, separates them). `zero.cross_axis` is S_d·sin ω

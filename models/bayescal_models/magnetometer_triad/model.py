@@ -6,10 +6,10 @@ b is the hard iron plus the sensor's offset; G has the scale factors, the misali
 rotation in one field does not separate. The direction of the field in the body is unknown, or known to
 `pose_uncertainty`.
 
-**Gauge.** As of `accelerometer_triad`: three misalignments in place of six if directions are unknown, and z of the
-body that of the sensor z. A common factor of the scale factors is an alias of the local field's magnitude. If that is
-not given (column `magnitude`, `--local-field`), it is the mean radius of the ellipsoid of the outputs: only ratios of
-the scale factors are then measured, and headings do not depend on it.
+**Gauge.** As in `accelerometer_triad`: three misalignments in place of six if directions are unknown, and the body's z
+axis is that of sensor z. A common factor of the scale factors is an alias of the local field's magnitude. If that
+magnitude is not given (column `magnitude`, `--local-field`), it is taken as the mean radius of the ellipsoid of the
+outputs: only the ratios of the scale factors are then measured; headings do not depend on the magnitude.
 
 Noise: white, one standard deviation for all three axes.
 """

@@ -34,8 +34,8 @@ class Campaign:
         constant: zero-rate output at `T0`, °/s.
         slope: tempco of the zero-rate output, °/s/°C (source 1's table, least squares).
         T0: reference temperature of the simulated effects, °C.
-        nonlinearity: weight of the higher-order terms in the laws of quadratic, cubic and drift: 1: physical law;
-            0: leading term only.
+        nonlinearity: factor of the higher-order terms in the laws of `bias.temperature_quadratic`,
+            `bias.temperature_cubic` and `bias.drift`; 1: physical law, 0: leading term only.
         lag_time: time constant of the die's lag behind the ambient thermometer, s.
 
     Raises:

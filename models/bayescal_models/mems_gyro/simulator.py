@@ -253,7 +253,7 @@ simulated_columns = simulated.column_simulator(simulate_arrays)
 def _noise(
     test: Conditions, generators: Mapping[str, np.random.Generator], noise_law: str
 ) -> Array:
-    """Return the noise of each averaged reading, °/s."""
+    """Draw the noise of each averaged reading, °/s, (n,)."""
     campaign, generator, readings = test.plan, generators["noise"], len(test.run)
     if noise_law == "student_t":
         unit_variance_factor = np.sqrt((STUDENT_T_DOF - 2.0) / STUDENT_T_DOF)

@@ -17,7 +17,7 @@ and 3; formulas of the exact form ours).
 
 Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_parallel` = γ2∥ and `base_tilt_perp` =
 γ2⊥, rad; `second_order` = K2, µg/mg²; `third_order` = K3, µg/mg³; `cross_coupling` = Kip, 1/g; `rotation`, added
-to θ, rad. A *cell* is a run × temperature point.
+to θ, rad; `gravity`, relative, which scales a and ap. A *cell* is one temperature point of one run.
 
 An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of `base_tilt.constant[perp]`;
 both are kept, with a line each in the uncertainty budget, and together contribute √2·617 ppm to the uncertainty of the
@@ -27,8 +27,8 @@ with `rotation`. Only priors, changes with time or laboratory temperature, or ot
 `base_tilt.temperature[perp]` is an exact alias of `scale.temperature`, `fixture_tilt.temperature` nearly one of
 `bias.temperature`: with them the uncertainty of these tempcos is that of their priors, for any number of readings.
 
-`temperature.reading`: error of the thermometer (2 mK, ours; errors in variables). At 44 µg/°C it contributes half the
-noise of a reading; without it the slope of a fitted line is biased towards zero.
+`temperature.reading` is the error of the thermometer (2 mK, assumed by us; errors in variables), 0.09 µg of a reading
+at 44 µg/°C; in a model without it the slope of the fitted line is biased towards zero.
 
 Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the sensor alone).
 """

@@ -1,8 +1,8 @@
 """Conditions of a simulated test on the tilted table: attitude and temperatures at every reading.
 
-The chamber's air follows a ramp-limited set point; device, fixture and base are first-order low-passes of it, and the
-sensing element of the device, on a grid of ten seconds over the whole test, pauses included. The laboratory
-temperature has a daily variation and slow correlated noise, and the base follows it with a lag.
+The chamber's air follows a ramp-limited set point; device, fixture and base follow the air, and the sensing element
+the device, as first-order bodies. Temperatures are simulated in steps of ten seconds over the test with its pauses. The
+laboratory temperature has a daily variation and slow correlated noise, and the foundation follows it with a lag.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Conditions:
         elapsed_fraction: elapsed fraction of the test, 0 at the first reading and 1 at the last.
         device, element, fixture, base: temperatures, °C.
         temperature_rate: temperature rate of the device, °C/h.
-        laboratory, foundation: temperature of the laboratory, and of the base that follows it, °C.
+        laboratory, foundation: temperature of the laboratory, and of the foundation that follows it, °C.
         direction: state of the hysteresis, −1 … 1.
         warm_up_deficit: fraction of the self-heating not yet reached, 1 at power-on.
         supply: supply voltage, V.

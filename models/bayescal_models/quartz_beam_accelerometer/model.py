@@ -16,11 +16,11 @@ with t1 and t2 relative to T0 (mean of t2, rounded, stored with the calibration 
 columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad are not identified by any readings; all
 15 are kept, their priors determine these three, and every calibration reports them. On soaked points the rank is 4.
 
-*Baseline*: a constant and a cubic of the head's temperature for b and for κ, which a soaked four-position tumble
-determines (rank 4); further effects on ramps are found by `discover`, or included all at once by the structure
-"two thermometers". The bracket above and `frequency_sum` belong to the
-document's other methods: polynomials of t1 of order 1, 3 and 5; t1 with its rate and their product; the sum of the
-beams' frequencies. `*.constant_circuit` is used in structures only: with `*.constant_head` it is not identified.
+*Baseline*: a cubic polynomial of the head's temperature for b and for κ, which a soaked four-position tumble determines
+(rank 4). The other columns need ramps; `discover` finds those that are missing, and the structure "two thermometers"
+has all 15. Further structures are the three earlier methods that source 2 describes: polynomials of t1 of order 1, 3
+and 5; t1 with its rate and their product; polynomials of the sum of the beams' frequencies (`frequency_sum`). The
+effects `*.constant_circuit` are in structures only: together with `*.constant_head` they are not identified.
 
 Noise: white, of unknown size. Sizes are prior standard deviations for a first calibration, assumed if no source is
 named; replace them by data-sheet values.

@@ -11,11 +11,10 @@ One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temp
 the temperature was not recorded, or varied by less than a tenth of a degree. The true input is assumed constant: all
 changes are attributed to the sensor. Noise: white, of unknown size.
 
-Such a channel has no data sheet, so the plausible sizes are estimated from the record itself:
-an empirical choice, which uses the readings twice, though only for their orders of magnitude. Five
-settings define them: the output's *unit*; half of its range, without the outer hundredth of readings,
-*size*; the prior standard deviation of the constant, √(median² + (10·size)²); half the range of the
-temperature, *span*; and the mean of |dT/dt| from minute to minute, *pace*.
+Such a channel has no data sheet, so the plausible sizes are estimated from the record itself: an empirical choice,
+which uses the readings twice, though only for orders of magnitude. Five settings define them: *unit* of the output;
+*size*, half the output's range from its 0.5 % to its 99.5 % quantile; *constant*, the prior standard deviation of the
+constant, √(median² + (10·size)²); *span*, half the temperature range; *pace*, the mean |dT/dt|.
 
 `INSTRUMENT` itself has relative sizes (size 1, span 1 °C, pace 1 °C/min), and
 `INSTRUMENT.for_readings(readings)` is the instrument in a record's own unit. If the sizes are

@@ -1,8 +1,8 @@
 """Prior of the noise between poses, taken from the noise within the poses.
 
-Six positions near the axes determine six coefficients but not the noise, so the posterior of the noise is its prior.
-With a prior over one or two orders of magnitude a bias known to 0.2 mg would be reported as ±3 mg. The noise at rest
-within a pose is known from its samples; variations between poses (temperature, drift) are of the same order.
+Six positions near the axes determine six coefficients but not the noise, so that the posterior of the noise is its
+prior: under a prior that spans one or two orders of magnitude a bias known to 0.2 mg would be reported as ±3 mg. The
+samples of a pose at rest determine its noise; variations between poses (temperature, drift) are of the same order.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def set_noise_prior(
 
 
 def _stated_uncertainties(readings: bc.Measurements | None) -> np.ndarray:
-    """Return the stated uncertainties of magnitudes; those of projections include the direction's uncertainty."""
+    """Return the stated uncertainties of the magnitude readings, (n,); none if the readings have no uncertainties."""
     if readings is None or not readings.has(UNCERTAINTY_COLUMN):
         return np.zeros(0)
     is_magnitude = readings[KIND] == "magnitude" if readings.has(KIND) else slice(None)

@@ -78,7 +78,7 @@ class ResidualsOfState:
         self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
 
     def worst(self, name: str) -> tuple[float, float] | None:
-        """Return the ends of a covariate's range with the largest misfit; None if there is no evidence of misfit."""
+        """Return the ends of a covariate's worst range; None if its log Bayes factor is not positive."""
         entry = next((e for e in self.check.entries if e.against == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
             return None
@@ -89,13 +89,13 @@ class ResidualsOfState:
         return low - half, high + half
 
     def start(self) -> list[str]:
-        """Return the initial columns: the two continuous covariates with the strongest evidence, in order."""
+        """Return the initial columns: the two continuous covariates of largest log Bayes factor."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
         chosen = ranked[:2] or [n for n in self.covariates if n != PREDICTED][:2]
         return [n for n in self.covariates if n in chosen] or [PREDICTED]
 
     def sentence(self) -> str:
-        """Describe in a sentence the range with the largest misfit, of the covariate with the strongest evidence."""
+        """Describe in a sentence the worst range of the covariate with the largest log Bayes factor."""
         worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
         if worst is None:
             return "No column varies: there is no covariate to plot the residuals against."

@@ -37,7 +37,7 @@ class Devices:
         time: times of the readings, s, (T,).
         scale: 1 + κ, (d, K).
         sensitivity: λd, (d, K).
-        shared: u(t), µg, (d, T).
+        shared: u(t), mean over devices with the temperature effect if it was fitted, µg, (d, T).
         environment: λd·u + v, µg, (d, K, T).
         departure: rms of a device's departure v over a record, µg, (d,).
         bias: bias of each device, µg, (d, K).
@@ -106,7 +106,7 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     if "environment.temperature" in samples:
         temperature_change = readings["temperature"][records.rows] - reference["T0"]
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
-    departures, departure_rms = _compute_v(samples, records, basis)
+    departures, departure_rms = _draw_v(samples, records, basis)
     environment = sensitivity[:, :, None] * u + higher + departures
     zero = np.zeros_like(sensitivity)
     fitted = bc.predict(calibration, readings, new_groups=False).mean
@@ -128,19 +128,19 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     )
 
 
-def _compute_v(samples: Mapping[str, Array], table: _Records, basis: Array) -> tuple[Array, Array]:
-    """Compute draws of each device's deviation v(t) from the shared error, µg, (d, K, T), and of its rms (d,), µg."""
+def _draw_v(samples: Mapping[str, Array], records: _Records, basis: Array) -> tuple[Array, Array]:
+    """Return draws of each device's departure v(t), µg, (d, K, T), and of the rms of v over a record, µg, (d,)."""
     if DEPARTURE_SHARE_NAME not in samples:
         zero = np.zeros(len(samples[SENSITIVITY_NAME]))
         return zero[:, None, None], zero
     share = np.asarray(samples[DEPARTURE_SHARE_NAME])
-    orders = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE)], axis=-1)
+    orders = np.stack([samples[n][:, records.order] for n in order_names(DEPARTURE)], axis=-1)
     return orders @ basis[:ORDERS], share * DISTURBANCE
 
 
 @dataclass(frozen=True)
 class _Records:
-    """Index of K records at T common times, outer devices first: rows of readings (K, T); index in the draws (K,)."""
+    """Records of K devices at T common times, outer first: rows of the readings (K, T), order in the draws (K,)."""
 
     names: tuple[str, ...]
     outer: int

@@ -5,8 +5,9 @@
     devices = dp.devices_of(calibration)
     result = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
 
-λbd is the calibrated environment ratio, the posterior median. The uncertainty includes the residual environment of a
-new record, whose u and departures are assumed to have the same rms.
+a10 and a20 are the outputs of the outer and the inner device, λ1 and λ2 their scale factors, λ1w·w1 and λ2w·w2 their
+biases, and λbd is the calibrated environment ratio, the posterior median. The uncertainty includes the environment that
+remains in a new record, whose u and v are assumed to have the rms of the calibration's.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ class PairMeasurement:
 
     Attributes:
         acceleration: outward acceleration along the arm, µg, (n,).
-        sd: standard uncertainty of each reading, µg: of scale and bias, of the residual environment of differencing
-            (rms over a record), and of the noise of the two outputs.
-        ratio: environment ratio λbd that was used.
+        sd: standard uncertainty of the acceleration, µg, (n,): scale factors and biases, environment that remains
+            after differencing (rms over a record), and noise of the two outputs.
+        ratio: environment ratio λbd of the pair.
     """
 
     acceleration: Array

@@ -142,8 +142,8 @@ class PairTable:
             lines.append(f"… and {omitted_count} more")
         lines += [
             "",
-            "Residual and loss in µg. Probability of P(best): the smallest residual; P(ratios): the smallest variance",
-            "of ratios, commanded part removed; P(raw): the same on raw records.",
+            "Residual and loss in µg. Probabilities: P(best), smallest residual; P(ratios), smallest ratio variance",
+            "without the commanded acceleration; P(raw), the same on raw records.",
             "",
             f"best pair by {self.criterion}: {best}, expected residual {best.expected_residual:.0f} µg, "
             f"expected loss {best.expected_loss:.0f} µg",
