@@ -65,7 +65,7 @@ from ._core.formatting import folded as folded
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
-from ._core.inverse import stepped as stepped
+from ._core.inverse import iterate_newton as iterate_newton
 from ._core.jit import compiled as compiled
 
 # JSON, and the type that it must have
@@ -74,7 +74,7 @@ from ._core.json_data import parsed_json as parsed_json
 from ._core.json_data import read_json as read_json
 from ._core.json_data import read_toml as read_toml
 from ._core.json_data import write_json as write_json
-from ._core.lazy_jax import obey_no_folder as obey_no_folder
+from ._core.lazy_jax import ignore_local_configuration as ignore_local_configuration
 from ._core.parallel import run_on_one_thread as run_on_one_thread
 from ._core.progress import print_notes as print_notes
 from ._core.progress import stage as stage
@@ -90,11 +90,11 @@ from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn
 from ._core.result_table import plain_table as plain_table
+from ._core.settings import changed_settings as changed_settings
 
 # what is kept of a process: settings, one thread, a compiled function, roots
 from ._core.settings import seed_of as seed_of
 from ._core.settings import settings as settings
-from ._core.settings import unusual as unusual
 
 # files of readings
 from ._data.column import UNCERTAINTY as UNCERTAINTY
@@ -174,7 +174,7 @@ from ._search.walk import explore as explore
 
 # readings before they are measurements: tables, headers, columns, checks, rows of poses
 from ._tables.open_table import MAX_BYTES as MAX_BYTES
-from ._tables.open_table import READ as READ
+from ._tables.open_table import SUFFIXES as SUFFIXES
 from ._tables.open_table import open_table as open_table
 from ._tables.raw_table import Objection as Objection
 from ._tables.raw_table import Objections as Objections

@@ -221,8 +221,8 @@ def null_vectors(
     single = is_single_coefficient(layout)
     is_unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
-    exact = null_space.exact(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
-    weak = null_space.weak(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
+    exact = null_space.null_rows(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
+    weak = null_space.weak_rows(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
     classes: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):
         for direction in directions:

@@ -44,7 +44,7 @@ from bayescal._cli.options import (
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
-from bayescal._core.annex import first_offered, offered
+from bayescal._core.annex import load_entries, load_entry
 from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_data import as_json
@@ -520,7 +520,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
     def answer(self) -> Answer:
         from bayescal._use.correction_files import kinds
 
-        writers = {n: write for exports in offered("exports") for n, write in exports().items()}
+        writers = {n: write for load in load_entries("exports") for n, write in load().items()}
         formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *writers))]
         if self.format_ is None and self.out is None:
             raise InputError(f"no format was given: --format {', '.join(formats)}")
@@ -610,14 +610,14 @@ class ReportCommand(DefinitionOptions, DecisionRule, AsJson, Command):
     def answer(self) -> Answer:
         certificate = decisions = None
         if self.certificate:
-            certificate = first_offered("certificate", "--certificate")(self.certificate)
+            certificate = load_entry("certificate", "--certificate")(self.certificate)
         chapters = request.load_chapters(self.calibrations, self)
         if self.limit:
             if len(chapters) != 1:
                 raise InputError(
                     f"--limit applies to one result, but {len(chapters)} were given: report them separately"
                 )
-            decide = first_offered("decided", "--limit")
+            decide = load_entry("decided", "--limit")
             decisions = decide(chapters[0].used, self.limit, **self.decision_options())
         texts = {"title": self.title, "certificate": certificate}
         report = partial(bc.report, chapters, self.out, decisions=decisions, **texts)

@@ -23,9 +23,9 @@ import typer
 
 from bayescal._cli import commands
 from bayescal._cli.options import Command
-from bayescal._core.annex import offered
+from bayescal._core.annex import load_entries
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
-from bayescal._core.lazy_jax import obey_no_folder
+from bayescal._core.lazy_jax import ignore_local_configuration
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import format_error, own_file_line
 
@@ -50,7 +50,7 @@ def application(name: str | None = None) -> typer.Typer:
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    for group in (commands.COMMANDS, *offered("commands")):
+    for group in (commands.COMMANDS, *load_entries("commands")):
         for command in group:
             command_name, help_text = command.command_name(), inspect.getdoc(command)
             for parameter in inspect.signature(command).parameters.values():
@@ -82,7 +82,7 @@ def command() -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for encodings without ° or µ
-    obey_no_folder()
+    ignore_local_configuration()
     gc.set_threshold(COLLECTION_OBJECTS)
     try:
         name = next((word for word in sys.argv[1:] if not word.startswith("-")), "")

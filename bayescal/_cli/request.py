@@ -19,7 +19,7 @@ from bayescal._cli.options import (
     SearchRequest,
     parse_numbers,
 )
-from bayescal._core.annex import first_offered
+from bayescal._core.annex import load_entry
 from bayescal._core.errors import InputError
 from bayescal._core.progress import print_notes, stage
 from bayescal._report.whole_folder import (
@@ -117,7 +117,7 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
         model = model + effects.get(name, name)
     for text in request.reference_dcc or []:
         column, _, path = text.rpartition("=")
-        read_certificate = first_offered("reference_dcc", "--reference-dcc")
+        read_certificate = load_entry("reference_dcc", "--reference-dcc")
         model = model + read_certificate(path, instrument, column or "temperature")
     return model.fix(parse_numbers(request.fix, "--fix"))
 
@@ -245,7 +245,7 @@ def load_correction(path: Path, user: MemberOptions) -> bc.Compensator | Correct
     calibration = load_saved(path, user)
     if calibration.model.instrument.vector is None:
         return bc.compensator(calibration, members=user.members)
-    return first_offered("corrected", f"{path} has three axes: their correction")(calibration)
+    return load_entry("corrected", f"{path} has three axes: their correction")(calibration)
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:

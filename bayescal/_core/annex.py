@@ -1,10 +1,11 @@
-"""Annexes: extensions built on the core, such as three axes, or many devices at once.
+"""Annexes: extensions of the core, such as calibration of three-axis sensors, or of many devices at once.
 
-An installed package provides one by an entry point of the group `bayescal.annexes`: a dictionary with some of
+An installed package provides an annex by an entry point of the group `bayescal.annexes`: a dictionary with some of the
+entries below, given directly or as text "module:name", which is then loaded on demand. The core works without annexes.
 
-    commands            commands, classes of `Command`
-    exports             () → formats of `bayescal export`: name → function of an `ExportCommand`, to its `Answer`
-    corrections         kinds of corrections, `CorrectionKind` each
+    commands            list of subclasses of `Command`
+    exports             () → formats of `bayescal export`: name → function that maps an `ExportCommand` to its `Answer`
+    corrections         list of kinds of corrections, of type `CorrectionKind`
     corrected           calibration → its correction
     certificate         path → the data of a certificate, for `bayescal.report`
     decided             calibration, limits, **rule → conformity decisions, for a report
@@ -13,8 +14,6 @@ An installed package provides one by an entry point of the group `bayescal.annex
     coefficient_tables  result.json → captions and tables that follow a report's table of coefficients
     log                 path, name, channels → the table of a log
     scalar_readings     instrument, values, units, file → three-axis outputs as readings of one output, units, flags
-
-given directly, or as text "module:name" to be loaded on demand. The core works without annexes.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from bayescal._core.errors import InputError
 
 @cache
 def installed_annexes() -> list[Mapping[str, Any]]:
-    """Load the dictionaries of all installed annexes, sorted by name."""
+    """Return the dictionaries of all installed annexes, sorted by the annexes' names."""
     annexes = list[Mapping[str, Any]]()
     for entry in sorted(entry_points(group="bayescal.annexes"), key=lambda entry: entry.name):
         with suppress(ImportError):  # not installed: its commands are absent
@@ -39,14 +38,14 @@ def installed_annexes() -> list[Mapping[str, Any]]:
     return annexes
 
 
-def offered(name: str) -> list[Any]:
-    """Load the entries of one name from all installed annexes."""
-    offers = [annex[name] for annex in installed_annexes() if name in annex]
-    return [resolve_name(offer) if isinstance(offer, str) else offer for offer in offers]
+def load_entries(name: str) -> list[Any]:
+    """Return the entry `name` of each installed annex that has it, loaded if it is given as text."""
+    entries = [annex[name] for annex in installed_annexes() if name in annex]
+    return [resolve_name(entry) if isinstance(entry, str) else entry for entry in entries]
 
 
-def first_offered(name: str, request: str) -> Any:
-    """Load the first annex entry of a name; raise InputError, with `request` as its subject, if there is none."""
-    for offer in offered(name):
-        return offer
+def load_entry(name: str, request: str) -> Any:
+    """Return the first annex entry `name`; if there is none, raise InputError with `request` as its subject."""
+    for entry in load_entries(name):
+        return entry
     raise InputError(f"{request} needs a component that is not installed: install all of bayescal")

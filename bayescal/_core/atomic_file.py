@@ -42,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def list_leftovers(path: Path) -> list[Path]:
-    """List temporary files of a path, left by killed processes or by one that is writing."""
+    """Return the temporary files for `path` of killed processes, or of one that is writing it."""
     return [*path.parent.glob(f".{glob.escape(path.name)}.*.partial")]
 
 
@@ -58,16 +58,16 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def result_folder(folder: Path | None) -> Iterator[Path | None]:
-    """Create a folder and its parents, if given; remove them on failure; raise InputError if creation fails."""
+    """Create `folder`, if given; if the block fails, remove folders created; raise InputError if creation fails."""
     missing = [] if folder is None else [f for f in (folder, *folder.parents) if not f.exists()]
     try:
         if folder is not None:
             _make_folder(folder)
         yield folder
     except BaseException:
-        for folder_made in missing:
+        for created_folder in missing:
             with suppress(OSError):  # not empty: something was written
-                folder_made.rmdir()
+                created_folder.rmdir()
         raise
 
 
@@ -136,7 +136,7 @@ def read_sealed(path: Path, kind: str, advice: str) -> memoryview:
     if not data.startswith(b"\x89HDF"):
         fault = f"is not {kind}"
     elif trailer is None:
-        fault = f"has no checksum: it is damaged, is not {kind}, or is of an earlier version"
+        fault = f"has no checksum: it is damaged, not {kind}, or written by an earlier version"
     elif hashlib.sha256(content).hexdigest().encode() != trailer[1]:
         fault = "is damaged: its bytes do not match the checksum at its end"
     elif TRAILER.fullmatch(data[max(0, len(content) - TRAILER_BYTES) : len(content)]):

@@ -1,7 +1,7 @@
-"""Deadlines: a time limit, or Ctrl-C.
+"""Deadlines of computations: a time limit, or Ctrl-C.
 
-Long computations check it between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp` and
-completes the result (`finishing`). No step takes longer than some seconds, so none has to be aborted.
+Long computations check the deadline between steps (`Deadline.ask`); a caller with a partial result catches `TimeIsUp`
+and completes the result (`finishing`). No step takes longer than some seconds, so none has to be aborted.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ class TimeIsUp(Exception):
 
 @dataclass(eq=False)
 class Interrupt:
-    """State of Ctrl-C during a command, or a call from Python."""
+    """State of the handler of Ctrl-C, during a command or a call from Python."""
 
-    # whether it was pressed while deferred, or another thread requested an end
+    # whether Ctrl-C was pressed while deferred, or another thread requested an end
     requested: bool = False
     deferred: bool = False  # whether a first Ctrl-C is deferred to the next check, because a partial result exists
 
     def handle(self, _: int, frame: FrameType | None) -> None:
-        """Record a first, deferred Ctrl-C; raise any other as soon as the main thread is outside JAX.
+        """Record a first Ctrl-C if it is deferred; else raise KeyboardInterrupt, once no JAX code is running.
 
-        An exception is lost in JAX's callbacks of garbage collection, and terminates the process during JAX's import.
+        JAX's callbacks of garbage collection lose an exception; during JAX's import, it terminates the process.
         """
         if self.deferred and not self.requested:
             self.requested = True
@@ -54,11 +54,11 @@ class Deadline:
     ends_at: float = math.inf  # s, of `time.monotonic`
     limit: str = ""  # the reason of the limit, in words
     interrupt: Interrupt = field(default_factory=Interrupt)  # Ctrl-C
-    heeds: bool = True  # whether Ctrl-C ends the computation
+    is_interruptible: bool = True  # whether Ctrl-C ends the computation
 
     @property
     def interrupted(self) -> bool:
-        return self.heeds and self.interrupt.requested
+        return self.is_interruptible and self.interrupt.requested
 
     @property
     def over(self) -> bool:
@@ -86,7 +86,7 @@ current = _CURRENT.get
 
 @contextmanager
 def until(limit: float | None = None, words: str = "time limit of {:g} s") -> Iterator[Deadline]:
-    """Set a deadline `limit` seconds from now, unless an earlier one is set; the outermost one handles Ctrl-C."""
+    """Set a deadline in `limit` s, unless an earlier one is set, with reason `words`; the outermost handles Ctrl-C."""
     deadline = Deadline() if current() is _NONE else current()
     if limit is not None and (ends_at := time.monotonic() + limit) < deadline.ends_at:
         deadline = replace(deadline, ends_at=ends_at, limit=words.format(limit))
@@ -103,14 +103,14 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
 
 
 def sooner(share: float) -> AbstractContextManager[Deadline]:
-    """Set an earlier deadline, after a share of the remaining time."""
-    end, now = current(), time.monotonic()
-    return _set(replace(end, ends_at=now + share * (end.ends_at - now)))
+    """Set an earlier deadline, when `share` of the remaining time has passed."""
+    deadline, now = current(), time.monotonic()
+    return _set(replace(deadline, ends_at=now + share * (deadline.ends_at - now)))
 
 
 def finishing() -> AbstractContextManager[Deadline]:
     """Suspend the deadline while a result is completed; a second Ctrl-C is raised at once."""
-    return _set(replace(current(), ends_at=math.inf, heeds=False))
+    return _set(replace(current(), ends_at=math.inf, is_interruptible=False))
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 BayescalError
 ├── InputError      a file, a column, a unit or an option is invalid                (exit status 2)
-├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
+├── ModelError      a model cannot be composed, or not be used with these readings  (exit status 2)
 ├── NotConverged    a fit did not converge; carries the calibration                 (exit status 1)
 └── NotDrawn        a figure or page could not be drawn; its result is written      (exit status 1)
 """
@@ -17,10 +17,10 @@ class BayescalError(Exception):
 
 
 class InputError(BayescalError):
-    """An input is invalid; the message names the place, the fault and the remedy.
+    """Raised when an input is invalid; the message names the place, the fault and the remedy.
 
     Attributes:
-        problems: problems of files (`bayescal._tables.raw_table.Objection` each); empty for other errors.
+        problems: problems of files, of type `bayescal._tables.raw_table.Objection`; empty for other errors.
     """
 
     def __init__(self, message: str, problems: tuple[Any, ...] = ()) -> None:
@@ -29,11 +29,11 @@ class InputError(BayescalError):
 
 
 class ModelError(BayescalError):
-    """An instrument, effects and a noise law are incompatible with each other or with the readings."""
+    """Raised when an instrument, effects and a noise law are incompatible with each other or with the readings."""
 
 
 class NotConverged(BayescalError):
-    """A fit did not converge.
+    """Raised when a fit does not converge.
 
     Attributes:
         calibration: the result at the last iteration, with its verdict; use it at your own risk.
@@ -45,7 +45,7 @@ class NotConverged(BayescalError):
 
 
 class NotDrawn(BayescalError):
-    """A figure, or a page with figures, could not be drawn; the result has been written nevertheless."""
+    """Raised when a figure, or a page with figures, cannot be drawn; the result has been written nevertheless."""
 
     def __init__(self, subject: str, cause: BaseException) -> None:
         first_line = next(iter(str(cause).splitlines()), "")

@@ -9,12 +9,12 @@ from bayescal._core.renamed import renamed
 
 @renamed(of="subjects")
 class Flag(str):
-    """Text with a `code`, such as "column.ignored" ("" for none), and the names that it concerns, `subjects`."""
+    """Text with a `code`, such as "column.ignored" ("" for none), and `subjects`, the names that it concerns."""
 
     code: str
     subjects: tuple[str, ...]
 
-    def __new__(cls, words: str, code: str = "", *of: str) -> Self:
-        flag = super().__new__(cls, words)
-        flag.code, flag.subjects = code, of
+    def __new__(cls, text: str, code: str = "", *subjects: str) -> Self:
+        flag = super().__new__(cls, text)
+        flag.code, flag.subjects = code, subjects
         return flag

@@ -11,10 +11,9 @@ MIN_EFFECTIVE_SIZE = 50  # effective sample size needed for the standard deviati
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
-    """Smooth importance weights by a Pareto tail; return the weights, which sum to one, and k̂.
+    """Return Pareto-smoothed importance weights, which sum to one, and the tail's shape parameter k̂.
 
     The largest weights are replaced by quantiles of a generalised Pareto distribution fitted to them, as in ArviZ.
-
 
     Raises:
         ValueError: fewer than 25 draws, too few for a tail.
@@ -86,7 +85,7 @@ class Corrections:
         self.mean, self.alike = 0.0, False
 
     def add(self, log_weight: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
-        """Add corrections (b,) of further draws, and the draws' log weights before correction (b,)."""
+        """Add the corrections (b,) of further draws, whose log weights before correction are `log_weight` (b,)."""
         if self.alike or not len(correction):
             return
         self.log_weight = np.append(self.log_weight, log_weight)

@@ -11,7 +11,7 @@ MAX_NEWTON_STEPS = 20  # few are needed: the error decreases quadratically
 MAX_ROUNDING_ERRORS = 1e4  # tolerance of a solution, in rounding errors of the output
 
 
-def stepped(
+def iterate_newton(
     equation: Callable[[Any], tuple[Any, Callable[[Any], Any]]], y: Any, s: Any, steps: int
 ) -> Any:
     """Solve the measurement equation for the stimulus s at output y by Newton steps from s; differentiable in JAX.
@@ -31,7 +31,7 @@ def stepped(
 def solve_newton(
     equation: Callable[[Any], tuple[Any, Any]], y: np.ndarray, is_affine: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve an equation, s → (output, derivative), for s at output y; return s and derivative, NaN for no solution."""
+    """Solve `equation`, s → (output, derivative), for s at output y; return s and the derivative, NaN if unsolved."""
     s, precision = np.zeros_like(y), np.finfo(y.dtype).eps
     with np.errstate(all="ignore"):
         for _ in range(1 if is_affine else MAX_NEWTON_STEPS):

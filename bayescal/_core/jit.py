@@ -19,9 +19,9 @@ R = TypeVar("R")
 def compiled(
     function: Callable[..., R], is_long: Callable[..., bool] = lambda *_: False
 ) -> Callable[..., R]:
-    """Return a function of (static argument, *arrays) that is compiled at its first call.
+    """Return `function`, of (static argument, *arrays), as a function that is compiled at its first call.
 
-    It is fully optimised for arguments for which a run `is_long`, otherwise compiled fast.
+    The code is fully optimised for arguments for which `is_long` is true; otherwise, compilation is fast.
     """
 
     @cache

@@ -29,7 +29,7 @@ _TYPE_NAMES |= {float: "a finite number", NoneType: "null"}
 
 
 def as_json(value: Any) -> Any:
-    """Convert to plain data for JSON: data classes as dictionaries, arrays as lists, non-finite numbers as None."""
+    """Convert to plain data for JSON: data classes to dictionaries, arrays to lists, non-finite numbers to None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: as_json(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
@@ -52,7 +52,7 @@ def write_json(data: Any, path: Path, indent: int = 2) -> Path:
 
 
 def as_type(value: Any, kind: Any, where: str = "") -> Any:
-    """Validate a parsed JSON or TOML value against a type; raise ValueError, which names its place `where`.
+    """Validate a parsed JSON or TOML value against a type; raise ValueError with the value's path, below `where`.
 
     Types: str, bool, int, float (finite), date, None, Any; list[…], tuple[…], dict[str, …]; unions; data classes and
     TypedDicts, whose keys without a default are required, and which allow no other keys.
@@ -119,14 +119,14 @@ def _parse(parse: Callable[[Any], Any], text: str | bytes, language: str) -> Any
 
 
 def read_json(path: Path, kind: Any = Any) -> Any:
-    """Read a JSON file and validate it against a type; raise OSError, or ValueError with the place."""
+    """Read a JSON file and validate it against a type; raise OSError, or ValueError with the path of an entry."""
     if path.stat().st_size > MAX_JSON_BYTES:
         raise ValueError(f"it is larger than {MAX_JSON_BYTES / 1e6:.0f} MB")
     return as_type(parsed_json(path.read_bytes()), kind)
 
 
 def read_toml(path: Path, kind: Any, called: str, cure: str) -> Any:
-    """Read a TOML file and validate it against a type; raise InputError, with `called` as subject and the `cure`."""
+    """Read a TOML file and validate it against a type; raise InputError that begins with `called`, ends with `cure`."""
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ValueError(f"it is larger than {MAX_TOML_BYTES / 1e3:.0f} kB")

@@ -4,10 +4,8 @@ JAX is set up as soon as any code imports it: double precision, a cache of compi
 registered as pytrees. A command that uses NumPy only does not import it, and starts in half the time.
 
 Environment variables:
-    BAYESCAL_CACHE: folder for bayescal's cache between runs, limited to 512 MiB at each start; empty for no
-        cache.
-    JAX_COMPILATION_CACHE_DIR: JAX's own; where set (or configured from Python), bayescal leaves the
-        cache alone.
+    BAYESCAL_CACHE: folder of bayescal's persistent cache, limited to 512 MiB at each start; empty for no cache.
+    JAX_COMPILATION_CACHE_DIR: JAX's own variable; if set (or configured from Python), bayescal sets up no cache.
 """
 
 from __future__ import annotations
@@ -72,7 +70,7 @@ def configure_jax() -> None:
 def drop_if_large(folder: Path, max_bytes: int) -> None:
     """Delete the programs in a folder if they exceed `max_bytes` in total.
 
-    JAX's own limit of the cache size reads a file per cached program whenever it adds one: 0.1 s for 2,000 programs.
+    JAX's own size limit is not used: it reads a file per cached program whenever one is added, 0.1 s for 2,000.
     """
     with suppress(OSError), os.scandir(folder) as entries:  # another process may delete them too
         if sum(entry.stat().st_size for entry in entries) > max_bytes:
@@ -119,7 +117,7 @@ _waiting: list[Callable[[], object]] | None = []  # None once JAX is set up
 
 
 def when_imported(callback: Callable[[], object]) -> None:
-    """Call a function when JAX is imported: now, if it already is."""
+    """Call a function once JAX is imported, or immediately if it already is."""
     if _waiting is None:
         callback()
     else:
@@ -150,8 +148,8 @@ else:
 def spare_memory_maps() -> None:
     """Drop compiled programs before the process exceeds the kernel's limit of memory maps (Linux only).
 
-    A program holds about ten maps; above 65,530, by default, Linux aborts the process, as in a loop over many models.
-    Programs that are needed again are loaded from the cache on disk.
+    A program uses about ten maps, so that a loop over many models may exceed the default limit, 65,530; Linux then
+    aborts the process. Programs that are needed again are loaded from the cache on disk.
     """
     try:
         with open("/proc/self/maps", "rb") as maps:
@@ -162,21 +160,22 @@ def spare_memory_maps() -> None:
         jax.clear_caches()
 
 
-# Libraries that read a configuration file of the current folder at import: file → library.
-CONFIGURATION_READERS = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
+# Configuration files that a library reads from the current folder at import: file → library.
+CONFIGURATION_FILES = {"matplotlibrc": "matplotlib", "arvizrc": "arviz_base"}
 
 
-def obey_no_folder() -> None:
+def ignore_local_configuration() -> None:
     """Import libraries from another folder, so that they ignore configuration files in the current folder.
 
-    Only libraries with such a file are imported. Call before threads start: the current folder is the process's.
+    Only libraries whose configuration file is in the current folder are imported. Must be called before threads start,
+    since the current folder is a property of the process.
     """
-    readers = [library for file, library in CONFIGURATION_READERS.items() if os.path.lexists(file)]
-    if readers:
+    libraries = [library for file, library in CONFIGURATION_FILES.items() if os.path.lexists(file)]
+    if libraries:
         folder = os.getcwd()
         os.chdir(os.path.dirname(__file__))
         try:
-            for library in readers:
+            for library in libraries:
                 with suppress(ImportError):  # reported where the library is needed
                     import_module(library)
         finally:

@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Variable(NamedTuple):
-    """An array with dimensions and attributes, as xarray's `Variable`."""
+    """Array with named dimensions and attributes, like xarray's `Variable`."""
 
     dims: tuple[str, ...]
     values: np.ndarray
@@ -35,11 +35,11 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
             arrays = variables.values()
             group.dimensions = {d: n for v in arrays for d, n in zip(v.dims, v.values.shape)}  # noqa: B905
             for variable, (dims, values, attrs) in variables.items():
-                kind = None
+                dtype = None
                 if values.dtype.kind in "UO":
-                    values, kind = values.astype(object), h5py.string_dtype()
-                created = group.create_variable(variable, dims, data=values, dtype=kind)
-                created.attrs.update(attrs)
+                    values, dtype = values.astype(object), h5py.string_dtype()
+                stored = group.create_variable(variable, dims, data=values, dtype=dtype)
+                stored.attrs.update(attrs)
         file.attrs.update(attributes)
     return content.getbuffer()
 
@@ -47,7 +47,7 @@ def netcdf_bytes(groups: Mapping[str, Group], **attributes: str) -> memoryview:
 def netcdf_groups(
     content: io.BytesIO, names: Iterable[str]
 ) -> tuple[dict[str, Group], dict[str, Any]]:
-    """Read groups of a NetCDF-4 file, and the attributes of its root; raise ValueError for a missing group."""
+    """Return groups of a NetCDF-4 file, and the attributes of its root; raise ValueError for a missing group."""
     import h5netcdf
 
     with h5netcdf.File(content, "r") as file:

@@ -23,8 +23,8 @@ UNDECIDED_NATS = 0.5
 UNDECIDED_SHARE = 0.01  # residual over total sum of squares of a group in the span of others
 
 
-def exact(columns: np.ndarray) -> np.ndarray:
-    """Return a sparse basis (k, p) of the null space of columns (n, p), independent of their units."""
+def null_rows(columns: np.ndarray) -> np.ndarray:
+    """Return a sparse basis (k, p) of the null space of columns (n, p), independent of the columns' units."""
     # Columns of unit length, so that the result is independent of units.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
@@ -36,7 +36,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
 
 
 def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return a null vector supported on the row's large entries alone, if one exists; otherwise the row."""
+    """Return a null vector with the row's large entries as its only nonzero ones, if one exists; else the row."""
     is_large = np.abs(row) > NEGLIGIBLE_SHARE * np.abs(row).max()
     if is_large.all():
         return row
@@ -48,24 +48,25 @@ def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray
     return sparse_row
 
 
-def weak(columns: np.ndarray, null_rows: np.ndarray, limit: float, unit_share: float) -> np.ndarray:
-    """Return directions z (m, p) with information |columns·z|² below `limit`, without the null directions `exact`.
+def weak_rows(columns: np.ndarray, null_rows: np.ndarray, limit: float, share: float) -> np.ndarray:
+    """Return directions z (m, p) with information |columns·z|² below `limit`, other than the null directions.
 
-    Columns (n, p) are whitened, per prior standard deviation. A coefficient whose unit vector has a share of more than
-    `alone` of its squared length in these directions is a direction by itself; these come first.
+    Columns (n, p) are whitened, per prior standard deviation; `null_rows` (k, p) are their null directions. A
+    coefficient is a direction by itself if the directions span more than `share` of its unit vector's squared length;
+    such unit vectors come first.
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
     _, values, rows = np.linalg.svd(_r_factor(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
-    weak_directions = _complement(rows[values**2 < limit], null_rows)
-    units = np.eye(count)[np.sum(weak_directions**2, axis=0) > unit_share]
-    mixed_directions = echelon(_complement(weak_directions, units))
+    directions = _complement(rows[values**2 < limit], null_rows)
+    units = np.eye(count)[np.sum(directions**2, axis=0) > share]
+    mixed_directions = echelon(_complement(directions, units))
     return np.concatenate([units, mixed_directions])
 
 
 def _r_factor(columns: np.ndarray) -> np.ndarray:
-    """Reduce to a square matrix with the same singular values and right vectors."""
+    """Return at most p rows that have the singular values and right singular vectors of columns (n, p)."""
     # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
         np.asarray(np.linalg.qr(columns, mode="r")) if len(columns) > columns.shape[1] else columns
@@ -73,19 +74,18 @@ def _r_factor(columns: np.ndarray) -> np.ndarray:
 
 
 def _complement(rows: np.ndarray, excluded_rows: np.ndarray) -> np.ndarray:
-    """Return orthonormal rows that span the orthogonal complement of `others` in `space` (orthonormal rows)."""
+    """Return an orthonormal basis of the complement of `excluded_rows` in the span of `rows` (both orthonormal)."""
     dimensions = len(rows) - len(excluded_rows)
     if dimensions <= 0 or not len(excluded_rows):
         return rows[: max(dimensions, 0)]
-    # Of the residuals of the projection on `others`, the right singular vectors with the largest singular values
-    # span the space: as many as it has dimensions more.
+    # The leading right singular vectors of the residuals, after projection on `excluded_rows`, span the complement.
     basis, _ = np.linalg.qr(excluded_rows.T)
     _, _, rows = np.linalg.svd(rows - rows @ basis @ basis.T, full_matrices=False)
     return rows[:dimensions]
 
 
 def echelon(rows: np.ndarray) -> np.ndarray:
-    """Return the reduced row echelon form by complete pivoting, rounding set to zero, ordered by first entry."""
+    """Return the reduced row echelon form by complete pivoting, with rounding errors set to zero and rows sorted."""
     reduced = np.array(rows, dtype=float)
     is_free = np.ones(len(reduced), dtype=bool)
     for _ in range(len(reduced)):
@@ -118,19 +118,19 @@ def scale_to_integers(vector: np.ndarray) -> np.ndarray:
 
 
 def information_nats(columns: np.ndarray) -> float:
-    """Return the information of columns (n, k), ½·log|I + CᵀC| in nats, per prior standard deviation."""
+    """Return the information ½·log|I + CᵀC|, nats, of columns C (n, k), whitened and per prior standard deviation."""
     return 0.5 * float(np.sum(np.log1p(np.linalg.svd(columns, compute_uv=False) ** 2)))
 
 
 def beyond(columns: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Return columns (n, k) projected off the identified directions of `span` (n, m)."""
+    """Project columns (n, k) onto the orthogonal complement of the identified directions of `span` (n, m)."""
     axes, values, _ = np.linalg.svd(span, full_matrices=False)
     axes = axes[:, 0.5 * np.log1p(values**2) >= UNDECIDED_NATS]
     return columns - axes @ (axes.T @ columns)
 
 
 def is_undecided(columns: np.ndarray, residuals: np.ndarray) -> bool:
-    """Return whether residuals of columns regressed on others are negligible, relatively and in information."""
+    """Return whether `residuals` of a regression of `columns` are negligible, relative to these and in information."""
     is_small = np.sum(residuals**2) < UNDECIDED_SHARE * np.sum(columns**2)
     return bool(is_small) and information_nats(residuals) < UNDECIDED_NATS
 
@@ -163,7 +163,7 @@ class Spans:
         return frozenset({n for n in others if self.is_spanned(n, base)} | {*self.latent}) - names
 
     def spanning(self, names: frozenset[str]) -> set[str]:
-        """Return the groups in `names` whose removal takes another group out of the span of the others."""
+        """Return those of the groups `names` without which the others have fewer groups in their span."""
         closure = self.implied(names)
         return {n for n in names if closure - self.implied(names - {n}) - {n}}
 

@@ -12,7 +12,6 @@ from threadpoolctl import ThreadpoolController
 P = ParamSpec("P")
 R = TypeVar("R")
 
-
 _threads = cache(ThreadpoolController)
 
 

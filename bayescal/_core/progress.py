@@ -22,7 +22,7 @@ _bar: Any = None  # shown in a notebook
 
 
 def tell(operation: str, share: float | None = None) -> None:
-    """Print a progress line on stderr; in a notebook, show a bar."""
+    """Print a progress line on stderr, or show a bar in a notebook; `share` is the completed fraction."""
     global _last_line
     _last_line = time.monotonic()
     if "ipykernel" in sys.modules:
@@ -32,7 +32,7 @@ def tell(operation: str, share: float | None = None) -> None:
 
 
 def show_bar(text: str, share: float | None = None) -> None:
-    """Show a progress bar in a notebook cell, with a share or indeterminate; an empty text removes it."""
+    """Show a progress bar in a notebook cell, indeterminate without a `share`; an empty text removes it."""
     from IPython.display import HTML, display
 
     global _bar
@@ -57,7 +57,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def counted(items: Sequence[Any], noun: str) -> Iterator[Any]:
-    """Yield items, with a progress line every ten seconds: number of items and estimated remaining time."""
+    """Yield the items, and print a progress line every ten seconds: items processed, estimated remaining time."""
     start = time.monotonic()
     for i, item in enumerate(items):
         elapsed = time.monotonic() - start

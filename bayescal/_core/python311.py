@@ -1,4 +1,4 @@
-"""Workarounds for Python 3.11, to be removed, with its lines in `pyproject.toml`, at its end of life, October 2027."""
+"""Workarounds for Python 3.11; its end of life is October 2027: remove them, and its lines in `pyproject.toml`."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Text for other languages: quoting, since names of files, columns, devices and effects are arbitrary; templates.
+"""Quoting of arbitrary text (names of files, columns, devices, effects) for other languages; templates.
 
 Text for a compiler, an interpreter, a browser or a spreadsheet passes through the function of that language, numbers
 through `number_text`, so that none is interpreted as code, markup or a formula.
@@ -13,7 +13,7 @@ import io
 import keyword
 import re
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 _SPELLINGS = (
@@ -46,7 +46,7 @@ def _transliterate(character: str) -> str:
 
 
 def one_line(text: Any) -> str:
-    """Format text in one line, with non-printing characters (controls, direction marks) as <U+001B>."""
+    """Format text as one line, with non-printing characters (controls, direction marks) as <U+001B>."""
     return "".join(
         c if c.isprintable() else " " if c.isspace() else f"<U+{ord(c):04X}>" for c in str(text)
     )
@@ -86,7 +86,7 @@ _C_RESERVED = frozenset(_C_WORDS.split())
 
 
 def identifier(text: Any, taken: Collection[str] = ()) -> str:
-    """Convert text to a valid identifier of C and Python that is no keyword, no C macro and not among `taken`."""
+    """Convert text to an identifier valid in C and Python: no keyword, no C macro, and none of `taken`."""
     # The same identifier is used in C and Python, so that it must be valid in both.
     name = re.sub(r"\W+", "_", str(text), flags=re.ASCII).strip("_") or "x"
     name = name if not name[0].isdigit() else f"x_{name}"
@@ -136,10 +136,10 @@ def csv_line(cells: Iterable[Any], separator: str = ",") -> str:
     return buffer.getvalue().removesuffix("\r\n")
 
 
-def template(package: str, name: str, filters: Mapping[str, Callable[..., Any]], **how: Any) -> Any:
+def template(package: str, name: str, filters: Mapping[str, Any], **options: Any) -> Any:
     """Load a template from the folder `templates` of a package; an undefined variable in it is an error.
 
-    Filters are `filters` and `digits`, which prints a number with all digits; `how`: options of `jinja2.Environment`.
+    The filter `digits`, which formats a number with all digits, is added; `options` are those of `jinja2.Environment`.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # only where it is needed
 
@@ -149,7 +149,7 @@ def template(package: str, name: str, filters: Mapping[str, Callable[..., Any]],
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        **how,
+        **options,
     )
     environment.filters |= {"digits": number_text, **filters}
     return environment.get_template(name)

@@ -44,13 +44,13 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Columns over rows of plain data.
+    """Table of columns, which are evaluated on rows of plain data.
 
     Attributes:
         columns: the columns, in order; the first one names the row.
-        rows: the rows, a mapping or sequence each.
-        fold: if not zero, the last column is aligned left, and wrapped in text to this width or to the remaining width
-            of the page, whichever is larger.
+        rows: the rows, each a mapping or a sequence.
+        fold: if not zero, the last column is aligned left; as text, it is wrapped to this width or to the remaining
+            width of the page, whichever is larger.
     """
 
     columns: tuple[TableColumn, ...]
@@ -175,7 +175,7 @@ class Printed:
         raise NotImplementedError
 
     def _columns(self) -> Mapping[str, Sequence[Any]]:
-        """Return the unformatted values of the first table: name → one value per row; the first column names rows."""
+        """Return the unformatted values of the first table, by column; the first column names the rows."""
         return next(part for part in self._parts() if isinstance(part, ResultTable)).data()
 
     def __str__(self) -> str:

@@ -1,7 +1,7 @@
 """Settings: thresholds that users may change, and the current values.
 
-They apply inside `with use_settings(Settings(found_probability=0.99)):`; values that differ from the defaults are
-written to `result.json`. All other thresholds are constants of the modules that use them.
+Changed settings apply inside `with use_settings(Settings(found_probability=0.99)):` and are written to `result.json`.
+All other thresholds are constants of the modules that use them.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ class Settings:
             0.8 of the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
         averaged_probability: probability from which a structure is included in the model average; the others change a
             standard uncertainty by less than the printed digits.
-        finer_noise: whether sums of noise terms are evaluated if correlated noise is probable. They let results pass
+        finer_noise: whether sums of noise terms are evaluated if correlated noise is probable. Results may then pass
             acceptance checks that fail with one Ornstein–Uhlenbeck process; searches of thousands of readings take
             three to five times as long, those of hundreds no longer.
-        outlier_sd: leave-one-out residual, standard deviations, from which a reading is reported as an outlier; not
-            exceeded by a thousand normal readings.
+        outlier_sd: leave-one-out residual, standard deviations, from which a reading is reported as an outlier; rarely
+            exceeded among a thousand normally distributed readings.
         holdout_p: p-value below which hold-out data contradict a result; with two or three tests, a few valid results
             in a hundred are rejected.
-        temperature_span: °C, below which a record has a single temperature; the stability of a good chamber.
-        effective_draws: minimum effective sample size; it determines a standard deviation to 3.5 %.
+        temperature_span: range, °C, below which the temperature of a record is constant; stability of a good chamber.
+        effective_draws: minimum effective sample size, from which a standard deviation is estimated to 3.5 %.
     """
 
     found_probability: float = 0.95
@@ -76,6 +76,6 @@ def use_settings(new_settings: Settings) -> Iterator[None]:
         _CURRENT.reset(token)
 
 
-def unusual() -> dict[str, float]:
+def changed_settings() -> dict[str, float]:
     """Return the settings that differ from their defaults, by name."""
     return {name: v for name, v in asdict(settings()).items() if v != getattr(DEFAULTS, name)}

@@ -60,7 +60,7 @@ class Namespace:
         return _dispatch("asarray", np.asarray)(values, dtype)
 
     def placed(self, order: Any, values: Any) -> Any:
-        """Scatter values (..., n) by a permutation: placed[..., order] = values."""
+        """Return values (..., n) scattered by a permutation `order`: result[..., order] = values."""
         if is_traced((order, values)):
             return self.zeros_like(values).at[..., order].set(values)
         if len(order) and order[0] == 0 and np.all(order[1:] > order[:-1]):  # as they stand
@@ -70,7 +70,10 @@ class Namespace:
         return placed
 
     def scan(self, advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any) -> Any:
-        """Scan advance(state, row) → (state, output) over rows (n, …), or a tuple of them; return stacked outputs."""
+        """Scan `advance` over rows (n, …), or a tuple of such arrays, like `jax.lax.scan`; return the outputs only.
+
+        advance(state, row) returns (next state, output); the outputs are stacked along the first axis.
+        """
         if is_traced((start, rows)):
             return import_module("jax").lax.scan(advance, start, rows)[1]
         state, outputs = start, []

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayescal._core.annex import first_offered
+from bayescal._core.annex import load_entry
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._core.netcdf import Variable
@@ -131,8 +131,8 @@ class Measurements(Printed):
         named_units = ((name, c.unit) for c in instrument.columns for name in (c.name, *c.also))
         default_units = {name: None if unit == ANY else unit for name, unit in named_units}
         default_units.setdefault(UNCERTAINTY, default_units.get(output_name(instrument)))
-        vectors, attached_units = _extract_columns({} if arrays is None else arrays, columns)
-        table = Table.of_columns(ARRAYS, broadcast_columns(vectors), default_units | attached_units)
+        vectors, array_units = _extract_columns({} if arrays is None else arrays, columns)
+        table = Table.from_columns(ARRAYS, broadcast_columns(vectors), default_units | array_units)
         options = ReadOptions(units=units or {}, local_gravity=local_gravity, missing=missing)
         return measure_tables([table], instrument, options, allow_one_temperature)
 
@@ -451,7 +451,7 @@ def measure_tables(
     if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
-        as_scalar = first_offered("scalar_readings", f"reading {', '.join(outputs)}")
+        as_scalar = load_entry("scalar_readings", f"reading {', '.join(outputs)}")
         values, units, scalar_flags = as_scalar(instrument, values, units, names)
         flags += tuple(scalar_flags)
     channels, scale = frozenset(joined.other_channels & values.keys()), options.nominal_scale

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.inverse import stepped
+from bayescal._core.inverse import iterate_newton
 from bayescal._core.lazy_jax import Array, jax, jnp
 from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
@@ -133,8 +133,8 @@ def invert_equation(
         value, inverse = _linearise_and_invert(outputs, force)
         return value, lambda residual: jnp.sum(inverse * residual[:, None, :], axis=2)
 
-    start = jax.lax.stop_gradient(stepped(equation, y, y, NEWTON_STEPS))
-    force = stepped(equation, y, start, 1)
+    start = jax.lax.stop_gradient(iterate_newton(equation, y, y, NEWTON_STEPS))
+    force = iterate_newton(equation, y, start, 1)
     return force, _linearise_and_invert(outputs, force)[1]
 
 

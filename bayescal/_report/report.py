@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import Check, check_table
 from bayescal._calibration.storage import identity, sources_of
-from bayescal._core.annex import first_offered, offered
+from bayescal._core.annex import load_entries, load_entry
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
@@ -165,7 +165,7 @@ def report(
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"a report is an HTML file: its name must end in .html, not {path.name!r}")
     if isinstance(certificate, str | Path):
-        certificate = first_offered("certificate", "certificate=")(certificate)
+        certificate = load_entry("certificate", "certificate=")(certificate)
     results = given if isinstance(given, list | tuple) else [given]
     parts = chapters(results, effects)
     forewords = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
@@ -201,7 +201,7 @@ def render_page(
         chapters=parts,
         pictures=pictures,
         text=report_text,
-        coefficient_tables=offered("coefficient_tables"),
+        coefficient_tables=load_entries("coefficient_tables"),
         k=report_text.K,
         max_rows=MAX_ROWS,
         default_settings=asdict(Settings()),

@@ -23,11 +23,11 @@ from bayescal._calibration.fit import load
 from bayescal._calibration.leave_group_out import choose_groups
 from bayescal._calibration.storage import identity
 from bayescal._calibration.summary import directions_data, summary
-from bayescal._core.annex import offered
+from bayescal._core.annex import load_entries
 from bayescal._core.errors import InputError
 from bayescal._core.json_data import as_json, read_json
 from bayescal._core.result_table import ResultTable
-from bayescal._core.settings import unusual
+from bayescal._core.settings import changed_settings
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
@@ -85,7 +85,7 @@ def result(path: SearchPath) -> dict[str, Any]:
             "versions": versions(),
             "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
-            "settings": unusual(),
+            "settings": changed_settings(),
             "readings": {**_source_data(final.readings), "groups": _group_data(final.readings)},
             "holdout": None if path.holdout is None else _source_data(path.holdout),
             "flags": list(final.readings.flags),
@@ -105,7 +105,7 @@ def result(path: SearchPath) -> dict[str, Any]:
             **tables,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            **{k: v for add in offered("result") for k, v in add(final, path.average).items()},
+            **{k: v for add in load_entries("result") for k, v in add(final, path.average).items()},
             "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
                 "ok": path.ok,

@@ -43,12 +43,12 @@ _MONTHS = {  # prefixes of their names in European languages, without accents
 
 
 def parse_date(text: str) -> dict[str, float]:
-    """Parse a date or a time of day to s since 1970, by each valid order of `ORDERS` ("" if unambiguous); else {}.
+    """Return a date in s since 1970, or a time of day in s, by each valid order of `ORDERS`; {} for other text.
 
-    Accepted are ISO 8601, with or without a time zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov
-    23, 2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and
-    times alone, of which 10.11.12 may be a date. A date without a time zone is UTC. The resolution of float64 for such
-    times, a quarter of a microsecond, is finer than that of the texts.
+    The key of an unambiguous text is "". Accepted are ISO 8601, with or without a time zone; 11/23/2026, 23/11/2026,
+    23.11.2026, 2026/11/23, 23-Nov-2026 and Nov 23, 2026, with or without a time such as 14:05:33.250, 14:05:33,250,
+    14:05:33:250, 14.05.33 or 2:05:33 PM after them; and times alone (10.11.12 may be a date, too). A date without a
+    time zone is UTC. The resolution of float64 for seconds since 1970 is a quarter of a microsecond.
     """
     text = text.strip()
     if text[4:5] == "-":
@@ -69,7 +69,7 @@ def parse_date(text: str) -> dict[str, float]:
 
 
 def _split_date_time(text: str) -> tuple[str, float | None]:
-    """Split a text into a date and the time of day after it, s (None for other text)."""
+    """Split a text into a date ("" without one) and the time of day after it, s (None for other text)."""
     date_match = next((match for pattern in _DATE_FORMATS if (match := pattern.match(text))), None)
     day = date_match[0] if date_match else ""
     time_text = _DATE_TIME_GAP.sub("", text[len(day) :], count=1)
@@ -78,7 +78,7 @@ def _split_date_time(text: str) -> tuple[str, float | None]:
 
 @lru_cache(maxsize=4096)  # days repeat
 def _parse_days(text: str) -> dict[str, int]:
-    """Parse a date to days since 1970, by each possible order of day, month, year; "" if unambiguous."""
+    """Return a date in days since 1970, by each possible order of day, month and year; "" if unambiguous."""
     days = dict[str, int]()
     for pattern, orders in _DATE_FORMATS.items():
         if not (match := pattern.fullmatch(text)):
@@ -87,16 +87,16 @@ def _parse_days(text: str) -> dict[str, int]:
             with suppress(ValueError):
                 year, month, day = (match[group_name] for group_name in group_names)
                 if len(year) in (2, 4):  # two digits: this century
-                    bare = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
-                    name = max(filter(bare.startswith, _MONTHS), key=len, default="")
-                    number = int(month) if month.isdigit() else _MONTHS.get(name, 0)
-                    when = date(int(year) + 2000 * (len(year) == 2), number, int(day))
-                    days[order] = (when - _EPOCH.date()).days
+                    word = "".join(filter(str.isalpha, unicodedata.normalize("NFD", month.lower())))
+                    prefix = max(filter(word.startswith, _MONTHS), key=len, default="")
+                    number = int(month) if month.isdigit() else _MONTHS.get(prefix, 0)
+                    day_date = date(int(year) + 2000 * (len(year) == 2), number, int(day))
+                    days[order] = (day_date - _EPOCH.date()).days
     return days
 
 
 def _parse_time(text: str, max_hours: int) -> float | None:
-    """Parse a time of day of at most `max_hours` hours to s, less its time zone; None for other text."""
+    """Return a time of day up to `max_hours` hours in s, less the offset of its time zone; None for other text."""
     if not (match := _CLOCK.fullmatch(text.strip())):
         return None
     hours, _, minutes, seconds, fraction, am_pm, zone = match.groups()
@@ -119,8 +119,8 @@ def has_time_zone(text: str) -> bool:
 
 def format_date(seconds: float) -> str:
     """Format seconds since 1970 as a date, to the microsecond."""
-    when = _EPOCH + timedelta(seconds=float(seconds))
-    return when.replace(tzinfo=None).isoformat(sep=" ")
+    date_time = _EPOCH + timedelta(seconds=float(seconds))
+    return date_time.replace(tzinfo=None).isoformat(sep=" ")
 
 
 EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s since 1970, of the years 2000 and 2100
@@ -128,9 +128,9 @@ _MAX_SPAN_SECONDS = 1e7  # four months; microseconds that are read as millisecon
 
 
 def split_origin(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """Subtract the earliest time from seconds since 1970; return the differences and it (other values: None).
+    """Return times since 1970, s, relative to the earliest, and this origin; other values unchanged, and None.
 
-    The differences are rounded to the microsecond, near the resolution of float64 for seconds since 1970.
+    Relative times are rounded to the microsecond, near the resolution of float64 for seconds since 1970.
     """
     if detect_epoch_unit(seconds, max_span=np.inf) != "s":
         return seconds, None
@@ -166,7 +166,7 @@ class Cells:
 
     Attributes:
         values: float64, NaN for empty or invalid cells; or stripped text, "" for empty cells.
-        invalid_texts: index → text of invalid cells, which are not numbers as expected; the first 1000.
+        invalid_texts: index → text of the first 1000 invalid cells, which are not numbers although these are expected.
         texts: all cells as text, if any is invalid; else None.
     """
 
@@ -199,7 +199,7 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
     """Parse a column of dates to s since 1970; other texts, also numbers, are invalid.
 
     The order of month, day and year is `order`, or the only order in which all cells are dates. If it is ambiguous, the
-    possible orders are returned too.
+    possible orders are returned as second item, else an empty list.
     """
     rows, invalid_texts = np.full((len(ORDERS), len(texts)), np.nan), dict[int, str]()
     has_zone, unambiguous = None, True

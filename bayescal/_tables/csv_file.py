@@ -50,15 +50,15 @@ _NO_UNITS = ("TS", "RN")  # Campbell loggers' texts in place of units: time stam
 
 @dataclass
 class CsvText:
-    """A text file and its layout; rows are line numbers.
+    """Text file and its layout; rows are line numbers.
 
     Attributes:
         data: content in UTF-8, with tabs in place of runs of blanks that separate fields.
         encoding: encoding of the file.
         decimal: decimal mark, point or comma; empty until it is detected.
-        named: row of the header.
-        first, offset: row and byte offset of the first line after the header.
-        readings: rows of readings (n,).
+        header_row: row of the header.
+        first_row, offset: row and byte offset of the first line after the header.
+        reading_rows: rows of readings (n,).
         notes: notes about an unusual layout.
     """
 
@@ -68,26 +68,26 @@ class CsvText:
     header: list[str] = field(default_factory=list)
     separator: str = ","
     decimal: str = ""
-    named: int = 0
-    first: int = 0
+    header_row: int = 0
+    first_row: int = 0
     offset: int = 0
-    readings: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    reading_rows: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     notes: list[str] = field(default_factory=list)
 
     @property
-    def blank(self) -> bytes:
+    def blank_bytes(self) -> bytes:
         """Return the bytes that a blank line may contain."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
-    def table(self, *further_notes: str) -> Table:
-        """Convert to a table; add further notes."""
+    def to_table(self, *further_notes: str) -> Table:
+        """Return the table of the readings, with `further_notes` after the file's own notes."""
         return Table(
             self.file,
             tuple(Header.parse(csv_cell_read(text)) for text in self.header),
-            len(self.readings),
+            len(self.reading_rows),
             self.load,
             self.decimal,
-            place=lambda index: f"row {self.readings[index]}",
+            place=lambda index: f"row {self.reading_rows[index]}",
             notes=tuple(f"{self.file}: {note}" for note in (*self.notes, *further_notes)),
         )
 
@@ -98,9 +98,9 @@ class CsvText:
         return handle
 
     def load(self, columns: Mapping[int, bool]) -> dict[int, np.ndarray]:
-        """Return the text of columns (position → whether numeric), split in chunks of rows."""
-        parts, blank = {position: list[np.ndarray]() for position in columns}, self.blank
-        lines = (line for line in self.rows() if line.strip(blank))
+        """Return the texts of columns by position; `columns`: position → whether numeric."""
+        parts, blank_bytes = {p: list[np.ndarray]() for p in columns}, self.blank_bytes
+        lines = (line for line in self.rows() if line.strip(blank_bytes))
         while chunk := list(islice(lines, _CHUNK_ROWS)):
             text = b"".join(chunk).decode()
             text = text.replace("\r\n", "\n").removesuffix("\n")
@@ -148,9 +148,9 @@ def parse_text(data: bytes, file: str, decimal: str = "") -> CsvText:
 
 
 def _decode(data: bytes, file: str) -> tuple[bytes, str]:
-    """Decode the bytes of a file; return them in UTF-8, and the encoding.
+    """Decode the bytes of a file; return its text in UTF-8, and the encoding.
 
-    It is windows-1252 if no non-ASCII bytes form a UTF-8 character, since such sequences hardly occur in windows-1252.
+    The encoding is windows-1252 if no non-ASCII bytes form a UTF-8 character, since such sequences hardly occur in it.
     A file with characters of both encodings is refused.
     """
     encoding, fault, cure, non_ascii = "utf-8", "", _SAVE_AS_UTF8, set(data.translate(None, _ASCII))
@@ -184,7 +184,7 @@ def _decode(data: bytes, file: str) -> tuple[bytes, str]:
 
 
 def _read_header(text: CsvText) -> None:
-    """Find the separator and the header.
+    """Find the separator and the header, and set the attributes of `text` that describe them.
 
     The header is the first line that is neither blank nor a '#' comment, unless column names follow below a description
     of the test, or are in a comment; blanks are tried as separators if no other header is found.
@@ -192,10 +192,10 @@ def _read_header(text: CsvText) -> None:
     header, lines = None, _read_first_lines(text)
     for commented, runs in product((False, True), (None, *_BLANKS)):
         texts = _read_first_lines(text, commented)
-        if header := _find_header([_with_tabs(x.encode(), runs).decode() for _, x, _ in texts]):
+        if header := _find_header([_insert_tabs(x.encode(), runs).decode() for _, x, _ in texts]):
             if runs:
                 text.notes.append("its fields are separated by blanks")
-                text.data = _with_tabs(text.data, runs)
+                text.data = _insert_tabs(text.data, runs)
             lines = _read_first_lines(text, commented)
             break
     if not lines:
@@ -215,15 +215,15 @@ def _read_header(text: CsvText) -> None:
     lines_above = lines[: header.first if header else 0]
     rows_above = [_split_fields(line, separator) for _, line, _ in lines_above]
     text.header = _append_units(text.header, _labview_units(rows_above))
-    text.first, text.offset, text.named = last_row + 1, end, row
+    text.first_row, text.offset, text.header_row = last_row + 1, end, row
     if rows_above:
         text.notes.append(f"its header is row {row}; the rows above are ignored")
-    if text.first - row > 1:
+    if text.first_row - row > 1:
         text.notes.append(f"its units are read from row {row + 1}")
 
 
 def _read_first_lines(text: CsvText, commented: bool = False) -> list[tuple[int, str, int]]:
-    """Return row, text and end offset of the first lines that are neither blank nor comments."""
+    """Return row, text and end offset of the first lines that are neither blank nor (unless `commented`) comments."""
     handle, first_lines, row = io.BytesIO(text.data), [], 0
     while len(first_lines) < _HEADER_ROWS and (raw := handle.readline()):
         row += 1
@@ -247,8 +247,8 @@ def _find_header(texts: Sequence[str]) -> _HeaderRows | None:
     return None
 
 
-def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
-    """Replace the blanks that separate fields by tabs, and strip lines."""
+def _insert_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
+    """Replace the blanks that separate fields, matches of `runs`, by tabs, and strip lines."""
     if runs is None:
         return data
     lines = (x.strip(b" \t") for x in data.replace(b"\r\n", b"\n").split(b"\n"))
@@ -265,7 +265,7 @@ def _split_fields(line: str, separator: str) -> list[str]:
 
 
 def _labview_units(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the column units in the head of a LabVIEW measurement file (.lvm); [] for other files."""
+    """Return the columns' units from the header of a LabVIEW measurement file (.lvm); [] for other files."""
     properties = {row[0].strip(): [text.strip() for text in row[1:]] for row in rows}
     if _LABVIEW_HEADER_END not in properties or "Y_Unit_Label" not in properties:
         return []
@@ -280,26 +280,26 @@ def _rank_separators(line: str) -> list[str]:
 
 def _scan_lines(text: CsvText) -> None:
     """Check the number of fields of each line of readings; detect decimal commas."""
-    separator, expected, blank = text.separator.encode(), len(text.header), text.blank
+    separator, expected, blank_bytes = text.separator.encode(), len(text.header), text.blank_bytes
     if not text.decimal and separator != b"," and _DECIMAL_COMMA.search(text.data, text.offset - 1):
         text.decimal = ","
     if text.decimal == ",":
         text.notes.append("its numbers have decimal commas")
-    row, blanks, ragged_rows = text.first - 1, list[int](), list[tuple[int, str, int]]()
-    for row, line in enumerate(text.rows(), text.first):
+    row, blank_rows, ragged_rows = text.first_row - 1, list[int](), list[tuple[int, str, int]]()
+    for row, line in enumerate(text.rows(), text.first_row):
         if b'"' in line:
             decoded, cure = line.decode(), "; a field cannot contain a line break"
             fields = len(text.split(decoded.rstrip("\r\n"), row, cure=cure))
-        elif line.strip(blank):
+        elif line.strip(blank_bytes):
             fields = line.count(separator) + 1
         else:
-            blanks.append(row)
+            blank_rows.append(row)
             continue
         if fields != expected and len(ragged_rows) < MAX_INVALID_ROWS:
             ragged_rows.append((row, line.decode().strip()[:80], fields))
     if ragged_rows:
         _refuse_ragged(text, ragged_rows)
-    text.readings = np.setdiff1d(np.arange(text.first, row + 1), blanks)
+    text.reading_rows = np.setdiff1d(np.arange(text.first_row, row + 1), blank_rows)
 
 
 def _refuse_ragged(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
@@ -326,10 +326,10 @@ class _HeaderRows(NamedTuple):
 
 
 def _parse_header(rows: Sequence[Sequence[str]], first: int, separator: str) -> _HeaderRows | None:
-    """Return the header rows if they begin at `rows[first]` (fields of rows, without blank rows); else None.
+    """Return the header if it begins at `rows[first]`, else None; `rows`: the fields of each row that is not blank.
 
-    Names are text; rows of as many fields, with a number or a date, follow directly or after rows of units. Rows of
-    readings may end in an additional empty field.
+    Names are text; rows of readings, with as many fields and at least one number or date, follow directly or after rows
+    of units. Rows of readings may end in an additional empty field.
     """
     names = [name.strip() for name in rows[first]]
     if len(names) < 2 or any(map(_is_reading, names)) or sum(map(bool, names)) < 2:

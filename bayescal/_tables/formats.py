@@ -84,7 +84,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         columns = {decode_name(n): v for n, v in vectors.items() if v.dims[0] == row_dimension}
         check_size(file, data.sizes.get(row_dimension, 0), len(columns), max_bytes)
         units = {n: str(v.attrs["units"]) for n, v in columns.items() if "units" in v.attrs}
-        return Table.of_columns(file, {n: v.values for n, v in columns.items()}, units)
+        return Table.from_columns(file, {n: v.values for n, v in columns.items()}, units)
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
@@ -105,16 +105,16 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
         unpacked.refuse_unpacked(file, path.stat().st_size, unpacked_size, unpacked.SHEET)
         with closing(load_workbook(handle, read_only=True, data_only=True)) as book:
             sheets = book.worksheets
-            filled_sheets = ((s, t) for s in sheets if (t := _text_of(s, file, max_bytes)).strip())
-            sheet, text = next(filled_sheets, (None, b""))
+            pairs = ((s, t) for s in sheets if (t := _sheet_to_text(s, file, max_bytes)).strip())
+            sheet, text = next(pairs, (None, b""))
     if sheet is None:
         raise unusable(file, "is empty", "a header and rows of readings were expected")
     note = f"read from the sheet {sheet.title!r}, the first non-empty one of {len(sheets)} sheets"
-    return parse_text(text, file).table(*[note] * (len(sheets) > 1))
+    return parse_text(text, file).to_table(*[note] * (len(sheets) > 1))
 
 
-def _text_of(sheet: Any, file: str, max_bytes: int) -> bytes:
-    """Format a sheet as text, a line of tab-separated cells per row; empty for a sheet without cells."""
+def _sheet_to_text(sheet: Any, file: str, max_bytes: int) -> bytes:
+    """Return a sheet as text, one line of tab-separated cells per row; empty for a sheet without cells."""
     rows, count = list[list[str]](), 0
     sheet.reset_dimensions()
     for values in sheet.iter_rows(values_only=True):
@@ -144,8 +144,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
             loaded = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
             variables = {name: value for name, value in loaded.items() if not name.startswith("__")}
         else:
-            variables = _variables_of_hdf5(path, file)
-    columns = dict(pair for key, value in variables.items() for pair in _vectors(key, value))
+            variables = _load_hdf5_variables(path, file)
+    columns = dict(pair for key, value in variables.items() for pair in _split_variable(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
@@ -156,11 +156,11 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     rows = lengths.pop()
     long_vectors = {name: vector for name, vector in columns.items() if len(vector) == rows}
     check_size(file, rows, len(long_vectors), max_bytes)
-    return Table.of_columns(file, long_vectors)
+    return Table.from_columns(file, long_vectors)
 
 
-def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
-    """Load the variables of a MATLAB 7.3 file: transposed arrays, and text as character codes."""
+def _load_hdf5_variables(path: Path, file: str) -> dict[str, Any]:
+    """Load the variables of a MATLAB 7.3 file, which stores arrays transposed, and text as character codes."""
     import h5py
 
     def value(node: Any) -> Any:
@@ -177,12 +177,12 @@ def _variables_of_hdf5(path: Path, file: str) -> dict[str, Any]:
         return {str(name): value(hdf5[name]) for name in hdf5 if not str(name).startswith("#")}
 
 
-def _vectors(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
+def _split_variable(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
     """Split a variable into named columns: a vector, the columns of a matrix, or those of a structure's fields."""
     fields = value if isinstance(value, dict) else getattr(value, "__dict__", None)
     if fields is not None:
         members = {n: v for n, v in fields.items() if not n.startswith("_")}
-        return [pair for field, entry in members.items() for pair in _vectors(field, entry)]
+        return [pair for field, entry in members.items() for pair in _split_variable(field, entry)]
     array = np.asarray(value)
     if array.dtype.kind not in "iufbUO" or array.dtype.fields:
         return []

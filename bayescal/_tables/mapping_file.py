@@ -1,4 +1,4 @@
-"""Mapping files: TOML files with options of reading, for reuse with further files."""
+"""Mapping files: TOML files with the arguments of `bayescal.read`, for reuse with further files of readings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayescal._core.json_data import read_toml
 
 
 class ReadMapping(TypedDict, total=False):
-    """Content of a mapping: keyword arguments of `read`."""
+    """Content of a mapping file: keyword arguments of `bayescal.read`."""
 
     columns: dict[str, str | list[str]]
     units: dict[str, str]
@@ -29,7 +29,7 @@ class ReadMapping(TypedDict, total=False):
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """Load a saved mapping, as arguments of `bayescal.read`.
+    """Load a saved mapping; return it as keyword arguments of `bayescal.read`.
 
     Raises:
         InputError: the file does not exist, is not TOML, or has an unknown or invalid entry.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from bayescal._core.annex import first_offered
+from bayescal._core.annex import load_entry
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
@@ -19,14 +19,14 @@ from bayescal._tables.raw_table import Table, format_bytes, unusable
 MAX_BYTES = 2_000_000_000  # size of a file, and of its numbers in memory; larger files are refused
 TEXT_SUFFIXES = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
 LOG_SUFFIXES = (".ulg", ".bin")  # read by an annex
-READ = (*TEXT_SUFFIXES, ".parquet", ".nc", ".xlsx", ".mat", *LOG_SUFFIXES)
+SUFFIXES = (*TEXT_SUFFIXES, ".parquet", ".nc", ".xlsx", ".mat", *LOG_SUFFIXES)
 
 
 def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
     """Check files before any is opened, and return their names for messages.
 
     Raises:
-        InputError: no file is given, or one twice; a file does not exist or is a folder; or all are too large together.
+        InputError: no file is given, or one twice; a file does not exist or is a folder; the total size is too large.
     """
     if not paths:
         raise InputError("no file was given: give at least one")
@@ -65,22 +65,22 @@ def open_table(
     decimal: str = "",
     channels: Collection[str] = (),
 ) -> Table:
-    """Open a file as a table of at most `max_bytes`; `decimal` as in `parse_text`; `channels`: those read from a log.
+    """Open a file as a table of at most `max_bytes`; `decimal` as in `parse_text`; `channels`: read from a log only.
 
     Raises:
         InputError: an unknown suffix, a file in another format than its suffix indicates, or an unreadable file.
     """
     suffix = path.suffix.lower()
-    if suffix not in READ:
+    if suffix not in SUFFIXES:
         kind = repr(suffix) if suffix else "a file without a suffix"
-        raise InputError(f"{name!r}: {kind} cannot be read. Give one of {', '.join(READ)}")
+        raise InputError(f"{name!r}: {kind} cannot be read. Give one of {', '.join(SUFFIXES)}")
     with _reachable(path):
         if suffix in TEXT_SUFFIXES:
             data = path.read_bytes()  # the digest is of the parsed bytes
-            table = parse_text(data, name, decimal).table()
+            table = parse_text(data, name, decimal).to_table()
             return replace(table, sha256=hashlib.sha256(data).hexdigest())
         if suffix in LOG_SUFFIXES:
-            table = first_offered("log", f"{name!r}, a log,")(path, name, channels)
+            table = load_entry("log", f"{name!r}, a log,")(path, name, channels)
         else:  # takes a second, not needed for text
             from bayescal._tables import formats
 

@@ -1,4 +1,4 @@
-"""Raw tables, the common form of all file formats: columns by name and unit of the header; and a file's problems.
+"""Raw tables, the common form of all file formats: columns with names and units from headers; and files' problems.
 
 Objections (problems of a file) are collected before any is reported: one as a sentence, several as a list.
 """
@@ -132,7 +132,7 @@ class Header:
 
     @classmethod
     def parse(cls, raw: str, unit: str | None = None) -> Header:
-        """Split `name [unit]`; a separately given unit is used if the name has none.
+        """Parse a header `name [unit]`; `unit` is used if the text has none.
 
         Line breaks and invisible characters are replaced by spaces.
         """
@@ -157,7 +157,7 @@ _NO_UNIT = re.compile(r"[(\[{<]|\d+(?![\d/])")
 
 @lru_cache(maxsize=4096)  # one header is compared with many columns
 def possible_splits(header: Header) -> tuple[Header, ...]:
-    """Return every possible split of a header into a name and the text of a unit, if any; the simplest first."""
+    """Return all possible splits of a header into a name and the text of a unit, if any; the simplest first."""
     if header.unit:
         return (header,)
     splits = [header]
@@ -175,7 +175,7 @@ def possible_splits(header: Header) -> tuple[Header, ...]:
 
 
 def find_header(headers: Sequence[Header], name: str) -> int | None:
-    """Return the position of the header that `name` identifies uniquely, as a whole or by a name; None for none."""
+    """Return the position of the only header whose text, or else whose name, is `name`; None without such a header."""
     names_by_rule = [({h.raw}, {h.name}, {r.name for r in possible_splits(h)}) for h in headers]
     for names in zip(*names_by_rule, strict=True):
         positions = [i for i, header_names in enumerate(names) if name in header_names]
@@ -186,7 +186,7 @@ def find_header(headers: Sequence[Header], name: str) -> int | None:
 
 @dataclass(frozen=True)
 class Table:
-    """An opened file as a table.
+    """Table of an opened file, whose columns are loaded on demand.
 
     Attributes:
         file: name for messages.
@@ -194,7 +194,7 @@ class Table:
         rows: number of readings.
         load: function that loads columns: {position: whether numeric} → {position: values or text}.
         decimal: decimal mark of numbers in text.
-        sha256: digest of the bytes; "" for arrays.
+        sha256: SHA-256 of the file's bytes; "" for arrays.
         place: index of a reading → its row label, "row 12".
         notes: notes about unusual formats, one sentence each.
     """
@@ -212,7 +212,7 @@ class Table:
         """Raise InputError for a table without readings, or with two columns of the same name."""
         if self.rows < 1:
             cure = "give a file with at least one row without missing values"
-            raise unusable(self.file, "holds no readings", cure)
+            raise unusable(self.file, "contains no readings", cure)
         counts = Counter(header.name for header in self.headers if header.name)
         for name, count in counts.items():
             if count > 1:
@@ -220,7 +220,7 @@ class Table:
                 raise unusable(self.file, fault, "Rename or remove all but one")
 
     @classmethod
-    def of_columns(
+    def from_columns(
         cls,
         file: str,
         columns: Mapping[str, np.ndarray],
@@ -251,7 +251,7 @@ class Table:
         return Objection(self.file, fault, expected, cure, option, column, indices, places)
 
     def take(self, rows: np.ndarray) -> Table:
-        """Select rows by index."""
+        """Return a table of the rows with these indices."""
 
         def load(requested: Mapping[int, bool]) -> dict[int, np.ndarray]:
             return {position: values[rows] for position, values in self.load(requested).items()}
@@ -293,7 +293,7 @@ def check_size(file: str, rows: int, columns: int, max_bytes: int) -> None:
 
 @contextmanager
 def as_format(file: str, name: str) -> Iterator[None]:
-    """Convert any exception that a library raises in the `with` block, for a damaged file, to an InputError."""
+    """Convert exceptions that a library raises in the `with` block, as for a damaged file, to an InputError."""
     try:
         yield
     except InputError:

@@ -192,8 +192,10 @@ def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw:
     with partial.open("w", encoding=encoding, newline="") as target:
         preamble = text.data[: text.offset].splitlines(keepends=True)
         for row, line in enumerate(preamble, 1):  # comments, the header, a row of units
-            fields = added.headers if row == text.named else ["", ""]
-            target.write(line.decode() if row < text.named else _append_fields(line, fields, text))
+            fields = added.headers if row == text.header_row else ["", ""]
+            target.write(
+                line.decode() if row < text.header_row else _append_fields(line, fields, text)
+            )
         for line in text.rows():
             is_row = line.strip(text.blank)
             target.write(_append_fields(line, next(rows), text) if is_row else line.decode())

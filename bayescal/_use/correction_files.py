@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bayescal._core.annex import offered
+from bayescal._core.annex import load_entries
 from bayescal._core.errors import InputError
 from bayescal._core.inverse import MAX_NEWTON_STEPS
 from bayescal._core.json_data import json_text
@@ -145,7 +145,7 @@ ONE_OUTPUT = CorrectionKind(
 def kinds() -> Iterator[CorrectionKind]:
     """Yield the kinds of corrections: of one output, then those of annexes, loaded on demand."""
     yield ONE_OUTPUT
-    for corrections in offered("corrections"):
+    for corrections in load_entries("corrections"):
         yield from corrections
 
 

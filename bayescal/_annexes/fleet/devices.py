@@ -135,7 +135,7 @@ def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             name, is_unreadable = ws.one_line(relative), not os.access(entry, os.R_OK | os.X_OK)
             if is_hidden[-1]:
                 left_out[name] = "names that begin with . or _ are reserved for programs"
-            elif entry.is_file() and suffix in ws.READ:
+            elif entry.is_file() and suffix in ws.SUFFIXES:
                 files.append(entry)
             elif entry.is_file():
                 left_out[name] = f"the format {suffix or 'without suffix'} is not supported"
@@ -144,7 +144,7 @@ def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
     if not files:
         reasons = "".join(f"; {name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise bc.InputError(
-            f"no file of readings in {', '.join(map(str, paths))}: one of {', '.join(ws.READ)} was expected{reasons}"
+            f"no file of readings in {', '.join(map(str, paths))}: expected one of {', '.join(ws.SUFFIXES)}{reasons}"
         )
     return files, left_out
 

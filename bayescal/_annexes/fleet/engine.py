@@ -87,7 +87,7 @@ def _open_local_cluster(workers: int | None) -> LocalCluster:
 
 def dask_setup(_: Any) -> None:
     """Make a local worker ignore configuration files in its current folder; Dask calls this first."""
-    ws.obey_no_folder()
+    ws.ignore_local_configuration()
 
 
 Outcome = tuple[Any, str]  # a task's value, and its error message (empty on success)

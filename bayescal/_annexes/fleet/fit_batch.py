@@ -184,7 +184,7 @@ def _fit(
         "seed": request.seed,
         "reference": {k: v for k, v in reference.items() if not isinstance(v, dict)},
     }
-    about |= {"settings": settings} if (settings := ws.unusual()) else {}
+    about |= {"settings": settings} if (settings := ws.changed_settings()) else {}
     result = BatchResult(results, about)
     if not any(fit.names for fit in result):
         reasons = result.unreliable | missing

@@ -236,4 +236,4 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
     columns, column_notes = align_channels(sensors, chosen, file)
     notes = (*(f"{file}: {note}" for note in notes), *column_notes)
-    return ws.Table.of_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)
+    return ws.Table.from_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

@@ -275,7 +275,7 @@ class VectorCorrection:
             slopes = _slopes_by_stimulus(terms, force, self.order)
             return predicted[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
 
-        force = ws.stepped(equation, y, y, NEWTON_STEPS)
+        force = ws.iterate_newton(equation, y, y, NEWTON_STEPS)
         inverse = np.linalg.inv(_slopes_by_stimulus(terms, force, self.order))
         return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), temperatures
 
