@@ -189,16 +189,14 @@ def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw:
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
     encoding = "utf-8" if text.encoding == "utf-16" else text.encoding
-    with partial.open("w", encoding=encoding, newline="") as target:
-        preamble = text.data[: text.offset].splitlines(keepends=True)
+    with partial.open("w", encoding=encoding, newline="") as copy:
+        preamble, header_row = text.data[: text.offset].splitlines(keepends=True), text.header_row
         for row, line in enumerate(preamble, 1):  # comments, the header, a row of units
-            fields = added.headers if row == text.header_row else ["", ""]
-            target.write(
-                line.decode() if row < text.header_row else _append_fields(line, fields, text)
-            )
+            fields = added.headers if row == header_row else ["", ""]
+            copy.write(line.decode() if row < header_row else _append_fields(line, fields, text))
         for line in text.rows():
-            is_row = line.strip(text.blank)
-            target.write(_append_fields(line, next(rows), text) if is_row else line.decode())
+            is_row = line.strip(text.blank_bytes)
+            copy.write(_append_fields(line, next(rows), text) if is_row else line.decode())
 
 
 def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
