@@ -30,7 +30,7 @@ PRIOR_DRAWS = 1000  # of the group `prior`: enough to plot a prior density
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Printed, Fitted):
-    """The result of a fit.
+    """A fitted model: joint posterior draws, verdict, and the results computed from them.
 
     Attributes:
         model: the fitted model.
@@ -39,16 +39,15 @@ class Calibration(Printed, Fitted):
         verdict: convergence diagnosis and failed acceptance checks.
         method: name of the inference method.
         seed: seed of the random-number generator.
-        reference: constants of the basis functions: T0, run starts …
+        reference: constants of the basis functions by name, such as T0.
         levels: member names of each group.
         layout: index of each unknown in the coefficient vector x and the hyperparameter vector φ.
         mode: posterior mode φ̂, x̂: the expansion point of the linearised model.
-        log_evidence: (value, Monte-Carlo error or None), None where a prior is flat.
+        log_evidence: log evidence and its Monte-Carlo standard error (or None); None if a prior is flat.
         start: starting values of φ by name for the mode search, besides prior draws; usually empty.
-        form_factor: factor on the standard uncertainty of the expected output for formulas that a search may have
-            missed; 1 if the formula is known.
-        unfound_spreads: between-run standard deviations of plausible effects that the search did not add, by effect,
-            in the unit of its coefficient.
+        form_factor: factor by which the standard uncertainty of the expected output is multiplied because a search may
+            have missed formulas; 1 if the formula is known.
+        unfound_spreads: between-run sd of plausible effects that the search did not add, by effect, coefficient's unit.
     """
 
     def _parts(self) -> list[str | ResultTable]:
@@ -138,8 +137,8 @@ class Calibration(Printed, Fitted):
     def with_log_likelihood(self) -> xr.DataTree:
         """Return a copy of `tree` with the group `log_likelihood`, (chain, draw, reading), for `arviz_stats.loo`.
 
-        Not cached; above two million numbers (draws × readings) the draws of all groups are thinned.
-        Under correlated noise it is conditional on the earlier readings of the run.
+        The copy is not cached; its groups have at most two million numbers (draws × readings), by thinning of draws.
+        Under correlated noise the log likelihood is conditional on the earlier readings of the run.
         """
         import xarray as xr
 

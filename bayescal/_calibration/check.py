@@ -1,8 +1,8 @@
-"""Residual checks: residuals against every covariate, with a log Bayes factor and the worst region in physical units.
+"""Residual checks: test residuals for dependence on every covariate, by a log Bayes factor and the worst region.
 
-A covariate's log Bayes factor compares a dependence of the residuals on it with none. It is the score test of a
-variance component, nuisance parameters marginalised, averaged over correlation length and amplitude of a smooth
-dependence with the columns of `unknown(covariate)`.
+A covariate's log Bayes factor compares a smooth dependence of the residuals on it, with the columns of
+`unknown(covariate)`, with none. It is the score test of a variance component with nuisance parameters integrated out,
+averaged over the correlation length and amplitude of the dependence.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Entry:
-    """Log Bayes factor of residual dependence on a covariate or (`by_group`) on run, cell, axis or device."""
+    """Log Bayes factor and worst region of a dependence on a covariate, or (`by_group`) a run, cell, axis or device."""
 
     against: str
     log_bayes_factor: float
@@ -57,7 +57,7 @@ class Entry:
     by_group: bool = False
 
     def data(self, unit: str) -> dict[str, Any]:
-        """Return the JSON object of result.json; means in the output's unit, ranges in the covariate's."""
+        """Return the entry as in result.json: means in `unit`, that of the output, ranges in the covariate's unit."""
         worst = dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
         return {**vars(self), "worst": {**place, **worst}}
@@ -81,13 +81,13 @@ class Check(Printed):
         unit: output unit.
         rms: root mean square of the residuals, output unit.
         noise: standard deviation of the reference noise, output unit.
-        autocorrelation: (lag-1 coefficient within runs in excess of that induced by the fit, its z).
-        scatter_with: p-values of covariates that correlate with the size of the residuals.
-        outliers: (row, leave-one-out residual in standard deviations).
+        autocorrelation: lag-1 autocorrelation within runs in excess of that induced by the fit, and its z.
+        scatter_with: p-values of the covariates with which the absolute residuals correlate significantly, by name.
+        outliers: row and leave-one-out residual, in standard deviations, of each outlier.
         pit_p: p-value of the test that the leave-one-out probability integral transforms are uniform.
-        one_sided: p-value of the sign test on the tenth of the readings farthest from the model.
+        one_sided: p-value of the sign test on the tenth of the readings with the largest residuals.
         free_noise: noise sd of the same model with its fixed coefficients freed, output unit; None if none is fixed.
-        residuals: (n,), output unit.
+        residuals: residual of each reading (n,), output unit.
     """
 
     entries: tuple[Entry, ...]
@@ -153,7 +153,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
-    """Format residual checks, the worst covariate first; with `max_rows`, without the tests of the noise model."""
+    """Format residual checks, the worst covariate first; `max_rows` also omits the tests of the noise model."""
     unit, rows = unit_label(check.unit), check.data()[:max_rows]
     noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
@@ -223,7 +223,7 @@ INTERACTION_DEGREE = 2  # degree of the polynomial along each covariate of an in
 def check(calibration: Calibration) -> Check:
     """Check residuals for misspecification: dependence on covariates, autocorrelation, outliers, non-normality.
 
-    With fixed coefficients, the reference noise is that of a refit with free ones: misfit would inflate it.
+    If coefficients are fixed, the reference noise is that of a refit with free ones, since misfit would inflate it.
     """
     judged_fit, free_noise = _fit_reference_noise(calibration)
     linear = judged_fit.linear
@@ -267,7 +267,7 @@ def check(calibration: Calibration) -> Check:
 
 
 def why_not(calibration: Calibration, checks: Check | None = None) -> str:
-    """Return why a calibration is not fit for use, or ""; run acceptance checks not done yet (`checks`: residual)."""
+    """Return why a calibration is not fit for use, or ""; run acceptance checks if needed (`checks`: residual ones)."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
@@ -287,7 +287,7 @@ def _list_failures(calibration: Calibration, checks: Check | None) -> Sequence[j
 
 
 def _fit_reference_noise(calibration: Calibration) -> tuple[Calibration, float | None]:
-    """Return the fit with reference noise, and the noise sd with coefficients freed (None if none is fixed)."""
+    """Return the fit with the reference noise, and the noise sd of a refit with fixed coefficients freed, or None."""
     # Coefficients fixed by the user at stated values; not those known by definition.
     fixed_names = {b.name for b in calibration.layout.blocks} & {*dict(calibration.model.fixed)}
     if not fixed_names:
@@ -390,9 +390,9 @@ def _build_interaction(first: Covariate, second: Covariate) -> Covariate:
 def log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
-    """Return each covariate's log Bayes factor of a residual dependence on it against none.
+    """Return the log Bayes factor of a dependence of the residuals on each covariate.
 
-    It is averaged over correlation lengths and amplitudes: prior sds of the columns in units of `noise` (output unit).
+    It is averaged over correlation lengths, and over amplitudes in units of `noise`, a standard deviation, output unit.
     """
     factors = list[float]()
     for covariate in covariates:
@@ -522,9 +522,8 @@ def _worst_range(
     score_sums = np.append(0.0, np.cumsum(score))
     weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = score_sums[ends] - score_sums[starts]
-    information = (weights[ends, ends] - weights[starts, ends]) - (
-        weights[ends, starts] - weights[starts, starts]
-    )
+    end_sums, start_sums = (weights[ends, i] - weights[starts, i] for i in (ends, starts))
+    information = end_sums - start_sums
     is_informed = information > 0
     scores = np.where(is_informed, sums, 0.0) / np.sqrt(np.where(is_informed, information, 1.0))
     worst_index = int(np.argmax(np.abs(scores)))

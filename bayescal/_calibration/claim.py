@@ -57,7 +57,7 @@ class _TemplateFormatter(string.Formatter):
 
 
 class Claim(Flag):
-    """A string, message and remedy, with its code, names and numbers: programs read these, never the text.
+    """A message and its remedy, as a string, with code, names and numbers as attributes for programs.
 
     Attributes:
         code: a key of `CRITERIA`.

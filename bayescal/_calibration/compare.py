@@ -110,14 +110,14 @@ def _gap(difference: tuple[float | None, float | None]) -> str:
 def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> Comparison:
     """Compare fitted models by cross-validation, log evidence and stacking weight.
 
-    The best comes first: by the leave-one-group-out log scores where there are ten groups or more; by log evidence
-    where there are fewer, too few for a standard error; by pointwise leave-one-out where the noise is not Gaussian.
+    Models are ranked by their leave-one-group-out log score if there are at least ten groups; by log evidence if there
+    are fewer, too few for a standard error; by pointwise leave-one-out if the noise is not Gaussian.
 
     Args:
-        calibrations: name → fit, of the same readings; or the fits, named after the effects that not all share.
+        calibrations: fits to the same readings, by name; those of a sequence are named after effects that not all have.
 
     Raises:
-        InputError: fewer than two, or fits of different readings.
+        InputError: there are fewer than two fits, or they are to different readings.
     """
     if not isinstance(calibrations, Mapping):
         calibrations = _name_by_effects(calibrations)
@@ -194,7 +194,7 @@ def _sum_error(differences: np.ndarray) -> float:
 
 
 def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -> Iterator[Claim]:
-    """Yield claims where the ranking rule does not decide, or another measure is unreliable or disagrees."""
+    """Yield claims if the ranking is undecided or contradicted by group scores, or PSIS-LOO is unreliable."""
     best, runner_up = rows[:2]
     if fold and fold.count < MIN_GROUPS:
         yield Claim("compare.few_groups", fold.group, count=fold.count)
@@ -215,7 +215,7 @@ def _warn(rows: list[ComparisonRow], rule: str, fold: LeaveOneGroupOut | None) -
 
 
 def _name_by_effects(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
-    """Name fits by the effects that not all share; "model 1" … where that name is empty or taken."""
+    """Name each fit after its effects that not all fits have, or "model 1" … if that name is empty or a duplicate."""
     common = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
     by_name: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):

@@ -1,11 +1,11 @@
-"""Confounding: recorded columns collinear with a model's terms, and half a step of a rounded column.
+"""Confounding: recorded columns collinear with a model's terms, and common rounding errors of a column.
 
 A recorded column without a known effect gets prior probability 1/2 of a linear effect, with a normal coefficient whose
 standard deviation is half the rms of the model's own terms in the output. In the model linearised at its mode, the
 coefficient's posterior and its log Bayes factor are closed-form, and so is the shift of the other coefficients. A
-column orthogonal to the model's terms shifts none; one collinear with the thermometer leaves only the sum identified,
-and the prior splits it. The squared shift, averaged over presence and absence of the effect, is added to each
-coefficient's variance. Posterior means stay those of the model, which compensate a sensor in its test conditions.
+column orthogonal to the model's terms shifts none. If a column is collinear with the thermometer, only the sum of both
+effects is identified, and the prior divides it. The squared shift, averaged over presence and absence of the effect, is
+added to each coefficient's variance. Posterior means remain those of the model, which hold in the test conditions.
 
 A rounded or truncated column may have a common error of up to half a step in all readings. It is treated as a column
 whose effect is certain, with standard deviation step/√12 times the derivative of the output with respect to the column.
@@ -37,7 +37,7 @@ AMPLITUDE_SHARE = 0.5  # prior sd of a column's effect over the rms of the model
 
 @renamed(of_column="label")
 class Confounder(NamedTuple):
-    """A recorded column, collinear with model terms or rounded, that widens coefficients."""
+    """A recorded column, collinear with model terms or rounded, that increases the uncertainty of coefficients."""
 
     column: str
     coefficients: list[str]  # names of the single coefficients whose uncertainty it increases
@@ -105,7 +105,7 @@ def find_confounders(
 
 
 def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
-    """Return a mask of single coefficients: neither group deviations, nor weights of a curve, nor of a rig's slot."""
+    """Mask the single coefficients: all but group deviations, weights of curves and coefficients of a rig's slots."""
     vector = layout.model.instrument.vector
     rig = () if vector is None else vector.rig
     is_single = [
@@ -116,7 +116,7 @@ def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
 
 
 def mode_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """Return the shifts of the posterior mean per added column with a coefficient of one, in units of x."""
+    """Return the shift of the posterior mean of x (p, k) that adding each column with coefficient one would cause."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
 
@@ -132,8 +132,8 @@ def is_widened_by(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool
 def find_unmodelled_columns(
     model: Model, readings: Measurements
 ) -> dict[str, Float[np.ndarray, "n"]]:
-    """Return the varying columns that no effect depends on, except columns that the instrument declares, columns of the
-    same quantity (a second thermometer, a set point) and time, for which the catalogue has named effects."""
+    """Return the varying columns that are neither modelled, nor declared, nor time, nor of a declared quantity."""
+    # The catalogue has named effects of declared quantities (a second thermometer, a set point) and of time.
     declared_names = {c.name for c in model.instrument.columns}
     modelled = declared_names | model.columns | {*TIME_COLUMNS}
     units = [readings.unit(n) for n in declared_names & {*readings.columns}]
@@ -151,7 +151,7 @@ def find_unmodelled_columns(
 def widen_draws(
     x: Float[np.ndarray, "chains draws p"], sources: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
-    """Add the confounders' variance to draws of the coefficients; the mean is unchanged."""
+    """Add the confounders' variance to draws of the coefficients, without changing their mean."""
     for i, confounder in enumerate(sources):
         # Normal quantiles in random order: exact moments, without sampling noise.
         count = x.shape[0] * x.shape[1]

@@ -130,8 +130,7 @@ def _with_origin(model: Model, readings: Measurements, reference: Reference) -> 
     double has six digits of the noise, and a sum of squared outputs has none. A constant coefficient of the model
     shifts every reading equally: the origin is subtracted from outputs and coefficient, and added to reported values.
 
-    An origin is a multiple of a power of two coarser than the outputs' last digits, so that its subtraction is exact.
-    Each of three axes has one.
+    An axis' origin is a multiple of a power of two above its outputs' last digit, so that its subtraction is exact.
     """
     stored_origins = origins_of(reference)
     without_origins = {name: v for name, v in reference.items() if name not in stored_origins}

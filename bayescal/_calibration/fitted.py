@@ -87,8 +87,7 @@ class Fitted:
     def posterior(self) -> xr.Dataset:
         """Return draws (chain, draw, …) of each unknown under its name, in its reported unit (`units`).
 
-        Coordinates of group dimensions are the members' names. Variances include confounding by recorded columns;
-        those of `joint` do not.
+        Coordinates of group dimensions are the members' names. Unlike `joint`, the variances include confounding.
         """
         return to_xarray(self.unknowns, self.values)
 
@@ -255,7 +254,7 @@ class Fitted:
 
     @property
     def usual_columns(self) -> set[str]:
-        """Return the columns of effects with inclusion probability above 0.5, except group labels."""
+        """Return the columns of effects with inclusion probability above 0.5, and those of group labels."""
         probabilities = self.inclusion
         probable_effects = (e for e in self.model.effects if probabilities[e.name] > 0.5)
         return set().union(GROUPS, *(e.columns for e in probable_effects))
@@ -280,8 +279,7 @@ class Fitted:
         mode = mode._replace(
             x=x.mean(axis=0), v=mode.v[v_indices], covariance=covariance, flat=mode.flat[x_indices]
         )
-        joint = Draws.of(x, v)
-        return replace(self, model=layout.model, layout=layout, joint=joint, mode=mode)
+        return replace(self, model=layout.model, layout=layout, joint=Draws.of(x, v), mode=mode)
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to `limit`."""
@@ -297,7 +295,7 @@ class Fitted:
         return Vectors(*arrays), chains
 
     def samples(self, name: str) -> np.ndarray:
-        """Return the draws of an unknown, or of all members of a group, reported unit; (draws,) or (draws, members).
+        """Return the draws of an unknown (draws,), or of a group's members (draws, members), in the reported unit.
 
         Raises:
             InputError: no unknown has this name.
@@ -309,7 +307,7 @@ class Fitted:
 
     @run_on_one_thread
     def log_likelihood(self, limit: int = MAX_CELLS) -> xr.Dataset:
-        """Return the pointwise log likelihood, draws thinned to at most `limit` numbers.
+        """Return the pointwise log likelihood (chain, draw, reading); draws are thinned to `limit` numbers at most.
 
         Under correlated noise it is conditional on the earlier readings of the run.
         """
@@ -331,8 +329,7 @@ def to_xarray(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknow
     import pandas as pd
     import xarray as xr
 
-    variables: dict[str, tuple] = {}
-    coordinates: dict[str, pd.Index] = {}
+    variables, coordinates = dict[str, tuple](), dict[str, pd.Index]()
     for key, rows in unknowns.by_key.items():
         unknown, dims = unknowns.rows[rows.start], ("chain", "draw")
         if unknown.group is not None:
@@ -367,11 +364,11 @@ class PredictiveMoments(NamedTuple):
 def predictive_moments(
     problem: Problem, draws: Vectors, noise: Callable[[np.ndarray], tuple[Any, Any]] | None = None
 ) -> PredictiveMoments:
-    """Return predictive moments of readings, with noise on inputs and unseen group members (code −1).
+    """Return predictive moments of readings, including noise on inputs and deviations of unseen members (code −1).
 
-    Draws are evaluated in chunks, and sums taken of differences from the first draw. `noise` maps residuals (b, n) to
-    conditional mean (b, n) and variance (n,) of correlated noise; each draw has its own, since a level may belong to
-    noise or to a coefficient, but their sum is known.
+    Draws are evaluated in chunks; moments are sums of differences to the first draw, against cancellation. `noise` maps
+    the draws' residuals (b, n) to the conditional mean (b, n) and variance (n,) of correlated noise. The mean is that
+    of each draw: readings determine the sum of a constant coefficient and slow noise, not each of them.
     """
     count, size = len(draws.x), problem.record.size
     offset_sum, offset_squares, noise_sum, input_variance = np.zeros((4, size))
@@ -435,11 +432,13 @@ def _iterate_chunks(problem: Problem, draws: Vectors) -> Iterator[tuple[slice, V
 def _mean_and_input_sds(
     problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
-    """Return the expected outputs (b, n), and the standard deviation of the output due to each of `terms`."""
+    """Return the expected outputs (b, n), and the standard deviation of the output due to each of `terms`.
+
+    A term is noise on an input, or the deviation of an unseen member, zero at readings of members seen in the fit.
+    """
     if not terms:
         return problem.expected(draws.x, hyper), []
     mean, gradients = problem.expected_with_slopes(draws.x, hyper, terms)
-    # A term is noise on an input, or the deviation of an unseen member, zero at readings of members seen in the fit.
     sds = list[Any]()
     for t, gradient in zip(terms, gradients, strict=True):
         prior_sd = t.prior_sd

@@ -44,8 +44,8 @@ class Subject:
 
     fit: Fitted
     accepted: Collection[str] = ()  # coefficients or effects that may contradict their priors
-    check: Any = None  # residual checks (`Check`); None if no check uses them, like the next
-    leave_one_group_out: LeaveOneGroupOut | None = None  # predictions of each group from the others
+    check: Any = None  # residual checks (`Check`); None if no check needs them
+    leave_one_group_out: LeaveOneGroupOut | None = None  # None if no check needs it
     mode_claims: tuple[Claim, ...] = ()  # claims of `multimodality`
     first_model: Model | None = None  # first model of the search, whose thermometers are checked
     # Fields of claim "residuals.depend": its remedy and the names in it.
@@ -72,7 +72,7 @@ def contradictions(
 ) -> tuple[Claim, ...]:
     """Return claims that prevent a search: readings contradict the model's priors, or rounding exceeds the noise.
 
-    noise_floor: noise standard deviation that no smooth effect could explain, output unit.
+    noise_floor: noise sd that no smooth effect could explain, output unit. accepted: names that may contradict priors.
     """
     freed_names = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed_names})
@@ -84,7 +84,7 @@ def contradictions(
 
 
 def residual_claims(subject: Subject) -> list[Claim]:
-    """Return failed residual checks; only the first claim if the fit did not converge or fixed values are wrong."""
+    """Return failed residual checks; a single claim if the fit did not converge or fixed coefficients are wrong."""
     verdict, evidence, check = subject.fit.verdict, subject.fit.log_evidence, subject.check
     if not verdict.ok:
         return [Claim("fit.not_converged", reasons=" ".join(verdict.reasons))]
@@ -162,9 +162,8 @@ def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
 
 
 def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
-    """Yield a claim for each standard deviation, in the output's unit, that exceeds the range of the output."""
-    fit = subject.fit
-    sds = set(fit.model.noise.amplitudes)
+    """Yield a claim for each noise amplitude and between-group standard deviation that exceeds the output's range."""
+    fit, sds = subject.fit, set(subject.fit.model.noise.amplitudes)
     for effect in fit.model.effects:
         for i, c in enumerate(effect.coefficients):
             if fit.model.instrument.slot(c.slot or effect.slot).unit == fit.unit:
@@ -182,7 +181,7 @@ def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
 def implausible_curves(subject: Subject) -> Iterator[Claim]:
     """Yield claims on unknown dependences larger than all of the instrument's known effects together.
 
-    They indicate an input with a wrong sign or unit, which a free curve along that input fits.
+    They indicate a wrong sign or unit of an input, which a free curve over this input can fit.
     """
     fit, instrument, readings = subject.fit, subject.fit.model.instrument, subject.fit.readings
     curves = [e for e in fit.model.effects if e.is_placeholder and not subject.accepts(e.name)]
@@ -206,8 +205,8 @@ def implausible_curves(subject: Subject) -> Iterator[Claim]:
 def find_implausible_members(subject: Subject) -> Iterator[Claim]:
     """Yield a claim on the member with the largest deviation in each group, if it is implausibly large.
 
-    An estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
-    finds. It is not a test for missing effects, which members absorb too.
+    The estimated between-member standard deviation absorbs a wrong sign or unit of one member, which no other check
+    reveals. Members absorb missing effects as well; the claim does not test for those.
     """
     fit = subject.fit
     rows = (r for r in summary(fit)[0] if not subject.accepts(r["name"], r["effect"]))
@@ -297,8 +296,8 @@ def implausible_scale(effect: Effect, contribution: float, noise: float, unit: s
 def multimodality(fit: Fitted) -> list[Claim]:
     """Return claims that the Laplace approximation of the evidence is invalid: an indefinite Hessian, a second mode.
 
-    A second mode, with other nonlinear parameters and nearly the same evidence, is searched from the prior draws of
-    highest density and along nonlinear parameters whose evidence has many maxima.
+    A second mode has other nonlinear parameters and nearly the same evidence. The search for it starts from the prior
+    draws of highest density and from grids along nonlinear parameters whose evidence has many maxima.
     """
     problem, mode = fit.problem, fit.mode
     if not math.isfinite(mode.log_evidence):
@@ -331,7 +330,7 @@ def multimodality(fit: Fitted) -> list[Claim]:
 
 
 def explain_missing_noise(fit: Fitted) -> str:
-    """Return a message if no check is possible: noise below the output's precision or not finite; else ""."""
+    """Return a message if noise is below the output's precision or not finite, so that no check is possible; or ""."""
     output, variance = fit.readings["output"], fit.linear.variance
     noise, unit = math.sqrt(float(np.median(variance))), unit_label(fit.unit)
     if noise > np.spacing(np.max(np.abs(output))):

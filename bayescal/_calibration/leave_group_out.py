@@ -36,7 +36,7 @@ MAX_BLOCKS = 5  # number of blocks of neighbouring readings, left out if there a
 @renamed(surprise="error_ratio", by_chance="p_value")
 @dataclass(frozen=True)
 class LeaveOneGroupOut:
-    """Leave-one-group-out predictions: each group predicted from the others."""
+    """Predictions of each group of readings from a fit to the other groups, and their log scores."""
 
     group: str  # what a group is: device, run, cell, "time block" or "block of rows"
     members: tuple[str, ...]  # names of the groups
@@ -60,7 +60,7 @@ class LeaveOneGroupOut:
 
 
 class RecordSubset(Record):
-    """Readings of a record selected by row; lags and rates are computed on the full record."""
+    """Selected readings of a record, with lags and rates computed from all readings of that record."""
 
     def __init__(self, parent: Record, rows: np.ndarray) -> None:
         # In time order; a time step sums those of the omitted readings in between.
@@ -111,7 +111,7 @@ def scheme(group: str) -> str:
 
 
 def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]:
-    """Choose the groups to leave out: devices if there are two, else runs, cells, or blocks in time or order."""
+    """Choose the groups to leave out: devices, runs, cells, or blocks in time or order; return kind, names, codes."""
     for name in ("device", "run", "cell"):
         levels, codes = readings.groups(name)
         if len(levels) >= 2 and (codes >= 0).all():
@@ -148,11 +148,11 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
 
 
 def _ratio_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
-    """Return P(rᵀr ≥ squares) if r has a covariance of eigenvalues λ (spectrum) that is itself an estimate.
+    """Return P(rᵀr ≥ squares) for r whose covariance, with eigenvalues λ (`spectrum`), is itself an estimate.
 
     rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110). The noise part of Σλ
-    was estimated from the number of training readings, the rest in the worst case from a between-group standard
-    deviation with groups − 1 degrees of freedom: the ratio has an F distribution.
+    has `readings` degrees of freedom, the number of training readings; the other part at least those of a between-group
+    standard deviation, groups − 1. The ratio therefore has an F distribution.
     """
     # Relative to Σλ, whose square may overflow.
     trace = float(spectrum.sum())
@@ -165,8 +165,10 @@ def _ratio_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: 
 def _predict_fold(
     problem: Problem, mode: Mode, training: np.ndarray, left_out: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, float, np.ndarray] | None:
-    """Predict the left-out readings from the others: return joint log predictive density, errors, variance of the
-    expectation, whitened residual sum of squares and the eigenvalues of its covariance; None if either fails."""
+    """Predict the left-out readings from the others; return None if a posterior of the coefficients is undefined.
+
+    Returns log predictive density, errors, variance of expected outputs, whitened rss and its covariance's eigenvalues.
+    """
     subsets = (RecordSubset(problem.record, rows) for rows in (training, left_out))
     problems = (Problem(problem.layout, part, problem.size_factors) for part in subsets)
     guess = HessianGuess(mode.v, np.linalg.pinv(mode.covariance), True)
@@ -195,7 +197,7 @@ def _predict_fold(
 def _held_out_moments(
     training: Density, test_density: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
-    """Return prediction errors of left-out readings, their Gram matrix in whitened coordinates, and model variance."""
+    """Return errors of left-out readings, their whitened Gram matrix, and the variance of the expected outputs."""
     posterior = training.condition_at(v)[1]
     if posterior is None:
         return None

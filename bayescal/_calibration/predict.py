@@ -37,9 +37,10 @@ class Prediction:
 
     Attributes:
         mean: posterior mean of the expected output, output unit, (n,).
-        model_sd: standard uncertainty of the expected output: coefficients (times `form_factor`), noise on inputs, and
-            for unseen groups between-group standard deviations, also of plausible effects (`unfound_spreads`).
-        sd: standard uncertainty of a reading: noise included.
+        model_sd: standard uncertainty of the expected output. It combines that of the coefficients, multiplied by the
+            calibration's `form_factor`, noise on inputs and, for unseen groups, the between-group standard deviations
+            of effects in the model and of plausible effects that it lacks (`unfound_spreads`).
+        sd: standard uncertainty of a reading, including its noise.
         residual: output − mean.
     """
 
@@ -66,7 +67,7 @@ def predict(
     conditional on it: lags, hysteresis, the run's deviation and correlated noise continue as if the file were not cut.
 
     Args:
-        calibration: a fit, or an average over structures; those that need columns absent from the readings are omitted.
+        calibration: a fit, or an average over structures, of which those that need absent columns are omitted.
         readings: readings to predict; None for the fitted ones. Without a column `run` they are one new run. Dates are
             converted to the calibration's clock.
         new_groups: treat every run, cell or device as unseen by the fit: its deviation has mean zero and the
@@ -87,7 +88,7 @@ def predict(
     readings = calibration.on_clock(readings)
 
     def predict_frame(part: Measurements, frame: Frame, past: np.ndarray) -> np.ndarray:
-        """Return residuals, standard uncertainties of the expected output and of a reading (3, n), output unit."""
+        """Return rows (3, n), output unit: residual, standard uncertainty of the expected output, and of a reading."""
         problem, noise = calibration.problem_on(frame), None
         if len(past) and not calibration.model.noise.independent:
             noise = _conditional_noise(calibration, part, frame, past)
@@ -107,7 +108,7 @@ def predict(
 
 
 def _unseen_member_variance(calibration: Calibration, problem: Problem) -> np.ndarray:
-    """Return the variance (n,) of readings of unseen members due to group deviations not in the model."""
+    """Return the variance (n,) of unseen members' readings due to plausible group deviations not in the model."""
     known_effects, variances = calibration.model.instrument.known, np.zeros(problem.record.size)
     for name, sd in calibration.unfound_spreads.items():
         new = problem.record.codes[str(known_effects[name].coefficients[0].per)] < 0
@@ -131,8 +132,7 @@ def _evaluate_with_past(
 ) -> Float[np.ndarray, "k n"]:
     """Evaluate a function at new readings, with the fitted readings that precede them; return its values (k, n).
 
-    Readings that continue a fitted run are appended to it; all others start new runs. `evaluate` is called with
-    (readings, frame, rows of the fitted readings).
+    Readings that continue a fitted run are appended to it; others start new runs. evaluate(readings, frame, past rows).
     """
     fitted = calibration.readings
     runs = fitted.find_continuations(readings)
@@ -162,8 +162,7 @@ def _conditional_noise(
 ) -> Callable[[Float[np.ndarray, "b n"]], tuple[np.ndarray, np.ndarray]]:
     """Return the distribution of correlated noise in a record given its first readings, the fitted ones in rows `past`.
 
-    The returned function maps residuals (b, n) to conditional mean (b, n) and variance (n,), at the mode; they are zero
-    at the fitted readings, where they are not needed.
+    The returned function maps residuals (b, n) to conditional mean (b, n) and variance (n,), at the mode; 0 in `past`.
     """
     fit_record, count = calibration.problem.record, len(past)
     model, parameters = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
@@ -201,8 +200,8 @@ class HoldoutContradiction:
 class HoldoutTest:
     """A fit's prediction of hold-out data, tested against readings replicated from the fit.
 
-    A replicate has one posterior draw of the coefficients, drawn deviations of unseen runs, and drawn noise (posterior
-    predictive p-values: A. Gelman, X.-L. Meng and H. Stern, Statistica Sinica 6 (1996) 733).
+    A replicate is simulated from one posterior draw of the coefficients, with random deviations of unseen runs and
+    random noise (posterior predictive p-values: A. Gelman, X.-L. Meng and H. Stern, Statistica Sinica 6 (1996) 733).
     """
 
     calibration: Calibration
@@ -215,9 +214,9 @@ class HoldoutTest:
     def contradiction(self) -> HoldoutContradiction:
         """Compute the score test of the fit's coefficients, and the residual scatter after their adjustment.
 
-        With e the errors over the noise and Q an orthonormal basis of the coefficients' columns, t = Qᵀe has mean zero
-        and covariance C, estimated from the replicates; tᵀC⁻¹t is compared with its values in the replicates (C. R.
-        Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
+        With e the errors in units of the noise sd and Q an orthonormal basis of the coefficients' columns, t = Qᵀe has
+        mean zero and a covariance C that is estimated from the replicates; tᵀC⁻¹t is compared with its values in the
+        replicates (C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
         """
         errors, expected = self._errors
         # Columns of coefficients common to all readings, and of the deviations of each group's members.
@@ -245,10 +244,10 @@ class HoldoutTest:
         return HoldoutContradiction(p, ratio, scatter, coefficient)
 
     def paired_test(self, other: HoldoutTest) -> float:
-        """Return the p-value of a paired test, under this fit, against the fit `other`, by their hold-out errors.
+        """Return the p-value, under this fit, of a paired test of its hold-out errors against those of `other`.
 
-        With δ = (μ₁ − μ₀)/σ the difference of the predictions over the noise, the other's sum of squared errors exceeds
-        this one's by δᵀδ + 2δᵀe, of which only δᵀe is random.
+        With δ = (μ₁ − μ₀)/σ the difference of the predictions in units of the noise sd, the other's sum of squared
+        errors exceeds this one's by δᵀδ + 2δᵀe, of which only δᵀe is random.
         """
         errors, expected = self._errors
         difference = (self.prediction.mean - other.prediction.mean) / self._noise
@@ -262,16 +261,16 @@ class HoldoutTest:
 
     @cached_property
     def _problem(self) -> tuple[Calibration, Problem]:
-        """Return the fit, averaged over structures whose columns the data have, and its problem on these data."""
+        """Return the fit, averaged over structures that need no absent column, and its problem on the data."""
         average = self.calibration.with_columns(self.readings.columns)
         return average, average.problem_on(average.frame_of(self.readings))
 
     @cached_property
     def _errors(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "draws n"]]:
-        """Return the prediction errors over the noise sd, and those of the replicates about their mean.
+        """Return the prediction errors, and those of the replicates about their mean, in units of the noise sd.
 
-        Readings that continue a fitted run have its deviation, those of new groups one drawn from its prior; correlated
-        noise is independent of the fitted readings.
+        Replicates of readings that continue a fitted run include its estimated deviation; deviations of new groups are
+        drawn from their prior. Correlated noise is independent of the fitted readings.
         """
         (average, problem), seed = self._problem, self.calibration.seed
         random, member_random = np.random.default_rng(seed), np.random.default_rng(0)
@@ -295,7 +294,7 @@ class HoldoutTest:
     @property
     @run_on_one_thread
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
-        """Return each coefficient's name, group, and Jacobian column (n,) over the noise sd, at the posterior mean."""
+        """Return each coefficient's name, group, and Jacobian column (n,) at the posterior mean, in noise sd."""
         average, problem = self._problem
         x, v = average.draws()
         terms = [t for t in problem.terms if t.place == "x"]

@@ -109,7 +109,8 @@ def find_not_measured(
 ) -> NotMeasured | None:
     """Return the unknowns whose priors determine a quantity more than the readings do, or None.
 
-    Only `name` and coefficients with a stated prior (not flat or hierarchical) in a slot that corrections use count.
+    Besides `name`, only coefficients with a stated prior (neither flat nor hierarchical) in a slot that a correction
+    uses are tested, hence not those of a rig or a thermometer.
 
     Args:
         calibration: a fit, or an average over structures; an effect is tested on the draws that include it.
@@ -152,7 +153,7 @@ def find_not_measured(
     samples, remedy = [candidates[i] for i in indices if is_counted[i]], "more readings"
     blocks = (u.block for u, *_ in samples)
     if columns := dict.fromkeys(c for block in blocks if block for c in block.effect.columns):
-        remedy = f"readings over more of {' and '.join(columns)}"
+        remedy = f"readings over a wider range of {' and '.join(columns)}"
     elif len(indices) > 1:
         remedy = f"readings that separate {' and '.join(candidates[i][0].name for i in indices)}"
     texts = (_format_unknown(u, x, f", prior ± {number(size)}") for u, x, size in samples)

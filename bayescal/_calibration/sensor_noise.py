@@ -123,7 +123,7 @@ class NoiseFigure:
 
 @dataclass(frozen=True, repr=False)
 class SensorNoise(Printed):
-    """Noise of a channel at rest.
+    """Noise model of a channel at rest: its parameters, Allan deviation and probability.
 
     Attributes:
         file: name of the file.
@@ -135,7 +135,7 @@ class SensorNoise(Printed):
         measured: Allan deviation of the record.
         expected: posterior median of the noise model's Allan deviation (k,), output unit.
         low, high: bounds of its 95 % credible band (k,).
-        estimate_low, estimate_high: bounds of 95 % of Allan deviations estimated from such a record (k,).
+        estimate_low, estimate_high: 95 % bounds of the Allan deviation that a record of this length would give (k,).
         claims: processing of the record, and failed checks of the noise model.
         densities: posterior draws of N and K for a Kalman filter, output unit times √s and per √s.
         horizon: longest averaging time for which the filter's K holds, s.
@@ -195,7 +195,7 @@ class SensorNoise(Printed):
         """Return N and K for a filter of white noise and a random walk, output unit times √s and per √s.
 
         If noise is correlated, they are the smallest pair whose Allan deviation is at least 95 % of the noise model's
-        at every averaging time up to `horizon`: N replaces noise of a few steps, K slower noise.
+        at every averaging time up to `horizon`: N represents noise correlated over a few steps, K slower noise.
 
         Args:
             quantile: posterior quantile of N and K; 0.95 if None.
@@ -205,7 +205,7 @@ class SensorNoise(Printed):
         return n, k
 
     def data(self) -> dict[str, Any]:
-        """Return plain numbers for JSON."""
+        """Return the result as a JSON object."""
         (n, k), m = self.for_filter(), self.measured
         band = (self.expected, self.low, self.high)
         columns = [column.tolist() for column in (m.tau, m.deviation, m.low, m.high, *band)]
@@ -234,17 +234,16 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
     Args:
         readings: readings of one channel, evenly spaced in time within runs.
         seed: seed of the random draws.
-        time_limit: seconds, after which the result has only the sums fitted so far, with a note; so has Ctrl-C.
+        time_limit: seconds, after which only the sums fitted so far are used, with a note; Ctrl-C does the same.
 
     Raises:
-        InputError: readings of several devices, no column `time`, no run of 30 readings, uneven steps, or an output
-            that is rounded too coarsely.
+        InputError: several devices, no column `time`, no run of 30 readings, uneven steps, or output rounded coarsely.
     """
     for group in ("device", "axis"):
         if len(levels := readings.groups(group)[0]) > 1:
             raise InputError(
-                f"{readings.file}: each {group} has noise of its own ({', '.join(levels)}): give the readings of one, "
-                f"as readings.select(readings[{group!r}] == {levels[0]!r})"
+                f"{readings.file}: each {group} has its own noise ({', '.join(levels)}): select the readings of one, "
+                f"such as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
         sums = _evaluate_sums(readings, seed := seed_of(seed))
@@ -301,8 +300,8 @@ class RestNoise(NamedTuple):
     def density(self, step: float) -> Float[np.ndarray, "d"]:
         """Return N at each draw, output unit times √s, of readings `step` s apart.
 
-        It sums white noise, averaged white noise, and Ornstein–Uhlenbeck processes of up to three steps, whose spectral
-        density at low frequencies is s²·(1 + ρ)/(1 − ρ) per reading, with variance s² and correlation ρ of neighbours.
+        N includes white noise, averaged white noise and Ornstein–Uhlenbeck processes of up to three steps, which have
+        the density s²·(1 + ρ)/(1 − ρ) per reading at low frequencies (variance s², correlation ρ of neighbours).
         """
         variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGING}", 0.0) ** 2
         for size, time in self.processes:
@@ -332,7 +331,7 @@ class _RestRecord(NamedTuple):
         return SummedNoise(self.spectrum.step, self.max_duration, terms, scale, scale)
 
     def log_density(self, terms: Terms) -> Callable[[Float[np.ndarray, "s d"]], np.ndarray]:
-        """Return a sum's log posterior density over parameter coordinates, levels and curve integrated out."""
+        """Return the log posterior density of a sum's parameter coordinates, levels and curve integrated out."""
         model = self.model(terms)
         priors = model.parameters()
 
@@ -429,8 +428,8 @@ def _enumerate_sums(
 ) -> Iterator[Terms]:
     """Yield the sums to evaluate besides the smallest, `base`: up to two slow terms and a subset of `optional` terms.
 
-    All but the smallest include the `required` terms; the best sum is finally evaluated without each of these, as noise
-    correlated over a few readings resembles them.
+    All but the smallest include the `required` terms. Finally the best sum is evaluated without each of these, because
+    noise that is correlated over a few readings resembles them.
     """
     pairs = [p for p in itertools.combinations_with_replacement(SLOW_TERMS, 2) if p not in NO_PAIRS]
     counts = range(len(optional) + 1)
@@ -449,7 +448,7 @@ def _sample_sums(
     sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> None:
-        """Draw the parameters of a sum, which corrects the Laplace evidence of a skewed posterior."""
+        """Draw a sum's parameters by importance sampling; replace the Laplace evidence by the resulting estimate."""
         log_density = channel.log_density(terms)
         v, weights, evidence = draw_by_importance(log_density, fits[terms], seed, DRAWS_PER_SUM)
         sampled[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
@@ -586,8 +585,9 @@ def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
 def _list_columns(
     readings: Measurements, runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "n"], float, list[Claim]]:
-    """Return the columns, centred (a polynomial in temperature, if it varies; the output), the residuals of their
-    least-squares fit and a robust standard deviation of neighbours' differences, output unit; and claims.
+    """Return centred columns (a polynomial in temperature if it varies; output), residuals, noise scale and claims.
+
+    Residuals: of a least-squares fit of the polynomial. Scale: a robust sd of neighbours' differences, output unit.
     """
     output, claims = np.asarray(readings["output"], float), list[Claim]()
     changes = np.concatenate([np.diff(run) for run in runs.arrange(output)])
@@ -614,7 +614,7 @@ def _impute_run(
 ) -> Float[np.ndarray, "n r"]:
     """Draw a run's lost readings from the noise model, conditional on the others; interpolate its temperature columns.
 
-    The precision matrix is Q = CᵀD⁻¹C (but for end effects), with C the cosine transform and D the spectral density.
+    The precision matrix is Q = CᵀD⁻¹C except for end effects, with C the cosine transform and D the spectral density.
     For m the lost rows, ε standard normal and x zero at m, the solution of Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m has the
     conditional mean and covariance Q_mm⁻¹. The level is free: 1/D is zero at frequency zero.
     Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
@@ -643,7 +643,7 @@ def _impute_run(
 
 
 def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:
-    """Find a sum's posterior mode, starting also from modes of sums with one term less; add the Laplace evidence."""
+    """Return the Laplace approximation of a sum; starting points include modes of the sums with one term less."""
     priors, log_density = channel.model(terms).parameters(), channel.log_density(terms)
     starts = list(_list_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
@@ -691,7 +691,7 @@ def _list_starts(channel: _RestRecord, terms: Terms, priors: dict[str, Any]) -> 
 def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
     """Return the root mean square of a coherent line in a run, less the noise at its frequency, output unit.
 
-    The mean square is the maximum of the periodogram near `freq` cycles per reading less the background, over n.
+    The mean square is 1/n of the periodogram's maximum near `freq`, in cycles per reading, less its background.
     """
     n = len(y)
     edges = np.linspace(0, n, min(MAX_PHASE_BLOCKS, n) + 1).astype(int)
@@ -713,13 +713,16 @@ def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
 def _draw_parameters(
     channel: _RestRecord, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> dict[str, np.ndarray]:
-    """Resample noise parameters to equally weighted draws, `share` of `MIXTURE_DRAWS`, by parameter name."""
+    """Resample noise parameters to equally weighted draws, `share` of `MIXTURE_DRAWS`, by parameter name.
+
+    The rms of a coherent tone is drawn about its estimate from the longest run instead.
+    """
     chosen = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
     priors = channel.model(terms).parameters()
     parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
-        if is_coherent.any():  # its rms is drawn about the estimate from the longest run instead
+        if is_coherent.any():
             frequency = float(np.median(parameters[TONE_FREQ][is_coherent])) * channel.spectrum.step
             run = max(channel.columns, key=len)[:, -1]
             error = parameters[WHITE] / math.sqrt(len(run))
@@ -730,7 +733,7 @@ def _draw_parameters(
 
 
 def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior draws of N and K for a Kalman filter; without correlated noise, K bounds the random walk."""
+    """Return posterior draws of N and K for a Kalman filter; if noise is uncorrelated, K is the random walk's bound."""
     factors, step = sums.runs.factors, sums.runs.step
     walk_factor = step * (2 * factors**2 + 1) / (6 * factors)
     densities, walk_draws = [], []
@@ -758,7 +761,7 @@ def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
 def _summarise_figures(
     sums: EvaluatedSums, unit: str, curve: Float[np.ndarray, "d k"]
 ) -> tuple[NoiseFigure, ...]:
-    """Summarise Q, N, B, K and other parameters, each over the sums with its term if these have over half the draws."""
+    """Summarise Q, N, B, K and other parameters; a term's parameters if sums with it have over half of the draws."""
     names, best, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
     (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)

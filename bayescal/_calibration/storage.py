@@ -176,7 +176,7 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 
 
 def description(calibration: Fitted) -> dict[str, Any]:
-    """Describe a calibration without its arrays; effects and instruments by name."""
+    """Return the fields of a calibration except its arrays, for JSON; instrument and effects by name."""
     model, readings = calibration.model, calibration.readings
     flags = (f for f in (*readings.flags, *calibration.verdict.against) if isinstance(f, Flag))
     known = _instrument_effects(model.instrument)
@@ -210,7 +210,7 @@ def description(calibration: Fitted) -> dict[str, Any]:
 
 
 def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
-    """Return whether an effect differs from the instrument's own in its prior standard deviation only."""
+    """Return whether an effect differs from that of the catalogue only in its prior standard deviation."""
     default = catalogue.get(e.name)
     if default is None or e.coefficients == default.coefficients:
         return bool(e.frees)

@@ -78,7 +78,7 @@ def given_text(row: dict[str, Any], times: float = 1.0) -> str:
 def unknown_rows(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> dict[str, list[str]]:
-    """Return printed rows (name, value, unit, interval, contraction) by name; one per curve and per large group."""
+    """Return printed rows (name, value, unit, interval, contraction) by name; one for each curve or large group."""
     rows: dict[str, list[str]] = {}
     coefficients, hyperparameters = summary(calibration)
     # Coefficients of an unknown dependence describe a curve together.
@@ -107,7 +107,7 @@ def unknown_rows(
 
 
 def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str]:
-    """Return a curve's rms and extreme over the readings, output unit, and the extreme's place: "humidity 0.55"."""
+    """Return a curve's rms and largest deviation from its mean, output unit, and where: "humidity 0.55"."""
     values, readings = np.asarray(calibration.linear.contribution(name)), calibration.readings
     values = values - values.mean()
     worst = int(np.argmax(np.abs(values)))
@@ -120,7 +120,7 @@ def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str]:
 
 
 def find_large_groups(calibration: Fitted) -> dict[str, str]:
-    """Return name → key common to its group, of members' coefficients of large groups and of initial states."""
+    """Return the group's key of each coefficient of a large group and of each initial state, by coefficient name."""
     keys = dict[str, str]()
     for key, rows in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[rows]
@@ -135,7 +135,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
-    `given`: mean and sd conditional on inclusion. All values of a hyperparameter are conditional.
+    `given`: mean and sd conditional on inclusion. All values of a hyperparameter are conditional on inclusion.
 
     Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
@@ -163,7 +163,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
 
 
 def null_directions(calibration: Fitted) -> list[Claim]:
-    """Return claims of the unidentified linear combinations of coefficients.
+    """Return claims on unidentified linear combinations of coefficients.
 
     First, exact null directions of the design matrix, in the coefficients' units, each with as few coefficients as
     possible. Second, weak directions: information below a tenth of the prior's, so that the posterior is the prior.
@@ -182,7 +182,7 @@ def directions_data(calibration: Fitted) -> list[dict[str, str]]:
 def unidentified_claims(
     linear: LinearModel, levels: Mapping[str, Sequence[str]], with_exact: bool = True
 ) -> list[Claim]:
-    """Return claims of the unidentified combinations of a linearised structure, without confounders."""
+    """Return claims on unidentified combinations of a linearised structure, without those due to confounders."""
     layout = linear.problem.layout
     if layout.size == 0:
         return []
