@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from tests.support.inside import DrawnQuantity, Limits, acceptance, global_risks
+from tests.support.inside import DrawnQuantity, Limits, compute_global_risks, find_acceptance
 
 QUANTILES = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)  # a normal distribution as draws
 
@@ -40,7 +40,7 @@ def test_resistors_between_acceptance_limits() -> None:
     two-dimensional simulation, which shares nothing with the closed form.
     """
     limits, accepted = Limits(1499.8, 1500.2), Limits(1499.82, 1500.18)
-    found = global_risks(1500.0, 0.12, 0.04, limits, accepted)
+    found = compute_global_risks(1500.0, 0.12, 0.04, limits, accepted)
     assert (round(100 * found.consumer), round(100 * found.producer)) == (1, 7)
     random = np.random.default_rng(106)
     true = random.normal(1500.0, 0.12, 400_000)
@@ -73,7 +73,7 @@ def test_consumers_risk_of_four_to_one_by_the_table_of_rp_19(conforming, per_cen
     The digits are those against which Suncal's own tests check (github.com/sandialabs/suncal, test_risk.py).
     """
     sd = float(1 / stats.norm.ppf(0.5 * (1 + conforming)))
-    found = global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Limits(-1.0, 1.0))
+    found = compute_global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Limits(-1.0, 1.0))
     assert found.conforming == pytest.approx(conforming, abs=1e-9)
     assert 100 * found.consumer == pytest.approx(per_cent, abs=2e-6)
 
@@ -81,7 +81,7 @@ def test_consumers_risk_of_four_to_one_by_the_table_of_rp_19(conforming, per_cen
 @pytest.mark.parametrize("uncertainty", [0.003, 0.3, 3.0])
 def test_global_risks_hold_where_one_width_is_far_smaller_than_the_other(uncertainty) -> None:
     limits, accepted = Limits(-0.5, np.inf), Limits(-0.4, np.inf)
-    found = global_risks(0.1, 0.7, uncertainty, limits, accepted)
+    found = compute_global_risks(0.1, 0.7, uncertainty, limits, accepted)
 
     def density(y: float) -> float:
         return float(stats.norm.pdf(y, 0.1, 0.7) * stats.norm.sf(accepted.low, y, uncertainty))
@@ -96,14 +96,14 @@ def test_guard_bands_of_a_normal_distribution_are_its_quantiles() -> None:
     """JCGM 106, 8.3.2: one-sided, w = z(1 − α)·u; a tolerance far wider than u has the same at either end."""
     for alpha in (0.025, 0.05):
         z = stats.norm.ppf(1 - alpha)
-        found = acceptance(normal(1.0, 0.5), Limits(-4.0, 4.0), alpha)
+        found = find_acceptance(normal(1.0, 0.5), Limits(-4.0, 4.0), alpha)
         assert found is not None
         np.testing.assert_allclose(found, (-4 + 0.5 * z, 4 - 0.5 * z), atol=1e-3)
-        found = acceptance(normal(1.0, 0.5), Limits(-np.inf, 4.0), alpha)
+        found = find_acceptance(normal(1.0, 0.5), Limits(-np.inf, 4.0), alpha)
         assert found is not None and found.low == -np.inf
         assert found.high == pytest.approx(4 - 0.5 * z, abs=1e-3)
     # Of a tolerance that is not wide, both ends count together: p_c at the edge by the normal distribution.
-    found = acceptance(normal(0.3, 0.5), Limits(-1.3, 1.3), 0.05)
+    found = find_acceptance(normal(0.3, 0.5), Limits(-1.3, 1.3), 0.05)
     assert found is not None
     at_edge = stats.norm.cdf(1.3, found.high, 0.5) - stats.norm.cdf(-1.3, found.high, 0.5)
     assert at_edge == pytest.approx(0.95, abs=1e-3) and found.low == pytest.approx(
@@ -113,7 +113,7 @@ def test_guard_bands_of_a_normal_distribution_are_its_quantiles() -> None:
 
 def test_a_guard_band_of_one_expanded_uncertainty_leaves_two_point_three_per_cent() -> None:
     """JCGM 106, 8.3.2: w = U, k = 2, at the acceptance limit: p of false acceptance at most 2.3 %."""
-    found = acceptance(normal(0.0, 0.5), Limits(-np.inf, 4.0), float(stats.norm.sf(2.0)))
+    found = find_acceptance(normal(0.0, 0.5), Limits(-np.inf, 4.0), float(stats.norm.sf(2.0)))
     assert found is not None and 4.0 - found.high == pytest.approx(2 * 0.5, abs=1e-3)
     assert round(100 * (1 - normal(3.0, 0.5).probability(Limits(-np.inf, 4.0))), 1) == 2.3
 
@@ -124,7 +124,7 @@ def test_readings_conform_as_often_as_their_scatter_lets_them() -> None:
     for limits in (Limits(0.0, 1.5), Limits(-np.inf, 1.2), Limits(0.9, np.inf)):
         want = stats.norm.cdf(limits.high, 1, 0.5) - stats.norm.cdf(limits.low, 1, 0.5)
         assert found.probability(limits) == pytest.approx(want, abs=1e-4)
-    edge = acceptance(found, Limits(-3.0, 3.0), 0.025)
+    edge = find_acceptance(found, Limits(-3.0, 3.0), 0.025)
     assert edge is not None and edge.high == pytest.approx(
         3 - 0.5 * stats.norm.ppf(0.975), abs=1e-3
     )

@@ -17,8 +17,8 @@ from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.metrology.certificate import d_si as d_si
 from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantity
 from bayescal._annexes.metrology.conformity import Limits as Limits
-from bayescal._annexes.metrology.conformity import acceptance as acceptance
-from bayescal._annexes.metrology.conformity import global_risks as global_risks
+from bayescal._annexes.metrology.conformity import compute_global_risks as compute_global_risks
+from bayescal._annexes.metrology.conformity import find_acceptance as find_acceptance
 from bayescal._annexes.validation import nist_strd as nist_strd
 from bayescal._annexes.validation import validation_record as validation_record
 from bayescal._annexes.workbench.session import Session as Session

@@ -1,1 +1,1 @@
-"""Metrology: limits and decisions about them, what a certificate states, the digital calibration certificate."""
+"""Metrology: decisions on conformity to limits, certificate data, and the digital calibration certificate (DCC)."""

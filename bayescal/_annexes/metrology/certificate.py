@@ -1,14 +1,14 @@
 """Certificate data from a TOML file, and the PTB's digital calibration certificate (DCC).
 
-Device, place, people, conditions, standards, dates: ISO/IEC 17025:2017, 7.8.2 and 7.8.4, say what belongs on a
-calibration certificate. The file is optional: a report without it lacks only these data.
+ISO/IEC 17025:2017, 7.8.2 and 7.8.4, list the contents of a calibration certificate: device, place, people, conditions,
+standards and dates. The TOML file is optional: a report without it lacks only these data.
 
-The DCC is XML, schema 3.2.1, numbers and units in D-SI. Units of D-SI are coherent SI: an acceleration in local g is in
-m/s². Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
+The DCC is XML of schema 3.2.1, with numbers and units in D-SI. Its units are coherent SI: an acceleration in local g is
+converted to m/s². Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
 https://www.ptb.de/si (SI_Format.xsd 2.1.0); S. Hackel et al., The Digital Calibration Certificate,
 PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403; D. Hutzschenreuter et al., SmartCom Digital System of Units
 (D-SI) Guide, doi 10.5281/zenodo.3522631.
-The file is not signed: a seal is the laboratory's.
+The DCC is not signed; sealing it is left to the laboratory.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Certificate:
         )
 
     def rows(self) -> list[tuple[str, list[tuple[str, str]]]]:
-        """Return (section, [(label, text), …]) of the stated data, with labels for readers."""
+        """Return the stated data by section: its name, and pairs of label and text."""
         rows = []
         for section, keys in SECTIONS.items():
             for entry in self.entries(section):
@@ -233,7 +233,7 @@ def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[t
 def dsi_real(
     value: float, unit: str | None, gravity: float, sd: float = 0, ends: Ends = None
 ) -> DsiReal:
-    """Format a number in D-SI with its expanded uncertainty, or with the `ends` of its 95 % interval if given.
+    """Format a number in D-SI with its expanded uncertainty, or, if given, with the `ends` of its 95 % interval.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
     """

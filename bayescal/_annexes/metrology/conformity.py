@@ -1,11 +1,11 @@
-"""Limits as text, the limited quantity, and its probability of conformity.
+"""Parse limits, evaluate the quantities that they are on, and compute probabilities of conformity.
 
 A limit ("bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C") is on one of three quantities:
 
-- "corrected reading": error of a reading corrected with the posterior mean, with the noise of one reading; "corrected
-  mean": the same without noise, as for the mean of many readings.
-- A slot, such as "bias": the sum of all effects on it in use, for a new run, cell or device (unless it is named) with
-  its own deviation.
+- "corrected reading": the error of a reading after correction with the posterior mean, including the noise of one
+  reading; "corrected mean": this error without noise, as for the mean of many readings.
+- A slot, such as "bias": the sum of all effects that add to it in use, including the deviation of a new run, cell or
+  device, unless a member is named.
 - An unknown, such as "bias.temperature", "bias.run.group_sd" or "noise.white", by its printed name.
 
 The first two are values at an operating point: covariates at mid-range, rates and lags zero, the time of the last
@@ -14,11 +14,11 @@ reading, unless the limit states otherwise. For a quantity y with tolerance limi
 - the probability of conformity is p_c = P(T_L ≤ y ≤ T_U) (JCGM 106:2012, 7.2); the specific risk is 1 − p_c on
   acceptance, p_c on rejection (3.3.13 and 3.3.14);
 - the acceptance interval [A_L, A_U] for a probability α of false acceptance contains the estimates for which p_c ≥
-  1 − α, if the posterior kept its shape; the guard bands are w = T_U − A_U and A_L − T_L (8.3.2);
+  1 − α, for a posterior of the same shape; the guard bands are w = T_U − A_U and A_L − T_L (8.3.2);
 - the global risks (9.4 and 9.5) are averages over items y ~ N(y₀, u₀²), each measured with standard uncertainty u.
 
-A curve conforms if all its points do: of each draw the lowest and highest value count. A quantity with scatter (a
-reading) conforms with the probability of one reading at the least favourable point.
+A curve conforms if all its points do: the lowest and the highest value of each draw are tested. A quantity with scatter
+(a reading) conforms with the probability of one reading at the least favourable point.
 """
 
 from __future__ import annotations
@@ -45,10 +45,7 @@ _TOLERANCE = re.compile(
 )
 # Word → pattern of what follows it, and an example.
 _CLAUSES = {
-    "over": (
-        re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)"),
-        "over temperature -20..60 °C",
-    ),
+    "over": (re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)"), "over temperature -20..60 °C"),
     "at": (
         re.compile(rf"(?P<name>.+?)\s*=\s*(?P<low>(?P<high>{_NUMBER}))(?P<unit>.*)"),
         "at temperature = 25 °C",
@@ -83,10 +80,10 @@ class StatedLimit:
 
 
 def parse_limit(text: str) -> StatedLimit:
-    """Parse a limit.
+    """Parse the text of a limit.
 
-    A quantity, a colon, limits (±A, C ± A, ≤ B, ≥ A, A..B) and their unit; optionally "over" a range of a column or
-    "at" a value, and further ones after "and": "over temperature -20..60 °C and rate_input -90..90 °/s".
+    It has a quantity, a colon, limits (±A, C ± A, ≤ B, ≥ A, A..B) and their unit. Optional are "over" with a range of a
+    column, "at" with a value, and more of them after "and": "over temperature -20..60 °C and rate_input -90..90 °/s".
 
     Raises:
         InputError: the text is not a valid limit; the message names the fault.
@@ -156,7 +153,7 @@ _DEVICES = re.compile(
 
 
 def parse_population(text: str) -> DevicePopulation:
-    """Parse a population of devices: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s".
+    """Parse the text of a population of devices: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s".
 
     Raises:
         InputError: the text is invalid, or its standard deviation is not positive.
@@ -213,13 +210,13 @@ class DrawnQuantity:
 
     @property
     def uncertainty(self) -> float:
-        """Return the standard uncertainty; over a range, the larger of its two ends."""
+        """Return the standard uncertainty; over a range, the larger of those of the lowest and the highest value."""
         low, high = self.values.min(axis=1), self.values.max(axis=1)
         return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
 
     @cached_property
     def ends(self) -> DrawnQuantity:
-        """Reduce each draw to its minimum and maximum if the scatter is equal at all points; otherwise return all."""
+        """Reduce each draw to its minimum and maximum if the scatter is equal at all points; else return all points."""
         if np.ptp(self.scatter) > 0:
             return self
         ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
@@ -245,7 +242,7 @@ class DrawnQuantity:
         return float(np.sqrt(max(p * (1 - p), 1 / count) / count))
 
 
-def acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
+def find_acceptance(quantity: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
     """Return the acceptance interval for a probability α of false acceptance; None if no estimate is accepted."""
     margin = TAIL_SD * float(quantity.scatter.max())
     # p_c is zero below the first shift, where all draws are below T_L, and above the last.
@@ -289,12 +286,12 @@ class GlobalRisks:
     producer: float  # probability that it conforms and is not accepted
 
 
-def global_risks(
+def compute_global_risks(
     mean: float, sd: float, uncertainty: float, tolerance_limits: Limits, acceptance_limits: Limits
 ) -> GlobalRisks:
     """Compute the global risks over items N(mean, sd²), each measured with a normal error of sd `uncertainty`.
 
-    Source: JCGM 106:2012, 9.5: item and estimate are normal together, with the covariance sd².
+    Source: JCGM 106:2012, 9.5: item and estimate are jointly normal, with covariance sd².
     """
     from scipy.stats import multivariate_normal  # its import takes half a second
 
@@ -324,38 +321,38 @@ FIXED_NOTE = "{} was fixed at its estimate, so its uncertainty is unknown: fit w
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedQuantity:
-    """A limited quantity: an unknown of the model; or a slot or error of a corrected reading at operating points."""
+    """The quantity that a limit is on: an unknown of the model; or a slot or a correction error at operating points."""
 
     limit: StatedLimit
     limits: Limits  # in `unit`
-    unit: str  # fixed unit of the quantity
+    unit: str  # unit of the quantity
     notes: tuple[str, ...] = ()  # one sentence each
     not_covered: tuple[str, ...] = ()  # reasons why the limit is undecided
     draws: np.ndarray | None = None  # of an unknown (d,)
     compensator: bc.Compensator | None = None  # for a slot or an error, with all draws
     points: Mapping[str, np.ndarray] = field(default_factory=dict)  # stimulus and inputs, (g,)
-    acting: frozenset[str] = frozenset()  # stimulus and inputs that it depends on
+    dependencies: frozenset[str] = frozenset()  # stimulus and inputs that it depends on
 
     @property
-    def place(self) -> dict[str, tuple[float, float, str]]:
+    def operating_point(self) -> dict[str, tuple[float, float, str]]:
         """Return the operating point: name → lowest value, highest value, unit; empty for an unknown."""
-        units = {} if self.compensator is None else _acting_units(self.compensator)
+        units = {} if self.compensator is None else _input_units(self.compensator)
         ends = {n: (float(v.min()), float(v.max())) for n, v in self.points.items()}
-        return {n: (*ends[n], unit) for n, unit in units.items() if n in self.acting}
+        return {n: (*ends[n], unit) for n, unit in units.items() if n in self.dependencies}
 
     @property
     def is_error(self) -> bool:
         """Return whether the quantity is a correction error, whose estimate is zero for each device."""
         return self.limit.quantity in (READING, MEAN)
 
-    def draw(self, later: float = 0.0) -> DrawnQuantity:
-        """Evaluate the quantity's posterior draws, in their order, `later` s after the last reading."""
+    def draw(self, delay: float = 0.0) -> DrawnQuantity:
+        """Return the quantity's posterior draws, in their order, at a time `delay` s after the last reading."""
         if (compensator := self.compensator) is None:
             return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
         points, slot = dict(self.points), None if self.is_error else self.limit.quantity
         equation, moments = compensator.equation, compensator._moments
         if "time" in points:
-            points["time"] = points["time"] + later
+            points["time"] = points["time"] + delay
         stimulus = points[compensator.stimulus]
         values = equation.evaluate_draws(moments.draws, stimulus, points, slot)
         if self.is_error:  # outputs at the draw's θ, corrected with the mean θ
@@ -368,7 +365,7 @@ class LimitedQuantity:
         return DrawnQuantity(values, noise / np.abs(slope), scores)
 
 
-def _acting_units(compensator: bc.Compensator) -> dict[str, str]:
+def _input_units(compensator: bc.Compensator) -> dict[str, str]:
     """Return the units of the stimulus and the inputs that a limit may state, by name."""
     inputs = {i.name: i.unit for i in compensator.inputs if i.kind != "lag slope"}
     return {compensator.stimulus: compensator.unit, **inputs}
@@ -377,7 +374,7 @@ def _acting_units(compensator: bc.Compensator) -> dict[str, str]:
 def _noise_scores(
     compensator: bc.Compensator, points: Mapping[str, np.ndarray], deviations: np.ndarray
 ) -> Float[np.ndarray, "n m"]:
-    """Return normal scores of the predictive probability that one reading's noise is below each deviation, (n, m)."""
+    """Return normal scores (n, m) of the predictive probability that one reading's noise is below each deviation."""
     calibration, noise = compensator.calibration, compensator.calibration.model.noise
     repeated = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
     frame = compensator.equation.frame_of(repeated[compensator.stimulus], repeated)
@@ -397,7 +394,7 @@ def find_quantity(
     """Return the quantity that a limit applies to; `members` and `local_gravity` as in `decide`.
 
     Raises:
-        InputError: an unknown quantity or column, or a unit of another dimension.
+        InputError: the quantity or a column is unknown, or a unit has another dimension.
         ModelError: the limit is on a slot or corrected reading, but the instrument has no stimulus (`Instrument.use`).
     """
     instrument = calibration.model.instrument
@@ -432,9 +429,9 @@ def find_quantity(
     points = {n: values.ravel() for n, values in zip(axes, grid, strict=True)}
     if limit.quantity in slots:
         inputs = equation.graph.inputs([equation.nodes.slots[limit.quantity]])
-        acting = {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
+        dependencies = {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
     else:
-        acting = {*equation.inputs, compensator.stimulus}
+        dependencies = {*equation.inputs, compensator.stimulus}
     # `not_covered` has the notes on ranges outside the calibration.
     notes += ws.notes_on(compensator, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
@@ -449,7 +446,7 @@ def find_quantity(
         not_covered=tuple(not_covered),
         compensator=compensator,
         points=points,
-        acting=frozenset(acting),
+        dependencies=frozenset(dependencies),
     )
 
 
@@ -469,8 +466,8 @@ def _convert_ends(
     """Return the ends of a span of `name` in a unit; raise InputError if the span is of another dimension."""
     units = span.unit or "1", unit or "1"
     if not ws.same_dimension(*units):
-        stated, own = (ws.unit_label(u) or "plain numbers" for u in units)
-        raise bc.InputError(f"limit {limit.text!r}: {name} is in {own}, not in {stated}")
+        stated, expected = (ws.unit_label(u) or "plain numbers" for u in units)
+        raise bc.InputError(f"limit {limit.text!r}: {name} is in {expected}, not in {stated}")
     return ws.convert(np.array([span.low, span.high]), *units, **options).tolist()
 
 
@@ -502,8 +499,8 @@ def _resolve_range(
     compensator: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
     """Return the column of a range, and its ends in that column's unit."""
-    readings, acting = compensator.calibration.readings, _acting_units(compensator)
-    units = acting | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in acting}
+    readings, inputs = compensator.calibration.readings, _input_units(compensator)
+    units = inputs | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in inputs}
     units.pop("output", None)
     if span.name and span.name not in units:
         raise bc.InputError(
@@ -511,7 +508,7 @@ def _resolve_range(
         )
     past = {i.name for i in compensator.inputs if i.kind in ws.PAST}
     matching = {n for n, u in units.items() if ws.same_dimension(u, span.unit or "1")}
-    matching = [n for n in acting if n in matching - past] or sorted(matching)
+    matching = [n for n in inputs if n in matching - past] or sorted(matching)
     names = [span.name] if span.name else matching
     if len(names) != 1:
         several = f"several columns match: {', '.join(names)}"
@@ -525,7 +522,7 @@ def _resolve_range(
 
 
 def _range_faults(compensator: bc.Compensator, name: str, low: float, high: float) -> list[str]:
-    """Return a list with the reason if a range exceeds the calibrated range; an empty list if it does not."""
+    """Return why a range is not covered by the calibration, as a list of one sentence; empty if it is covered."""
     readings = compensator.calibration.readings
     if name in compensator.calibrated:
         span = compensator.calibrated[name]

@@ -9,8 +9,8 @@ There are two decision rules; laboratory and customer agree on one beforehand (I
   in ILAC-G8:09/2019 a non-binary statement with guard bands).
 
 Recalibration is due when drift, the part of the model that changes with the time of the record, lowers the probability
-of conformity below a stated one. Deviations of runs lower it at all times, and set no date. If nothing in the model
-changes with time, the reason is reported (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
+of conformity below a stated one. Deviations of runs lower it equally at all times, and determine no date. If nothing in
+the model changes with time, the reason is reported (ILAC-G24/OIML D 10:2022 leaves the method to the laboratory).
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from bayescal._annexes.metrology.conformity import (
     GlobalRisks,
     LimitedQuantity,
     Limits,
-    acceptance,
     bisect,
+    compute_global_risks,
     convert_population,
+    find_acceptance,
     find_quantity,
-    global_risks,
     parse_limit,
     parse_population,
 )
@@ -62,7 +62,7 @@ class Recalibration:
     stated: float  # stated probability of conformity
     after: float | None  # time, s after the last reading; None beyond the horizon, or if not known
     date: str | None = None  # date of that time, ISO 8601, if the readings have dates
-    why_not: str = ""  # why there is no time; empty if there is one
+    why_not: str = ""  # reason why `after` is not known; empty if it is
     notes: tuple[str, ...] = ()  # one sentence each
 
     def __str__(self) -> str:
@@ -70,27 +70,29 @@ class Recalibration:
             return self.why_not
         if self.after == 0:
             return f"the probability of conformity is already below {self.stated:g}"
-        when = f"{in_words(self.after)} after the last reading" + f", {self.date}" * bool(self.date)
+        date = f", {self.date}" * bool(self.date)
+        when = f"{format_duration(self.after)} after the last reading{date}"
         return f"the probability of conformity falls below {self.stated:g} {when}"
 
 
-def recalibration(
+def compute_recalibration(
     quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
 ) -> Recalibration:
     """Compute the time at which drift lowers the probability of conformity below a stated probability."""
-    if reason := _find_reason(quantity, calibration, stated):
-        return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
+    if reason := _find_obstacle(quantity, calibration, stated):
+        advice = (ADVICE,) * bool(quantity.operating_point)
+        return Recalibration(stated, None, why_not=reason, notes=advice)
 
-    def probability(later: float) -> float:
-        return quantity.draw(later).probability(limits)
+    def probability(delay: float) -> float:
+        return quantity.draw(delay).probability(limits)
 
     delay = find_first_below(probability, stated)
     change = quantity.draw(HORIZON if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
     if unmeasured := ws.find_not_measured(calibration, change, max_inclusion=1 - stated):
 
-        def likelihood_probability(later: float) -> float:
-            draws = quantity.draw(later)
+        def likelihood_probability(delay: float) -> float:
+            draws = quantity.draw(delay)
             values = unmeasured.update_by_readings(calibration, draws.values)
             return replace(draws, values=values).probability(limits)
 
@@ -104,8 +106,8 @@ def recalibration(
     span = float(np.ptp(time))
     if delay > MAX_EXTRAPOLATION * span:
         notes.append(
-            f"The drift is extrapolated to {delay / span:.0f} times the {in_words(span)} of the record, at a constant "
-            "drift rate: shorten the calibration interval to verify it."
+            f"The drift is extrapolated to {delay / span:.0f} times the {format_duration(span)} of the record, at a "
+            "constant drift rate: shorten the calibration interval to verify it."
         )
     since, date = calibration.readings.since, None
     if since is not None:
@@ -127,12 +129,12 @@ def find_first_below(probability: Callable[[float], float], stated: float) -> fl
     return None
 
 
-def _find_reason(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
+def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
     """Return the reason why the model cannot predict the quantity's change in time; empty if it can."""
     name = quantity.limit.quantity
-    if not quantity.place:
+    if not quantity.operating_point:
         return f"{name} is a constant of the model, which does not change in time"
-    if "time" not in quantity.acting:
+    if "time" not in quantity.dependencies:
         return f"no interval can be derived: no term of the model makes {name} change with time"
     # A placeholder curve in time is defined within the record only.
     probabilities = calibration.inclusion
@@ -143,7 +145,7 @@ def _find_reason(quantity: LimitedQuantity, calibration: bc.Calibration, stated:
     return ""
 
 
-def in_words(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Format a duration in a suitable unit."""
     for size, name in ((YEAR, "years"), (DAY, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
@@ -164,7 +166,7 @@ class Decision:
     unit: str  # of all numbers
     tolerance: Limits  # tolerance interval; infinite on a side without limit
     estimate: tuple[float, float]  # posterior mean, lowest and highest over the range of the limit
-    uncertainty: float  # standard uncertainty of the estimate; over a range, the larger of its ends
+    uncertainty: float  # standard uncertainty; over a range, the larger of lowest and highest value
     scatter: float  # standard deviation of single readings, the largest; zero without scatter
     probability: float  # of conformity
     probability_error: float  # its Monte-Carlo standard error
@@ -239,18 +241,18 @@ class Decisions(ws.Printed):
         """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def estimate(d: Decision) -> str:
-            u = math.hypot(d.uncertainty, d.scatter)  # of what p is of
-            return f"{ws.with_error(worst(d), u)} {ws.unit_label(d.unit)}".strip()
+            u = math.hypot(d.uncertainty, d.scatter)  # of the quantity whose probability is given
+            return f"{ws.with_error(worst_end(d), u)} {ws.unit_label(d.unit)}".strip()
 
         columns = (
             ws.TableColumn("limit", lambda d: d.limit),
             ws.TableColumn("estimate ± u (k = 1)", estimate, name=""),
-            ws.TableColumn("estimate", worst, None),
+            ws.TableColumn("estimate", worst_end, None),
             ws.TableColumn("uncertainty", lambda d: d.uncertainty, None),
             ws.TableColumn("unit", lambda d: d.unit, None),
             ws.TableColumn("probability", lambda d: d.probability, None),
             ws.TableColumn(
-                "p(conforms)", lambda d: percent(d.probability, d.probability_error), name=""
+                "p(conforms)", lambda d: format_percent(d.probability, d.probability_error), name=""
             ),
             ws.TableColumn("accepted from … to", _format_acceptance, name=""),
             ws.TableColumn("decision", lambda d: d.decision),
@@ -265,7 +267,7 @@ class Decisions(ws.Printed):
         return [rule, "", self.table(), *(f"\n{part}" for part in parts)]
 
 
-def worst(d: Decision) -> float:
+def worst_end(d: Decision) -> float:
     """Return the end of the estimate's range that is nearer to its limit."""
     low, high = d.estimate
     return high if d.tolerance.high - high <= low - d.tolerance.low else low
@@ -297,9 +299,9 @@ def statement_lines(d: Decision) -> list[str]:
     if (g := d.global_risks) is not None:
         moments = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
         lines.append(
-            f"  of devices {moments}: {percent(g.conforming)} conform, "
-            f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
-            f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
+            f"  of devices {moments}: {format_percent(g.conforming)} conform, "
+            f"{format_percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
+            f"{format_percent(g.consumer)}, producer's risk (conforms, not accepted) {format_percent(g.producer)}"
         )
     return [*lines, f"  next calibration: {d.recalibration}"]
 
@@ -314,7 +316,7 @@ def _format_point(at: Mapping[str, tuple[float, float, str]]) -> str:
     return ws.list_inputs(texts)
 
 
-def percent(p: float, error: float = 0.0) -> str:
+def format_percent(p: float, error: float = 0.0) -> str:
     """Format a probability in per cent, with a resolution of its Monte-Carlo error and of 0.01 %."""
     resolution = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
     if p < resolution:
@@ -347,7 +349,7 @@ def decide(
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> Decisions:
-    """Decide whether a calibrated device conforms, limit by limit.
+    """Decide for each limit whether a calibrated device conforms to it.
 
     Args:
         calibration: a fit, or an average over structures.
@@ -361,7 +363,7 @@ def decide(
         local_gravity: m/s², for limits in m/s² on accelerations in g.
 
     Raises:
-        InputError: an invalid limit, population, rule or probability; the message states what to write.
+        InputError: a limit, the population, the rule or a probability is invalid; the message states what to write.
         ModelError: a limit is on a slot or corrected reading, but the instrument has no stimulus (`Instrument.use`).
     """
     if rule not in RULES:
@@ -383,7 +385,7 @@ def decide(
     for text in stated:
         quantity = find_quantity(calibration, parse_limit(text), **options)
         decisions.append(
-            _decision_on(calibration, quantity, rule, false_accept, conformity, devices)
+            _build_decision(calibration, quantity, rule, false_accept, conformity, devices)
         )
     if devices is not None and all(d.global_risks is None for d in decisions):
         raise bc.InputError(
@@ -400,7 +402,7 @@ def decide(
     )
 
 
-def _decision_on(
+def _build_decision(
     calibration: bc.Calibration,
     quantity: LimitedQuantity,
     rule: str,
@@ -410,7 +412,7 @@ def _decision_on(
 ) -> Decision:
     draws, limits = quantity.draw(), quantity.limits
     p = draws.probability(limits)
-    guarded = acceptance(draws, limits, false_accept)
+    guarded = find_acceptance(draws, limits, false_accept)
     accepted = guarded if rule == "guarded" else limits
     decision, why = _decide_limit(calibration, quantity, draws, p, rule, false_accept)
     uncertainty, notes = draws.uncertainty, list(quantity.notes)
@@ -439,11 +441,11 @@ def _decision_on(
         decision=decision,
         why=why,
         risk={ACCEPT: 1 - p, REJECT: p}.get(decision),
-        at=quantity.place,
-        worst_at=replace(quantity, points=worst_points).place,
+        at=quantity.operating_point,
+        worst_at=replace(quantity, points=worst_points).operating_point,
         population=moments,
-        global_risks=moments and global_risks(*moments, uncertainty, limits, interval),
-        recalibration=recalibration(quantity, limits, calibration, conformity),
+        global_risks=moments and compute_global_risks(*moments, uncertainty, limits, interval),
+        recalibration=compute_recalibration(quantity, limits, calibration, conformity),
         notes=tuple(notes),
     )
 
@@ -469,7 +471,7 @@ def _decide_limit(
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
         if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
             return UNDECIDED, f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
-    p_text, q_text = percent(p, error), percent(1 - p, error)
+    p_text, q_text = format_percent(p, error), format_percent(1 - p, error)
     if rule == "guarded":
         if p >= 1 - false_accept:
             return ACCEPT, f"specific risk of false acceptance {q_text}"

@@ -1,7 +1,7 @@
 """Error of a reference standard from its digital calibration certificate (DCC), common to all readings.
 
-Elements: dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; refType values of the PTB's good practice, such as
-basic_measurementError. A DOCTYPE declaration is rejected, so that no XML entity is ever resolved.
+Elements are those of dcc.xsd 3 and SI_Format.xsd 1 and 2, as in `certificate`; refType values, such as
+basic_measurementError, those of the PTB's good practice. A DOCTYPE is rejected, so that no XML entity is ever resolved.
 """
 
 import re
@@ -39,9 +39,9 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
 
         model = instrument.baseline() + bc.read_dcc("thermometer.xml", instrument)
 
-    The effect corrects the column by the stated errors. Its uncertainty is common to all readings: an offset with the
-    largest stated u, and a slope as from independent errors at the ends of the range, because certificates do not state
-    correlations. The reference is used in the calibration only: a compensation takes true temperatures.
+    The effect corrects the column by the stated errors. Their uncertainty is common to all readings and, because
+    certificates do not state correlations, described by an offset with the largest stated u and by the slope between
+    independent errors at the ends of the range. The effect applies to the calibration: compensation takes true values.
 
     Raises:
         InputError: the file is not a certificate, or has not exactly one table of errors in the column's dimension
@@ -130,7 +130,7 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
 
 
 def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
-    """Return values and standard uncertainties (2, n) in `unit`, NaN without coverage factor; None if inconvertible."""
+    """Return values and standard uncertainties (2, n) in `unit`, NaN without coverage factor; None in other units."""
     children = (list(e) if _name(e) in ("hybrid", "list") else [e] for e in quantity)
     for real in (e for group in children for e in group if _name(e) in ("real", "realList")):
         texts = {_name(e): (e.text or "").split() for e in real.iter()}
@@ -150,7 +150,7 @@ def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarr
 
 
 def _parse_unit(text: str, *others: str) -> tuple[float, str]:
-    """Convert a D-SI unit to a factor and a unit of bayescal; "" if it is unknown, or there are several."""
+    """Convert a D-SI unit to a factor and a unit of bayescal, which is "" if it is unknown or there are several."""
     factor, names = 1.0, ["1"]
     if others or _D_SI_PART.sub("", text):
         return 0.0, ""

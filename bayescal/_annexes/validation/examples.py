@@ -1,4 +1,4 @@
-"""Worked examples of standards by type, computed by public functions; clauses.toml has the inputs of each."""
+"""Worked examples of standards, computed by public functions; clauses.toml names function and inputs of each."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def pick(value: Any, path: str) -> Any:
 
 
 def resolve(value: Any) -> Any:
-    """Load the data that a text refers to, as "iso28037/examples.json ex1_equal.x"; return other values unchanged."""
+    """Load the data that a text names, such as "iso28037/examples.json ex1_equal.x"; return other values unchanged."""
     file, _, path = str(value).partition(" ")
     if not isinstance(value, str) or not file.endswith((".csv", ".json")):
         return value
@@ -62,6 +62,11 @@ def regression(
         output, output_u: a reading for which x is computed, and its standard uncertainty.
         limit: limit on the line.
         method, prior: method of the fit; mean and standard deviation of a normal prior of the coefficients.
+
+    Returns:
+        b, u, covariance, r: coefficients, their standard uncertainties, covariance and correlation. corrected: value of
+        the line, or x of the output. chi_squared. s: noise standard deviation, if u is not given. budget, type_b:
+        uncertainty budget of the value, and its share of type B. decision: on the limit.
     """
     columns = {"x0": np.ones(len(y))} | ({} if x is None else {"x1": np.asarray(x) - centre})
     errors = [effects.uncertain_input("x1", x_u, source="stated")] if x_u else []
@@ -73,22 +78,11 @@ def regression(
     covariance = np.atleast_2d(np.cov(draws))
     sd, cross_covariance = np.sqrt(np.diag(covariance)), covariance[0, -1]
     inputs = {name: at if name == "x1" else 1.0 for name in columns if name != stimulus}
-    reading: Any = {
-        "output": output or 0.0,
-        "output_uncertainty": output_u,
-        "noise": output is not None,
-    }
-    options: Any = {"method": "first order", "warn": False}
-    answer = {
-        "b": draws.mean(axis=1),
-        "u": sd,
-        "covariance": cross_covariance,
-        "r": cross_covariance / (sd[0] * sd[-1]),
-    }
-    answer |= {
-        "corrected": bc.compensator(fitted)(**reading, **inputs, **options),
-        "chi_squared": fitted.chi_squared,
-    }
+    reading: Any = {"output": output or 0.0, "output_uncertainty": output_u}
+    options: Any = {"noise": output is not None, "method": "first order", "warn": False}
+    answer = {"b": draws.mean(axis=1), "u": sd, "covariance": cross_covariance}
+    answer |= {"r": cross_covariance / (sd[0] * sd[-1]), "chi_squared": fitted.chi_squared}
+    answer["corrected"] = bc.compensator(fitted)(**reading, **inputs, **options)
     if u is None:
         answer["s"] = fitted.samples("noise.white")[0]
     if output is None:
@@ -98,16 +92,17 @@ def regression(
 
 
 def _fit_known(
-    y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **how: Any
+    y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **options: Any
 ) -> bc.Calibration:
-    """Fit each estimate y as two readings y ± u, whose mean is y with the standard uncertainty u."""
+    """Fit each estimate y as two readings, y − u and y + u: their mean is y with standard uncertainty u."""
     tiled = {name: np.tile(values, 2) for name, values in columns.items()}
     pairs = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
-    return fit(pairs, tiled, *arguments, u=u * 2**0.5, method=bc.LeastSquares(draws=DRAWS), **how)
+    method = bc.LeastSquares(draws=DRAWS)
+    return fit(pairs, tiled, *arguments, u=u * 2**0.5, method=method, **options)
 
 
 def conformity(mean: float, u: float, limit: str, **options: Any) -> Any:
-    """Decide on the conformity of a quantity with a limit, by its estimate and standard uncertainty."""
+    """Return the decision on the conformity of a quantity to a limit, given its mean and standard uncertainty."""
     fitted = _fit_known([mean], u, {"x0": np.ones(1)})
     return bc.decide(fitted, f"line.b[x0]: {limit}", **options).decisions[0]
 
@@ -124,13 +119,16 @@ def propagation(
 ) -> dict[str, Any]:
     """Propagate inputs b1, b2, … to output quantities.
 
-    Return y, u: values and standard uncertainties of the outputs, then of their pairwise sums; r: correlations by u.
+    Correlations of the outputs follow from the standard uncertainties of their pairwise sums.
 
     Args:
         values: equations of the output quantities.
         mean, u, r: means, standard uncertainty and pairwise correlation of the inputs.
         observations: a row for each input, whose means and (if `correlated`) covariances are used instead.
         method: "draws" (JCGM 101) or "first order" (JCGM 100).
+
+    Returns:
+        y, u: values and standard uncertainties of the outputs, then of their pairwise sums. r: pairwise correlations.
     """
     if observations is not None:
         mean = np.mean(observations, axis=1)
@@ -156,8 +154,8 @@ def propagation(
     return {"y": corrected.value, "u": sd, "r": correlations}
 
 
-def first_order_beside_draws(**inputs: Any) -> list[float]:
-    """Return |difference| of y ± 2u between the law of propagation of uncertainty and the Monte Carlo method."""
+def compare_first_order_with_draws(**inputs: Any) -> list[float]:
+    """Return how far y − 2u and y + 2u by the law of propagation of uncertainty are from the Monte Carlo method's."""
     gum, monte_carlo = (propagation(**inputs, method=m) for m in ("first order", "draws"))
     y, u = (gum[key][0] - monte_carlo[key][0] for key in ("y", "u"))
     return [abs(y - 2 * u), abs(y + 2 * u)]
@@ -169,7 +167,7 @@ def _at_rest(output: np.ndarray, step: float) -> bc.Measurements:
 
 
 def noise(seed: int, n: int, step: float, true: Mapping[str, float]) -> dict[str, float]:
-    """Estimate the noise coefficients of a simulated record: N, K, B in °/s and s; `angle`: quantum of the angle, °."""
+    """Estimate the noise coefficients of a record simulated with `true`: N, K, B (°/s, s); `angle`: quantum, °."""
     rng, sizes = (np.random.default_rng(seed), dict.fromkeys(("K", "angle"), 0.0) | dict(true))
     rate = sizes["N"] / step**0.5 * rng.standard_normal(n)
     rate += sizes["K"] * step**0.5 * np.cumsum(rng.standard_normal(n))
@@ -192,7 +190,7 @@ def allan_deviation(seed: int, n: int) -> bc.AllanDeviation:
 def instrument(
     name: str, grid: Any, output: str, true: Any, u: float, add: Any = ()
 ) -> dict[str, float]:
-    """Fit an installed instrument to exact outputs of its equation, on a full grid of input columns."""
+    """Fit an installed instrument to exact outputs on a full grid of input columns; return estimates by effect."""
     sensor = ws.instrument_named(name)
     columns: dict[str, Any] = dict(
         zip(grid, (m.ravel() for m in np.meshgrid(*grid.values())), strict=True)

@@ -1,11 +1,12 @@
 """NIST Statistical Reference Datasets for regression: fits, and their errors relative to the certified values.
 
-Fitted by LeastSquares, nonlinear sets by the equation printed in their certificate, from both starting points; largest
-relative errors. For Filip and the Wamplers, whose powers of x are collinear in double precision, Legendre polynomials
-are fitted and converted to powers. P = log10(1 + e/(κ·η)) is the number of digits lost beyond those that every stable
-algorithm loses: e is the error of the parameters, κ the condition number of the Jacobian times the parameters, η =
-2.2e-16 (M. Cox and P. Harris, SSfM Best Practice Guide 6, NPL 1999). Certificates of nonlinear sets have eleven digits,
-which bounds P from below. Standard deviations of data without noise are rounding errors and not compared.
+The sets are fitted by LeastSquares, nonlinear ones with the equation of their certificate and from both of its starting
+points; the largest relative errors are compared. For Filip and the Wamplers, whose powers of x are collinear in double
+precision, Legendre polynomials are fitted and converted to powers. P = log10(1 + e/(κ·η)) is the number of digits lost
+beyond those that every stable algorithm loses: e is the error of the parameters, κ the condition number of the Jacobian
+times the parameters, η = 2.2e-16 (M. Cox and P. Harris, SSfM Best Practice Guide 6, NPL 1999). Certificates of
+nonlinear sets have eleven digits, which bounds P from below. Standard deviations of data without noise are rounding
+errors and not compared.
 
 Source: NIST StRD (www.itl.nist.gov/div898/strd).
 """

@@ -1,4 +1,4 @@
-"""Regression by the public functions with equations as text, for the fits of certified examples."""
+"""Fits of certified examples by the public functions: regressions whose equations are given as text."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def fit(
     further: Sequence[bc.Effect] = (),
     method: Any = None,
 ) -> bc.Calibration:
-    """Fit y to regressors (n,), with a coefficient of the effect "line.b" for each, or to an equation in b1, b2, ….
+    """Fit y by columns (n,) times the coefficients of the effect "line.b", or by an equation in b1, b2, ….
 
     Args:
         y, columns, u: response, regressors, standard uncertainties of y (None: one is estimated from the residuals).
-        start, expected: starting values of b1, b2, …, and the equation.
+        start, expected: starting values of b1, b2, …, and the equation of the response.
         prior: prior of the coefficients of columns; flat if not given.
-        value, stimulus: equation of the quantity computed in use, in the same names; or the column to solve for.
+        value, stimulus: equation of the quantity that a compensation computes; or the column that it solves for.
         further, method: additional effects; method of the fit, least squares if not given.
     """
     starts = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}

@@ -156,7 +156,7 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
 
 
 def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
-    """Yield the compared values of a clause of a standard; they are NaN if its example raises an error."""
+    """Yield a row per compared value of a clause of a standard; values are NaN if its example raises an error."""
     inputs = {name: examples.resolve(value) for name, value in clause["given"].items()}
     answer, error_text = None, ""
     with ws.stage(f"{clause['standard']}, {clause['clause']}"):
