@@ -1,1 +1,1 @@
-"""From a model and readings to a posterior: columns, products, modes, sampling, least squares, NUTS."""
+"""Posterior of a model given readings: basis columns, inner products, modes, sampling, least squares, NUTS."""

@@ -39,7 +39,7 @@ class ColumnTable:
         return self._numbers[key]
 
     def block(self, key: Any, make: Callable[[], Float[np.ndarray, "n w"]]) -> int:
-        """Return the number of a block, after computing its columns with `make` if they are not cached."""
+        """Return the number of a block; its columns are computed by `make` unless they are cached."""
         number = self.number(key)
         if number not in self._blocks:
             self._blocks[number] = np.asfortranarray(make())

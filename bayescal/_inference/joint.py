@@ -1,4 +1,4 @@
-"""Importance weights of joint draws (x, φ): ratio of the exact joint density to the linearised proposal's."""
+"""Importance weights of joint draws (x, φ): ratio of the exact joint density to that of the linearised proposal."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def correct_weights(
     has_exact_marginal: bool,
     is_student_t: bool,
 ) -> Float[np.ndarray, "b"]:
-    """Return the correction log p(y, x | φ) − log q(x) − log p̂(y | φ) of each draw's log weight for nonlinearity.
+    """Return the correction of each draw's log weight for nonlinearity, log p(y, x | φ) − log q(x) − log p̂(y | φ).
 
-    x was drawn from q with the numbers `normal`, Student-t if `is_student_t`; p̂ is the marginal likelihood of the
-    linearised model, has_exact_marginal: exact for an affine output.
+    q is the proposal from which x was drawn with the numbers `normal` (Student-t if `is_student_t`), p̂ the marginal
+    likelihood of the linearised model. has_exact_marginal: p̂ is exact if the output is affine.
     """
     if problem.is_affine and has_exact_marginal:
         return np.zeros(len(draws.x))

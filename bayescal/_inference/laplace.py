@@ -1,6 +1,6 @@
 """Mode and log evidence of a model, by the Laplace approximation: φ̂ by marginal likelihood, x̂ by Gauss–Newton.
 
-The joint density of coefficients and their standard deviation is unbounded at zero deviation; the marginal of φ is not.
+The joint density of coefficients and their standard deviation is unbounded if that is zero; the marginal of φ is not.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Mode(NamedTuple):
 
 
 class FoundMode(dict[str, float]):
-    """φ by name at a mode of the same model, at which alone a fit starts."""
+    """φ by name at a mode: the only starting point of a fit of the same model under the same priors."""
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         super().__init__((name, float(value)) for name, value in problem.hyper(mode.v).items())
@@ -67,8 +67,9 @@ def find_mode(
     Args:
         starts: candidate starting points, coordinates of φ; default: prior draws.
         x: starting point of the coefficients; default: prior mean, or an ellipsoid fit for three axes.
-        xtol: tolerance of a step, in prior standard deviations of φ, posterior ones of x; log evidence is to xtol²/2.
-        start: additional starting point, φ by name, others at prior medians; a `FoundMode` of this φ is the only one.
+        xtol: tolerance of a step, in prior sd of φ and posterior sd of x; the log evidence is accurate to xtol²/2.
+        start: additional starting point, φ by name; names that it lacks are at their prior medians. A `FoundMode` under
+            the same priors is the only starting point.
         coarse_below: log density below which a tolerance of 0.01 nat is sufficient.
         guess: curvature of a similar density, as a first estimate of the Hessian.
     """
@@ -102,7 +103,7 @@ def find_mode(
 
 
 def _find_start(problem: Problem) -> Float[np.ndarray, "p"]:
-    """Return the starting point of the coefficients: prior mean, or for three axes a fit with estimated directions."""
+    """Return the starting point of x: the prior mean, or for three axes a fit to estimated directions of the input."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
     projected = None if vector is None else vector.with_directions(record.frame, record.y)

@@ -48,7 +48,7 @@ class LeastSquares(Method):
 
     Attributes:
         curvature: "gauss-newton" neglects second derivatives of the expected output; "hessian" includes them.
-        draws: number of draws from the Gaussian approximation, for the data tree.
+        draws: number of draws from the Gaussian approximation.
     """
 
     curvature: Literal["gauss-newton", "hessian"] = "gauss-newton"
@@ -164,9 +164,9 @@ class _Conditional(NamedTuple):
 def refine(
     problem: Problem, mode: Mode, full_hessian: bool, use_optimistix: bool = False
 ) -> Solution:
-    """Refine a mode: (x, shapes) by least squares, noise by restricted likelihood, until both converge.
+    """Refine a mode: alternate least squares of (x, shapes) with restricted likelihood of the noise until convergence.
 
-    use_optimistix: start with its Levenberg–Marquardt solver if the model is nonlinear.
+    use_optimistix: start with optimistix's Levenberg–Marquardt solver if the model is nonlinear.
     """
     fit = _Refinement(problem, mode)
     # If JᵀJ was singular in the search for the mode, start from the prior mean: QR may still converge.
@@ -195,7 +195,7 @@ def refine(
 
 
 class _Refinement:
-    """Least-squares fit of θ = (x, w), w the shapes' coordinates, and v, coordinates of all φ; w overrides v."""
+    """Least-squares fit of θ = (x, w), with w the shapes' coordinates, which replace those in v, coordinates of φ."""
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode

@@ -69,7 +69,7 @@ class LinearModel:
         return self.problem.record.residual_record(self.residual)
 
     def decorrelate(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Whiten columns up to a common orthogonal rotation, which preserves inner products; rows are not readings."""
+        """Whiten columns up to a common rotation, which preserves inner products; its rows are not readings."""
         law = self.whiten
         if isinstance(law, Whitening) and not self.problem.is_noisy:
             nodes = law.record.nodes(law.law)

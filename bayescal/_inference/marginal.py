@@ -38,20 +38,20 @@ MAX_EXTENDED_PROPOSALS = 65_536
 
 
 class Marginal(Method):
-    """Sampling of φ with all coefficients integrated out.
+    """Method that samples φ with all coefficients integrated out, then draws the coefficients given φ.
 
     Attributes:
-        draws: joint draws returned.
-        proposals: importance proposals of the final round; None for 8192, fewer where each costs a pass over many
-            readings.
+        draws: number of joint draws to return.
+        proposals: number of importance proposals in the final round; None: 8192, or fewer if each costs a pass over
+            many readings.
         rounds: largest number of adaptation rounds; adaptation ends earlier when half of the draws are effective, or
             when Pareto k̂ is below 0.7 after the third round.
-        sampler: "importance", with a fallback to NUTS, limited to five minutes unless a time limit is given, if
-            k̂ > 0.7 (coefficients of a nonlinear model are first proposed anew with heavier tails where k̂ is above 0.5);
-            "nuts" for NUTS on all unknowns, with whitened coefficients.
+        sampler: "importance" for importance sampling, with a fallback to NUTS if k̂ > 0.7, limited to five minutes
+            unless a time limit is given; at k̂ > 0.5, coefficients of a nonlinear model are first proposed again with
+            heavier tails. "nuts" for NUTS on all unknowns, with whitened coefficients.
         chains: whether to fall back to NUTS chains; if not, unreliable weighted draws are returned with a note.
-        promote: names of coefficients to sample with φ because their product with another unknown matters;
-            None: chosen by the size of the second-order term.
+        promote: names of coefficients to sample with φ because the output depends on their product with another
+            unknown; None: chosen by the size of the second-order term.
     """
 
     draws: int = 4000
@@ -86,7 +86,7 @@ class Marginal(Method):
     def approximate(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
-        """Return the Gaussian approximation about the mode; `why`: the reason why sampling stopped."""
+        """Return the Gaussian approximation about the mode; `why`: reason for the end of sampling, for a note."""
         outcome = LeastSquares(draws=self.draws).outcome(
             problem.layout, refine(problem, mode, False), seed
         )
@@ -96,7 +96,7 @@ class Marginal(Method):
     def _sample_until_reliable(
         self, problem: Problem, mode: Mode, seed: int, is_student_t: bool = False
     ) -> Iterator[_SmoothedDraws]:
-        """Yield weighted joint draws with their diagnostics, until these show reliable weights; the last are the best.
+        """Yield weighted joint draws with their diagnostics until the weights are reliable; the last are the best.
 
         Proposals are doubled up to 8192, and beyond it while k̂ is acceptable. is_student_t: propose coefficients from a
         Student-t distribution, whose tails suffice for a nonlinear model.
@@ -119,7 +119,7 @@ class Marginal(Method):
             yield from self._sample_until_reliable(problem, mode, seed, is_student_t=True)
 
     def _resample_draws(self, layout, weighted: _SmoothedDraws, notes, seed, why: str) -> Outcome:
-        """Resample draws by their weights; `why`: reason to accept unreliable weights, such as a deadline."""
+        """Resample draws by their weights; `why`: reason to accept unreliable weights, such as a deadline, or ""."""
         draws, weights, k_hat = weighted.draws, weighted.weights, weighted.k_hat
         ess, reasons = effective_size(weights), ()
         limit = weighted.limit
@@ -140,7 +140,7 @@ class Marginal(Method):
         )
 
     def _run_nuts(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
-        """Run NUTS; as a fallback without a given time limit, for five minutes at most."""
+        """Run NUTS; as a fallback for five minutes at most, unless a time limit is given."""
         layout, is_unlimited = problem.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whiten_posterior(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
@@ -161,7 +161,7 @@ class Marginal(Method):
 
 
 class _SmoothedDraws(NamedTuple):
-    """Joint draws with Pareto-smoothed weights, k̂ and its limit, and the fault of the weights (empty: reliable)."""
+    """Joint draws with Pareto-smoothed weights, k̂ and its limit, and the weights' fault (empty if reliable)."""
 
     draws: WeightedDraws
     weights: Float[np.ndarray, "s"]

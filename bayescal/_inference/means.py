@@ -32,7 +32,7 @@ class Means:
 
     @classmethod
     def from_record(cls, record: Record, count: int) -> Means:
-        """Average blocks of `count` readings; a block is shorter where a run ends or a group label changes."""
+        """Average blocks of `count` successive readings; a block ends earlier where a run ends or a label changes."""
         frame = record.frame.in_time()
         is_first = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):

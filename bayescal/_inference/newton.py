@@ -131,9 +131,9 @@ def fit_gaussian(
 class NumericDensity:
     """Log density with gradient and curvature by finite differences; `scale`: prior standard deviations or larger.
 
-    During a maximisation the curvature of the previous point, or of a similar density, gets a new diagonal and a BFGS
-    update (J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19); differences are one-sided if a similar
-    density is reliable. If `exact`, cross terms are central differences, or correlations of the similar density where
+    A maximisation updates the curvature of the previous point, or of a similar density, with a new diagonal and by BFGS
+    (J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19). Differences are one-sided in coordinates that
+    `guess` calls reliable. If `exact`, cross terms are central differences, or correlations of the similar density if
     these are small or its point is close.
     """
 
@@ -143,8 +143,7 @@ class NumericDensity:
         scale: Float[np.ndarray, "d"] | float = 1.0,
         guess: HessianGuess | None = None,
     ) -> None:
-        self.values = values
-        self.scale = scale
+        self.values, self.scale = values, scale
         self._reset(guess)
 
     def _reset(self, guess: HessianGuess | None = None) -> None:

@@ -67,10 +67,10 @@ class NUTS(Method):
 
 
 def make_init_strategy(problem: Problem, mode: Mode) -> Callable[[Any], Any]:
-    """Return a NumPyro initialisation strategy: starting points drawn about the mode, by its standard deviations.
+    """Return a NumPyro initialisation strategy that draws starting points from a Gaussian about the mode.
 
-    From prior draws, chains may end at another, far less probable mode: with noise on an input each steep line is near
-    one, since its slope widens the variance.
+    From prior draws, chains may end at another, far less probable mode: with noise on an input, a steep line increases
+    the variance of the readings and is therefore near such a mode.
     """
     from numpyro.infer import init_to_median  # half a second that only these chains need
 

@@ -78,9 +78,9 @@ class WeightedDraws(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Mixture of Student-t kernels of equal weight and scale matrix, and one split-t component, mostly the wider.
+    """Mixture of Student-t kernels with equal weights and scale matrices, and of a usually wider split-t component.
 
-    That one has two widths along each axis (split normal: G. Fechner 1897; multivariate: M. Villani
+    The split-t component has two widths along each axis (split normal: G. Fechner 1897; multivariate: M. Villani
     and R. Larsson, Commun. Stat. 35 (2006) 1123).
     """
 
@@ -295,7 +295,7 @@ class Rounds:
 
 
 class _Sample(NamedTuple):
-    """Draws of φ, each of non-negligible weight with a draw of x."""
+    """Draws of φ, and of x for each φ of non-negligible weight."""
 
     v: Float[np.ndarray, "s d"]
     log_density: Float[np.ndarray, "s"]  # marginal of φ
@@ -390,7 +390,7 @@ def _fill_pool(
     targets: tuple[int, float],
     limit: float,
 ) -> None:
-    """Add `count` draws to a pool; of a costly density in batches, until k̂ and effective sample size are sufficient.
+    """Add `count` draws to a pool; for a costly density in batches until k̂ and effective sample size are sufficient.
 
     targets: sufficient number of draws and effective sample size. limit: drawing stops at a log density above it.
     """
@@ -507,7 +507,7 @@ def make_prior_component(priors: Sequence[Any], log_density: Values) -> PriorCom
 
 
 def draw_prior(prior, rng: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:
-    """Draw one coordinate of φ from its proper prior (s,)."""
+    """Draw `count` values (s,) of one coordinate of φ from its proper prior."""
     if isinstance(prior, HalfCauchy):
         return np.log(np.abs(rng.standard_cauchy(count)))
     normal = rng.standard_normal(count)

@@ -69,7 +69,7 @@ def judge_weights(
     mode: Mode | None = None,
     reasons: tuple[str, ...] = (),
 ) -> Verdict:
-    """Return the verdict on weighted draws and their mode; `reasons`: known faults."""
+    """Return the verdict on weighted draws and their mode; `reasons`: faults found before, each a sentence."""
     if mode is not None and not mode.change <= MAX_MODE_CHANGE_SD:
         step = f"its last step was {float(mode.change):.2g} prior standard deviations"
         reasons = (*reasons, f"The search for the mode did not converge: {step}.")
