@@ -56,10 +56,10 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """Return unidentified directions, the verdict, conflicts and failed checks, one per line."""
-        reported = {(claim.code, claim.subjects) for claim in self.conflicts}
+        claim_keys = {(claim.code, claim.subjects) for claim in self.conflicts}
         failures = self.verdict.against
         other_failures = (
-            f for f in failures if not isinstance(f, Flag) or (f.code, f.subjects) not in reported
+            f for f in failures if not isinstance(f, Flag) or (f.code, f.subjects) not in claim_keys
         )
         lines = [
             *(f"not measured: {direction}" for direction in null_directions(self)),

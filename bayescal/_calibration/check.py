@@ -168,8 +168,8 @@ def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultT
         ]
     lines += [check_table(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
-    depends = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
-    lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {depends or 'none'}"))
+    names = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong)
+    lines.append(folded(f"log Bayes factor (natural log) above {strong:g}: {names or 'none'}"))
     max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "

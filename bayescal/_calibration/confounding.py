@@ -78,15 +78,15 @@ def find_confounders(
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
     vector = instrument.vector
     slots = slots[:1] if vector is None else [n for n in slots if n not in vector.rig]
-    causes = [
+    candidates = [
         (name, amplitude * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
         for name, values in columns.items()
         for slot in slots
     ]
-    causes += [(n, step / math.sqrt(12.0) * slope, step) for n, (step, slope) in steps.items()]
+    candidates += [(n, step / math.sqrt(12.0) * slope, step) for n, (step, slope) in steps.items()]
     slices = {b.name: b.x_slice for b in layout.x_blocks}
     confounders = list[Confounder]()
-    for name, values, step in causes:
+    for name, values, step in candidates:
         # The whitened, scaled column a, its projection P·a on the model's columns, and K = |a − P·a|².
         column = linear.whiten(values[:, None])[:, 0]
         projection = linear.project_on_nuisance(column[:, None])[:, 0]
@@ -135,7 +135,7 @@ def find_unmodelled_columns(
     """Return the varying columns that are neither modelled, nor declared, nor time, nor of a declared quantity."""
     # The catalogue has named effects of declared quantities (a second thermometer, a set point) and of time.
     declared_names = {c.name for c in model.instrument.columns}
-    modelled = declared_names | model.columns | {*TIME_COLUMNS}
+    excluded = declared_names | model.columns | {*TIME_COLUMNS}
     units = [readings.unit(n) for n in declared_names & {*readings.columns}]
     units = [u for u in units if u not in (None, "1", "s")]
     columns = dict[str, np.ndarray]()
@@ -143,7 +143,7 @@ def find_unmodelled_columns(
         column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None
         is_same = any(unit and same_dimension(unit, str(u)) for u in units)
-        if np.ptp(values) > 0 and name not in modelled and column not in modelled and not is_same:
+        if np.ptp(values) > 0 and name not in excluded and column not in excluded and not is_same:
             columns[name] = values
     return columns
 

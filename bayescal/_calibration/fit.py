@@ -195,8 +195,8 @@ def _has_unit_slope(record: Record, slot: str, output: int) -> bool:
 def _refuse_zero_effects(calibration: Calibration) -> None:
     """Raise ModelError if a user's effect is zero in every reading: its posterior would be its prior."""
     known, readings = calibration.model.instrument.known, calibration.readings
-    users = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
-    for effect in users:
+    effects = (e for e in calibration.model.effects if e.name not in known and not e.is_placeholder)
+    for effect in effects:
         linear = calibration.linear
         indices = [i for i in range(linear.problem.size) if linear.owners[i] == effect.name]
         if indices and not np.any(linear.nuisance[:, indices]):

@@ -59,7 +59,7 @@ def conflicts(subject: Subject) -> list[Claim]:
     """Return claims on contradictions between readings and priors, which do not depend on the residual checks."""
     means = {row["name"]: (row["mean"], 0.0) for row in summary(subject.fit)[0]}
     claims = [*_check_priors(subject, means), *find_widened_coefficients(subject)]
-    return [*claims, *group_sds_beyond_range(subject), *implausible_curves(subject)]
+    return [*claims, *find_sds_beyond_range(subject), *find_implausible_curves(subject)]
 
 
 def group_conflicts(subject: Subject) -> list[Claim]:
@@ -76,7 +76,7 @@ def contradictions(
     """
     freed_names = (n for e in fit.model.effects if e.frees for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed_names})
-    claims = conflicts(subject) or priors_contradicted_by_data(subject)
+    claims = conflicts(subject) or find_contradicted_priors(subject)
     step = find_rounding_step(fit.readings["output"])
     if noise_floor < limit("output.rounded", "steps") * step:
         claims.append(Claim("output.rounded", grid=step, unit=fit.unit))
@@ -92,8 +92,8 @@ def residual_claims(subject: Subject) -> list[Claim]:
         return [Claim("fixed.wrong", rms=check.rms, unit=check.unit, times=check.rms / check.noise)]
     is_infinite = evidence is not None and not math.isfinite(evidence[0])
     claims = [Claim("evidence.not_finite")] if is_infinite else []
-    claims += [*subject.mode_claims, *find_slow_noise(subject), *normality(subject)]
-    claims += [*dependence(subject), *find_steps_between_runs(subject)]
+    claims += [*subject.mode_claims, *find_slow_noise(subject), *find_nonnormality(subject)]
+    claims += [*find_dependence(subject), *find_steps_between_runs(subject)]
     return [*claims, *autocorrelation(subject)]
 
 
@@ -103,7 +103,7 @@ def failures(subject: Subject) -> list[Claim]:
     return [*claims, *thermometer_anomalies(subject), *outlying_groups(subject)]
 
 
-def priors_contradicted_by_data(subject: Subject) -> list[Claim]:
+def find_contradicted_priors(subject: Subject) -> list[Claim]:
     """Return claims on coefficients whose estimates under uninformative priors are far from their prior means.
 
     A strong prior that contradicts the readings inflates the noise instead of moving the coefficient. The biases and
@@ -161,7 +161,7 @@ def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
             yield Claim("prior.widened", name, contraction=contraction)
 
 
-def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
+def find_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
     """Yield a claim for each noise amplitude and between-group standard deviation that exceeds the output's range."""
     fit, sds = subject.fit, set(subject.fit.model.noise.amplitudes)
     for effect in fit.model.effects:
@@ -178,7 +178,7 @@ def group_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
             yield Claim("size.beyond_output", row["name"], **numbers)
 
 
-def implausible_curves(subject: Subject) -> Iterator[Claim]:
+def find_implausible_curves(subject: Subject) -> Iterator[Claim]:
     """Yield claims on unknown dependences larger than all of the instrument's known effects together.
 
     They indicate a wrong sign or unit of an input, which a free curve over this input can fit.
@@ -238,18 +238,18 @@ def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
     terms = [e for e in linear_effects if e.varies and not e.coefficients[0].per]
     for b in (b for b in fit.layout.blocks if b.coefficient.per in record.codes):
         names = b.member_names(fit.levels)
-        scalar = b.coefficient.group_sd is not None and b.effect.weights is None
-        if not scalar or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
+        is_scalar = b.coefficient.group_sd is not None and b.effect.weights is None
+        if not is_scalar or subject.accepts(b.effect.name) or not means.keys() >= {*names}:
             continue
         codes = record.codes[str(b.coefficient.per)]
         has_member, deviations = codes >= 0, np.array([means[name] for name in names])
         for term in (e for e in terms if e.slot == b.effect.slot and not subject.accepts(e.name)):
             column = record.columns(ColumnSpec.from_effect(term), ())[:, 0]
             sums = np.bincount(codes[has_member], column[has_member])
-            averages = sums / np.bincount(codes[has_member])
-            if len(averages) < 3 or not (np.ptp(averages) and np.ptp(deviations)):
+            term_means = sums / np.bincount(codes[has_member])
+            if len(term_means) < 3 or not (np.ptp(term_means) and np.ptp(deviations)):
                 continue
-            r, p = correlation(averages, deviations)
+            r, p = correlation(term_means, deviations)
             if p < limit("group.follows_column", "p"):
                 numbers = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
                 numbers |= {"r": r, "p": p}
@@ -354,17 +354,17 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
 
     An effect missing from the model is missing in every group, and inflates the noise of the reference.
     """
-    out = subject.leave_one_group_out
-    if out is None or not np.isfinite(out.p_value).any():
+    loo = subject.leave_one_group_out
+    if loo is None or not np.isfinite(loo.p_value).any():
         return
-    worst_index = int(np.nanargmin(out.p_value))
+    worst_index = int(np.nanargmin(loo.p_value))
     # Bonferroni correction: one test per group.
-    is_significant = out.p_value[worst_index] * out.count < settings().holdout_p
-    if is_significant and (times := float(out.error_ratio[worst_index])) > limit(
+    is_significant = loo.p_value[worst_index] * loo.count < settings().holdout_p
+    if is_significant and (times := float(loo.error_ratio[worst_index])) > limit(
         "group.surprising", "ratio"
     ):
-        details = {"group": out.group.capitalize(), "member": out.members[worst_index]}
-        yield Claim("group.surprising", out.group, **details, times=times, scheme=scheme(out.group))
+        fields = {"group": loo.group.capitalize(), "member": loo.members[worst_index]}
+        yield Claim("group.surprising", loo.group, **fields, times=times, scheme=scheme(loo.group))
 
 
 def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
@@ -390,7 +390,7 @@ def find_slow_noise(subject: Subject) -> Iterator[Claim]:
         yield Claim("noise.describes", noise.name, words=noise.in_words, **numbers)
 
 
-def normality(subject: Subject) -> Iterator[Claim]:
+def find_nonnormality(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if leave-one-out residuals are not normal: heteroscedastic, one-sided or heavy-tailed."""
     check, threshold = subject.check, limit("group.follows_column", "p")
     if covariates := [name for name, p in check.scatter_with.items() if p < threshold]:
@@ -402,7 +402,7 @@ def normality(subject: Subject) -> Iterator[Claim]:
         yield Claim("noise.tails", p=check.pit_p, outside=outlier_text)
 
 
-def dependence(subject: Subject) -> list[Claim]:
+def find_dependence(subject: Subject) -> list[Claim]:
     """Return a claim on the covariate on which residuals depend most, or one that there are too few readings."""
     check = subject.check
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]

@@ -142,12 +142,12 @@ def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
         if len(left_out) >= MIN_GROUP_READINGS:
             counts = len(codes) - len(left_out), len(members) - 1
             error_ratio[i] = math.sqrt(squares / spectrum.sum())
-            p_value[i] = _ratio_p_value(squares, spectrum, *counts)
+            p_value[i] = _compute_p_value(squares, spectrum, *counts)
     variance = calibration.linear.variance + model_var
     return LeaveOneGroupOut(kind, members, scores, residual, error_ratio, p_value, variance)
 
 
-def _ratio_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
+def _compute_p_value(squares: float, spectrum: np.ndarray, readings: int, groups: int) -> float:
     """Return P(rᵀr ≥ squares) for r whose covariance, with eigenvalues λ (`spectrum`), is itself an estimate.
 
     rᵀr/Σλ is about χ²(ν)/ν with ν = (Σλ)²/Σλ² (F. Satterthwaite, Biometrics Bull. 2 (1946) 110). The noise part of Σλ
@@ -180,18 +180,18 @@ def _predict_fold(
     v[is_free] = maximise(objective, mode.v[is_free], ftol=1e-3)  # φ to 0.05 standard deviations
     predicted_moments = _held_out_moments(fitted, test_density, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
-    wide_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
-    wide_moments = _held_out_moments(fitted, test_density, wide_v)
-    if predicted_moments is None or wide_moments is None:
+    max_sd_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
+    max_sd_moments = _held_out_moments(fitted, test_density, max_sd_v)
+    if predicted_moments is None or max_sd_moments is None:
         return None
     zeros, ones = np.zeros(len(mode.x)), np.ones(len(mode.x))
     joint_normal = condition(predicted_moments[1], len(left_out), Prior(zeros, ones, ones), zeros)
     # Eigenvalues of I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: 1 plus those of Lᵀ·Aᵀ·A·L.
     spectrum = np.ones(len(left_out))
-    eigenvalues = np.sort(np.linalg.eigvalsh(wide_moments[1].jtj))[::-1][: len(left_out)]
+    eigenvalues = np.sort(np.linalg.eigvalsh(max_sd_moments[1].jtj))[::-1][: len(left_out)]
     spectrum[: len(eigenvalues)] += np.maximum(eigenvalues, 0.0)
     score = np.nan if joint_normal is None else joint_normal.log_marginal
-    return score, predicted_moments[0], wide_moments[2], wide_moments[1].rtr, spectrum
+    return score, predicted_moments[0], max_sd_moments[2], max_sd_moments[1].rtr, spectrum
 
 
 def _held_out_moments(

@@ -173,12 +173,12 @@ def _conditional_noise(
     def conditional_moments(residuals: Float[np.ndarray, "b n"]) -> tuple[np.ndarray, np.ndarray]:
         mean, variances = np.zeros_like(residuals), np.zeros(len(record))
         for rows in record.records.rows:
-            old, new = rows[rows < count], rows[rows >= count]
-            covariates = None if x is None else (np.asarray(x)[old], np.asarray(x)[new])
-            mean_new, variances[new] = model.slow_part(
-                parameters, time[old], residuals[:, old].T, white[old], time[new], covariates
+            old, new_rows = rows[rows < count], rows[rows >= count]
+            covariates = None if x is None else (np.asarray(x)[old], np.asarray(x)[new_rows])
+            mean_new, variances[new_rows] = model.slow_part(
+                parameters, time[old], residuals[:, old].T, white[old], time[new_rows], covariates
             )
-            mean[:, new] = mean_new.T
+            mean[:, new_rows] = mean_new.T
         return mean, variances
 
     return conditional_moments
@@ -225,14 +225,14 @@ class HoldoutTest:
         groups = [(self.readings.groups(per)[1], column) for _, per, column in columns if per]
         members = [np.where(codes == k, c, 0.0) for codes, c in groups for k in np.unique(codes)]
         basis = _orthonormal_basis(common_columns, len(errors))
-        full = _orthonormal_basis([*common_columns, *members], len(errors))
+        full_basis = _orthonormal_basis([*common_columns, *members], len(errors))
         score, simulated = basis.T @ errors, expected @ basis
         covariance = np.atleast_2d(np.cov(simulated.T)) if basis.shape[1] else np.zeros((0, 0))
         inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
         statistics = np.einsum("bi,ij,bj->b", simulated, inverse, simulated)
-        p = _p_value(statistics >= score @ inverse @ score)
-        remainder = max(_sum_squares(errors - full @ (full.T @ errors)), TINY_SQUARE)
-        median_square = np.median(_sum_squares(expected - (expected @ full) @ full.T))
+        p = _compute_p_value(statistics >= score @ inverse @ score)
+        remainder = max(_sum_squares(errors - full_basis @ (full_basis.T @ errors)), TINY_SQUARE)
+        median_square = np.median(_sum_squares(expected - (expected @ full_basis) @ full_basis.T))
         scatter = math.sqrt(remainder / max(float(median_square), TINY_SQUARE))
         ratio = math.sqrt(float(_sum_squares(errors)) / remainder)
         scores = {
@@ -251,7 +251,7 @@ class HoldoutTest:
         """
         errors, expected = self._errors
         difference = (self.prediction.mean - other.prediction.mean) / self._noise
-        return _p_value(expected @ difference <= errors @ difference)
+        return _compute_p_value(expected @ difference <= errors @ difference)
 
     @cached_property
     def _noise(self) -> Float[np.ndarray, "n"]:
@@ -319,6 +319,6 @@ def _sum_squares(rows: np.ndarray) -> np.ndarray:
     return np.sum(rows**2, axis=-1)
 
 
-def _p_value(is_as_extreme: np.ndarray) -> float:
+def _compute_p_value(is_as_extreme: np.ndarray) -> float:
     """Return the Monte Carlo p-value (1 + exceedances)/(1 + replicates), which is never zero."""
     return float((1 + np.count_nonzero(is_as_extreme)) / (1 + len(is_as_extreme)))

@@ -382,8 +382,8 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
     criteria = {"tone": (z, LINE_Z)}
     if not base:
-        negative_sd = _negative_correlation_sd(output, runs)
-        criteria[QUANTISATION if negative_sd > 0 else AVERAGING] = abs(negative_sd), NEIGHBOUR_Z
+        negative_z = _negative_correlation_z(output, runs)
+        criteria[QUANTISATION if negative_z > 0 else AVERAGING] = abs(negative_z), NEIGHBOUR_Z
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
     variance, _ = allan.allan_variances(output, runs)
@@ -417,7 +417,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     imputations = imputations[-(IMPUTATIONS - 1) :]
     for _, probabilities in imputations:
         weights.update({terms: p / len(imputations) for terms, p in probabilities.items()})
-    noises = [noise for sampled, _ in imputations for noise in sampled]
+    noises = [noise for models, _ in imputations for noise in models]
     noises.sort(key=lambda noise: -weights[noise.model.terms])
     probable_sums: dict[Terms, Any] = dict(weights.most_common())
     return EvaluatedSums(noises, probable_sums, tuple(claims), readings, residuals, runs, count)
@@ -445,34 +445,34 @@ def _sample_sums(
     channel: _RestRecord, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], dict[Terms, float]]:
     """Draw the parameters of the probable sums; return these with draws, and the probabilities of all sums."""
-    sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
+    samples = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> None:
         """Draw a sum's parameters by importance sampling; replace the Laplace evidence by the resulting estimate."""
         log_density = channel.log_density(terms)
         v, weights, evidence = draw_by_importance(log_density, fits[terms], seed, DRAWS_PER_SUM)
-        sampled[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
+        samples[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
 
     while True:
         totals = _log_posteriors(fits)
         posterior = softmax(list(totals.values()))
         probabilities = dict(zip(totals, posterior.tolist(), strict=True))
-        likely = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
-        if not (unsampled_sums := [t for t in likely if t not in sampled]):
+        probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
+        if not (unsampled_sums := [t for t in probable if t not in samples]):
             break
         for terms in unsampled_sums:
             sample(terms)
-    draws = {t: _draw_parameters(channel, t, *sampled[t], seed, probabilities[t]) for t in likely}
-    walk = draws[likely[0]].get("noise.walk")
+    draws = {t: _draw_parameters(channel, t, *samples[t], seed, probabilities[t]) for t in probable}
+    walk = draws[probable[0]].get("noise.walk")
     if walk is None:
-        terms = _sort_terms((*likely[0], "walk"))
+        terms = _sort_terms((*probable[0], "walk"))
         if terms not in fits:
             fits[terms] = _fit_sum(channel, terms, fits)
-        if terms not in sampled:
+        if terms not in samples:
             sample(terms)
-        walk = _draw_parameters(channel, terms, *sampled[terms], seed, 1.0)["noise.walk"]
+        walk = _draw_parameters(channel, terms, *samples[terms], seed, 1.0)["noise.walk"]
     walks = [d.get("noise.walk", np.resize(walk, len(d[WHITE]))) for d in draws.values()]
-    models = map(channel.model, likely)
+    models = map(channel.model, probable)
     return [*map(RestNoise, models, draws.values(), walks)], probabilities
 
 
@@ -494,22 +494,22 @@ def _count_readings_per_mean(
     upper_limit[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
     level = variance[2:] <= upper_limit
     level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
-    level[:1] &= z > LINE_Z or _negative_correlation_sd(output, runs) > -NEIGHBOUR_Z
+    level[:1] &= z > LINE_Z or _negative_correlation_z(output, runs) > -NEIGHBOUR_Z
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 
 
 def _average(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
     """Average blocks of `count` consecutive readings; a block with more than half of them lost counts as lost."""
     blocks = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
-    valid = [2 * np.sum(block >= 0, axis=1) >= count for block in blocks]
-    row_indices = np.concatenate([block[mask] for block, mask in zip(blocks, valid, strict=True)])
+    masks = [2 * np.sum(block >= 0, axis=1) >= count for block in blocks]
+    row_indices = np.concatenate([block[mask] for block, mask in zip(blocks, masks, strict=True)])
     means = readings.select(row_indices.max(axis=1))
     for name in readings.columns:
         if readings.unit(name) is not None:
             values = np.where(row_indices >= 0, readings[name][row_indices], 0.0)
             means = means.with_column(name, values.sum(axis=1) / np.sum(row_indices >= 0, axis=1))
-    row_no = np.split(np.cumsum(np.concatenate(valid)) - 1, np.cumsum([len(t) for t in valid])[:-1])
-    rows = tuple(np.where(mask, index, -1) for mask, index in zip(valid, row_no, strict=True))
+    row_no = np.split(np.cumsum(np.concatenate(masks)) - 1, np.cumsum([len(t) for t in masks])[:-1])
+    rows = tuple(np.where(mask, index, -1) for mask, index in zip(masks, row_no, strict=True))
     return means, EvenRuns(rows, count * runs.step)
 
 
@@ -518,7 +518,7 @@ def _sort_terms(terms: Terms) -> Terms:
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
-def _negative_correlation_sd(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
+def _negative_correlation_z(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
     """Return z of a negative correlation of neighbours, as in rounded angles; negative z is a positive correlation.
 
     The variogram, half the mean square of differences at lag k, is γ₀ − γₖ, linear in k under slow noise: if its value
@@ -717,9 +717,9 @@ def _draw_parameters(
 
     The rms of a coherent tone is drawn about its estimate from the longest run instead.
     """
-    chosen = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
+    points = v[resample(weights, max(1, round(share * MIXTURE_DRAWS)), seed)]
     priors = channel.model(terms).parameters()
-    parameters = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
+    parameters = {n: np.asarray(p.value(points[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
         is_coherent = parameters[TONE_TIME] > COHERENT_SHARE * channel.max_duration
         if is_coherent.any():
@@ -763,7 +763,7 @@ def _summarise_figures(
 ) -> tuple[NoiseFigure, ...]:
     """Summarise Q, N, B, K and other parameters; a term's parameters if sums with it have over half of the draws."""
     names, best, base = allan.data_sheet_terms(unit), sums.noises[0], unit or "1"
-    (density, bias, walk), (of_density, of_bias, of_walk) = names.names, names.units
+    (density, bias, walk), (density_unit, bias_unit, walk_unit) = names.names, names.units
     draw_count = sum(len(noise.draws[WHITE]) for noise in sums.noises)
 
     def pooled_draws(name: str) -> np.ndarray | None:
@@ -779,17 +779,17 @@ def _summarise_figures(
     bound = np.concatenate([noise.walk for noise in sums.noises])
     rows = [
         ("Q", "quantisation noise", names.q_unit, f"{base}*s", pooled_draws("noise.quantisation")),
-        ("N", density, of_density, f"{base}/Hz^0.5", white_density),
-        ("B", f"{bias} (flicker)", of_bias, base, pooled_draws("noise.flicker")),
-        ("", f"{bias} (lowest of its law / 0.664)", of_bias, base, floor),
-        ("K", walk, of_walk, f"{base}/s^0.5", bound if walks is None else walks),
-        ("", "tone, rms", of_bias, base, pooled_draws("noise.tone")),
+        ("N", density, density_unit, f"{base}/Hz^0.5", white_density),
+        ("B", f"{bias} (flicker)", bias_unit, base, pooled_draws("noise.flicker")),
+        ("", f"{bias} (lowest of its law / 0.664)", bias_unit, base, floor),
+        ("K", walk, walk_unit, f"{base}/s^0.5", bound if walks is None else walks),
+        ("", "tone, rms", bias_unit, base, pooled_draws("noise.tone")),
         ("", "tone, frequency", "Hz", "Hz", pooled_draws("noise.tone.frequency")),
         ("", "tone, correlation time", "s", "s", pooled_draws("noise.tone.time")),
     ]
     for number_of_process, (size, time) in enumerate(best.processes, 1):
         name = f"Ornstein–Uhlenbeck {number_of_process}"
-        rows.append(("", f"{name}, size", of_bias, base, size))
+        rows.append(("", f"{name}, size", bias_unit, base, size))
         rows.append(("", f"{name}, correlation time", "s", "s", time))
     is_bound = {"K": walks is None, "N": not sums.count}
     shown_rows = ((*row, is_bound.get(row[0], False)) for row in rows if row[-1] is not None)

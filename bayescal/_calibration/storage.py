@@ -76,7 +76,7 @@ def save(calibration: Fitted, path: Path) -> Path:
         "draws": {n: Variable(("chain", "draw", f"{n}_entry"), draws[n]) for n in "xv"},
         "mode": {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in mode.items()},
     }
-    metadata = json.dumps({"schema": SCHEMA, **description(calibration)})
+    metadata = json.dumps({"schema": SCHEMA, **describe(calibration)})
     ids = {"bayescal": metadata, "bayescal_identity": identity(calibration)}
     title = format_model(calibration.model)
     content = netcdf_bytes(groups, Conventions="CF-1.11", title=title, **ids)
@@ -158,7 +158,7 @@ def _restore_readings(groups: Mapping[str, Group], metadata: Mapping[str, Any]) 
 
 def identity(calibration: Fitted) -> str:
     """Return the SHA-256 of a fit's model, readings, seed and draws, which saving and loading do not change."""
-    digest = hashlib.sha256(json.dumps(description(calibration), sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(describe(calibration), sort_keys=True).encode())
     calibration.readings.add_to(digest)
     for draws in (calibration.joint.x, calibration.joint.v):
         digest.update(f"{draws.shape}\n".encode())
@@ -175,7 +175,7 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
     return (Source("arrays (hash of their values)", digest.hexdigest(), len(readings)),)
 
 
-def description(calibration: Fitted) -> dict[str, Any]:
+def describe(calibration: Fitted) -> dict[str, Any]:
     """Return the fields of a calibration except its arrays, for JSON; instrument and effects by name."""
     model, readings = calibration.model, calibration.readings
     flags = (f for f in (*readings.flags, *calibration.verdict.against) if isinstance(f, Flag))
@@ -185,7 +185,7 @@ def description(calibration: Fitted) -> dict[str, Any]:
         "instrument": model.instrument.name,
         "settings": dict(model.instrument.settings),
         "effects": list(model.names),
-        "unknowns": {e.name: unknowns_of(e) for e in model.effects},
+        "unknowns": {e.name: format_unknowns(e) for e in model.effects},
         "ranges": {
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in model.effects if e.shapes
         },
@@ -223,7 +223,7 @@ def _instrument_effects(instrument: Instrument) -> dict[str, Effect]:
     return {**{e.name: e for e in structural_effects}, **instrument.known}
 
 
-def unknowns_of(effect: Effect) -> str:
+def format_unknowns(effect: Effect) -> str:
     """Format an effect's coefficients and shapes (nonlinear parameters): units, priors, groups."""
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
@@ -294,7 +294,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     for n, size in metadata["sizes"].items():
         model = model.resize(n, size)
     for user_effect in model.effects:
-        if saved_unknowns[user_effect.name] != (current_unknowns := unknowns_of(user_effect)):
+        if saved_unknowns[user_effect.name] != (current_unknowns := format_unknowns(user_effect)):
             raise InputError(
                 f"{path.name} was fitted with another definition of the effect {user_effect.name!r}: saved "
                 f"{saved_unknowns[user_effect.name]}; given {current_unknowns}. Give the saved definition: {EFFECT_FIX}"

@@ -53,8 +53,8 @@ def unknowns_parts(
     ]:
         lines.append("coefficients refer to " + ", ".join(constants))
     if model.noise.law == "white" and "noise.white" in rows:
-        beyond = ", beyond its stated one" * calibration.readings.has("output_uncertainty")
-        lines.append(f"noise.white: standard deviation of one reading{beyond}")
+        addition = ", beyond its stated one" * calibration.readings.has("output_uncertainty")
+        lines.append(f"noise.white: standard deviation of one reading{addition}")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:

@@ -111,8 +111,8 @@ class ColumnTable:
 
     def clear(self) -> None:
         """Clear all cached blocks except those whose fit was subtracted from the residual."""
-        protected = {RESIDUAL, *self.fitted_coefficients}
-        self._blocks = {i: block for i, block in self._blocks.items() if i in protected}
+        numbers = {RESIDUAL, *self.fitted_coefficients}
+        self._blocks = {i: block for i, block in self._blocks.items() if i in numbers}
         self._products, self._bytes = {}, 0
 
 

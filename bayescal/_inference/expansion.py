@@ -214,12 +214,12 @@ class Expansions:
             if is_inside.any():
                 index[is_inside] = len(expansions)
                 expansions.append(box)
-        uncovered = np.flatnonzero(index < 0)
+        missing = np.flatnonzero(index < 0)
         # Duplicates removed: the factors of `ListedColumns` would count a coordinate twice.
-        points, inverse = np.unique(v[uncovered], axis=0, return_inverse=True)
+        points, inverse = np.unique(v[missing], axis=0, return_inverse=True)
         for start in range(0, len(points), LIST_SIZE):
             group = points[start : start + LIST_SIZE]
-            index[uncovered[(inverse >= start) & (inverse < start + LIST_SIZE)]] = len(expansions)
+            index[missing[(inverse >= start) & (inverse < start + LIST_SIZE)]] = len(expansions)
             expansions.append(ListedColumns(np.moveaxis(self._columns(group), 0, 2), group))
         return expansions, index
 
@@ -229,10 +229,10 @@ class Expansions:
         for degree in DEGREES.get(self.dim, ()):
             basis = Polynomials(draws, degree)
             count = len(basis.points)
-            computed = self._columns(np.concatenate([basis.points, draws[:TEST_DRAWS]]))
-            values = computed[:count].reshape(count, -1)
-            exact_values = computed[count:].reshape(TEST_DRAWS, -1)
-            if not np.all(np.isfinite(computed)):
+            samples = self._columns(np.concatenate([basis.points, draws[:TEST_DRAWS]]))
+            values = samples[:count].reshape(count, -1)
+            exact_values = samples[count:].reshape(TEST_DRAWS, -1)
+            if not np.all(np.isfinite(samples)):
                 break
             coefficients = np.linalg.pinv(basis.terms(basis.points)) @ values
             error = basis.terms(draws[:TEST_DRAWS]) @ coefficients - exact_values
@@ -242,7 +242,7 @@ class Expansions:
             # Reduce the number of columns to the principal components of the coefficients.
             eigenvalues, vectors = np.linalg.eigh(coefficients @ coefficients.T)
             directions = vectors[:, eigenvalues > RANK_TOLERANCE**2 * eigenvalues[-1]]
-            columns = (directions.T @ coefficients).reshape(-1, *computed.shape[1:])
+            columns = (directions.T @ coefficients).reshape(-1, *samples.shape[1:])
             best, fit = misfit, PolynomialColumns(np.moveaxis(columns, 0, 2), basis, directions)
             if best <= TOLERANCE:
                 break
@@ -252,9 +252,9 @@ class Expansions:
         """Fit a Chebyshev series on the largest possible box about v; None if the smallest box fails."""
         for halvings in range(self._level, MAX_HALVINGS + 1) if self._failures < MAX_FAILS else ():
             half = 0.5 * MAX_BOX_WIDTH_SD * 2.0**-halvings
-            computed = self._columns(v + half * np.append(chebpts1(NODES), _TEST_POINTS)[:, None])
-            nodes = computed[:NODES].reshape(NODES, -1)
-            exact_values = computed[NODES:].reshape(len(_TEST_POINTS), -1)
+            columns = self._columns(v + half * np.append(chebpts1(NODES), _TEST_POINTS)[:, None])
+            nodes = columns[:NODES].reshape(NODES, -1)
+            exact_values = columns[NODES:].reshape(len(_TEST_POINTS), -1)
             coefficients = values_to_coefficients(NODES) @ nodes
             max_value = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(
@@ -265,7 +265,7 @@ class Expansions:
                 self._level = halvings
                 magnitudes = np.max(np.abs(coefficients), axis=1, initial=0.0)
                 orders = np.flatnonzero((magnitudes > TERM_TOLERANCE * max_value) | (_ORDERS == 0))
-                terms = coefficients[orders].reshape(-1, *computed.shape[1:])
+                terms = coefficients[orders].reshape(-1, *columns.shape[1:])
                 return Expansion(np.moveaxis(terms, 0, 2), v, half, orders)
         self._failures += 1
         return None
@@ -276,9 +276,9 @@ class Expansions:
         unit = h * np.eye(dim)
         mixed = [unit[i] + unit[j] for i, j in _list_lower_indices(dim) if i != j]
         shifts = np.array([np.zeros(dim), *unit, *-unit, *mixed, *np.negative(mixed)])
-        computed = self._columns(v + shifts.reshape(-1, dim))
-        centre, upper, lower = computed[0], computed[1 : 1 + dim], computed[1 + dim : 1 + 2 * dim]
-        mixed_sums = iter(computed[1 + 2 * dim :].reshape(2, -1, *centre.shape).sum(axis=0))
+        columns = self._columns(v + shifts.reshape(-1, dim))
+        centre, upper, lower = columns[0], columns[1 : 1 + dim], columns[1 + dim : 1 + 2 * dim]
+        mixed_sums = iter(columns[1 + 2 * dim :].reshape(2, -1, *centre.shape).sum(axis=0))
         terms = [centre, *((upper - lower) / (2 * h))]
         for i, j in _list_lower_indices(dim):
             second = upper[i] - 2 * centre + lower[i]

@@ -325,8 +325,8 @@ def _refine_segments(n: int, lines: Sequence[float]) -> Iterator[Segment]:
     for low, high in itertools.pairwise(singular_points):
         midpoint = (high - low) // 2
         for point, sign, limit in ((low, 1, midpoint), (high, -1, high - low - midpoint)):
-            cuts = [d for d in distances if d < limit] + [limit]
-            for start, stop in itertools.pairwise(cuts):
+            bounds = [d for d in distances if d < limit] + [limit]
+            for start, stop in itertools.pairwise(bounds):
                 first, last = sorted((point + sign * start, point + sign * stop))
                 first = max(first, 1)
                 frequencies = np.arange(first, last)

@@ -97,9 +97,9 @@ def _unsort_rows(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) 
     """Restore the order of the readings in an array sorted by time; inverse of `_sort_by_time`."""
     if law.independent or record.is_time_ordered:
         return array
-    ordered = np.empty_like(array)
-    ordered[record.time_order[0]] = array
-    return ordered
+    restored = np.empty_like(array)
+    restored[record.time_order[0]] = array
+    return restored
 
 
 def _pad_table(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:

@@ -85,8 +85,8 @@ class Problem:
         # A promoted coefficient in units of a learned standard deviation changes with it.
         group_sd_names = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds: list[str] = [h.kind for h in self.hypers]
-        moving = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
-        self.nonlinear_phi: list[int] = [i for i, is_moving in enumerate(moving) if is_moving]
+        is_nonlinear = (h.kind in NONLINEAR or h.name in group_sd_names for h in self.hypers)
+        self.nonlinear_phi: list[int] = [i for i, nonlinear in enumerate(is_nonlinear) if nonlinear]
         self.mean_of_x: Float[np.ndarray, "p"] = layout.mean_of_x
         self.weight_of_x: Float[np.ndarray, "p"] = layout.weight_of_x
 
@@ -197,7 +197,7 @@ class Problem:
     def _static_jacobian(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
         """Return the Jacobian of φ-independent terms (other columns zero), and the indices in x of φ-dependent ones."""
         indices = np.arange(self.size)
-        dynamic = np.concatenate(
+        dynamic_indices = np.concatenate(
             [indices[:0], *(indices[t.x_slice] for t in self._dynamic_terms if t.place == "x")]
         )
         jacobian = np.zeros((self.record.size, self.size), order="F")
@@ -205,8 +205,8 @@ class Problem:
             terms = [t for t in self.in_x if not t.columns.names]
             point = np.zeros(self.size), self.fixed_values
             static = linearise_output(self.host, terms, self.compose(terms, *point, with_grad=True))
-            jacobian[:, np.setdiff1d(indices, dynamic)] = static.jacobian
-        return jacobian, dynamic
+            jacobian[:, np.setdiff1d(indices, dynamic_indices)] = static.jacobian
+        return jacobian, dynamic_indices
 
     def slopes(
         self, x: Float[np.ndarray, "p"], hyper: Values
@@ -221,11 +221,11 @@ class Problem:
         line = self.linearise_dynamic(x, hyper)
         if not self.is_affine:
             return line
-        static, dynamic = self._static_jacobian
+        static, dynamic_indices = self._static_jacobian
         if line.mean.ndim > 1:
             static = np.tile(static, (len(line.mean), 1, 1))
         jacobian = static.copy(order="A")
-        jacobian[..., dynamic] = line.jacobian
+        jacobian[..., dynamic_indices] = line.jacobian
         return Linearisation(line.mean + (static @ x[..., None])[..., 0], jacobian, line.inputs)
 
     def linearise_dynamic(

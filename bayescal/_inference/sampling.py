@@ -374,8 +374,8 @@ def _make_axis_mixture(density: BatchedDensity) -> Mixture:
     axes[order] = np.linalg.cholesky(mode.covariance[np.ix_(order, order)])
     for _ in range(WIDTH_ROUNDS):
         ends = mode.v + np.concatenate([-2 * (axes * widths[0]).T, 2 * (axes * widths[1]).T])
-        drop = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
-        widths *= np.clip(np.sqrt(2 / drop), *AXIS_WIDTH_LIMITS)
+        decrease = np.maximum(float(mode.log_density) - density.values(ends).reshape(2, dim), 1e-9)
+        widths *= np.clip(np.sqrt(2 / decrease), *AXIS_WIDTH_LIMITS)
     root, (down, up) = WIDE_RATIO * np.linalg.cholesky(mode.covariance), AXIS_INFLATION * widths
     return Mixture(mode.v[None], root, mode.v, axes, 1 - KERNEL_WEIGHT, (down, up), T_DOF + dim)
 

@@ -287,16 +287,16 @@ class TabulatedDensity:
         p = self.problem.size
         if self.is_direct:
             return self._compute_grams_from_readings(vs)
-        covers = [block.expansions.cover(vs[:, block.shape_indices]) for block in self.blocks]
+        sets = [block.expansions.cover(vs[:, block.shape_indices]) for block in self.blocks]
         products, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
-        boxes = np.array([indices for _, indices in covers]).reshape(len(covers), len(vs)).T
+        boxes = np.array([indices for _, indices in sets]).reshape(len(sets), len(vs)).T
         for box in np.unique(boxes, axis=0):
             members = np.flatnonzero(np.all(boxes == box, axis=1))
-            rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
+            rows = self.rows(tuple(e[i] for (e, _), i in zip(sets, box, strict=True)))
             products[members], log_det[members] = self.compute_grams(rows, vs[members])
-        for block, (expansions, _) in zip(self.blocks, covers, strict=True):
-            for listed in (e for e in expansions if isinstance(e, ListedColumns)):
-                self.table.discard((block.key, listed.number))
+        for block, (expansions, _) in zip(self.blocks, sets, strict=True):
+            for expansion in (e for e in expansions if isinstance(e, ListedColumns)):
+                self.table.discard((block.key, expansion.number))
         return Gram.split(products, log_det)
 
     @cached_property

@@ -73,9 +73,9 @@ class Certificate:
         """Return the values of the ambient conditions as text, by condition."""
         return next(iter(self.entries("conditions")), {})
 
-    def require(self, *needed: str) -> None:
+    def require(self, *keys: str) -> None:
         """Require keys such as "device.serial"; raise InputError with all missing keys."""
-        missing = [n for n in needed if not self.get(*n.split("."))]
+        missing = [n for n in keys if not self.get(*n.split("."))]
         if missing:
             raise bc.InputError(
                 f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
@@ -96,8 +96,8 @@ class Certificate:
         rows = []
         for section, keys in SECTIONS.items():
             for entry in self.entries(section):
-                filled = [(label, entry[key]) for key, label in keys.items() if entry.get(key)]
-                rows += [(section, filled)] * bool(filled)
+                items = [(label, entry[key]) for key, label in keys.items() if entry.get(key)]
+                rows += [(section, items)] * bool(items)
             if section == "calibration" and self.conditions:
                 rows.append(("ambient conditions", list(self.conditions.items())))
         return rows
@@ -142,7 +142,7 @@ class DsiReal(NamedTuple):
 _NOT_XML = "[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # XML 1.0, 2.2
 
 
-def _xml_text(value: Any) -> str:
+def _to_xml_text(value: Any) -> str:
     """Convert a value to text; replace characters that XML forbids by their code points, such as <U+0000>."""
     return re.sub(_NOT_XML, lambda match: f"<U+{ord(match[0]):04X}>", str(value))
 
@@ -174,7 +174,7 @@ def dcc_text(
         "dcc.xml.jinja",
         {"statement_lines": statement_lines},
         autoescape=True,
-        finalize=lambda value: value if isinstance(value, Markup) else _xml_text(value),
+        finalize=lambda value: value if isinstance(value, Markup) else _to_xml_text(value),
     )
     sources = ws.sources_of(calibration.readings)
     hashes = (("other", f"SHA-256 of {s.file}", s.sha256) for s in sources)
@@ -240,15 +240,15 @@ def dsi_real(
     factor, text = d_si(unit, gravity)
     value, sd = float(value) * factor, float(sd) * factor
     k = COVERAGE_FACTOR
-    number = DsiReal(_round(value, k * sd), text, "", {})
+    number = DsiReal(_round_value(value, k * sd), text, "", {})
     if not sd > 0:
         return number
     if ends is not None:
-        low, high = (_round(end * factor, sd) for end in ends)
-        interval = {"standardUnc": _round(sd, sd), "intervalMin": low, "intervalMax": high}
+        low, high = (_round_value(end * factor, sd) for end in ends)
+        interval = {"standardUnc": _round_value(sd, sd), "intervalMin": low, "intervalMax": high}
         interval["coverageProbability"] = "0.95"
         return number._replace(form="coverageInterval", elements=interval)
-    expanded = {"uncertainty": _round(k * sd, k * sd), "coverageFactor": f"{k:g}"}
+    expanded = {"uncertainty": _round_value(k * sd, k * sd), "coverageFactor": f"{k:g}"}
     expanded |= {"coverageProbability": f"{COVERAGE:g}", "distribution": "normal"}
     return number._replace(form="expandedUnc", elements=expanded)
 
@@ -283,7 +283,7 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
     return factor, text or "\\one"
 
 
-def _round(value: float, uncertainty: float) -> str:
+def _round_value(value: float, uncertainty: float) -> str:
     """Round a number to the second significant digit of its uncertainty; keep it if the uncertainty is zero."""
     if not uncertainty > 0:
         return repr(value)

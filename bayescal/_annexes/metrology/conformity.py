@@ -231,8 +231,8 @@ class DrawnQuantity:
         # The probability of one reading is unimodal in its value: with equal scatter its minimum is at an end.
         z = (limits.low - values) / scatter, (limits.high - values) / scatter
         if scores is not None:
-            by_place = list(enumerate(scores))
-            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in by_place]) for e in z)
+            pairs = list(enumerate(scores))
+            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in pairs]) for e in z)
         below, above = map(ndtr, z)
         return float(np.mean(np.min(above - below, axis=1)))
 
@@ -376,8 +376,8 @@ def _noise_scores(
 ) -> Float[np.ndarray, "n m"]:
     """Return normal scores (n, m) of the predictive probability that one reading's noise is below each deviation."""
     calibration, noise = compensator.calibration, compensator.calibration.model.noise
-    repeated = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
-    frame = compensator.equation.frame_of(repeated[compensator.stimulus], repeated)
+    columns = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
+    frame = compensator.equation.frame_of(columns[compensator.stimulus], columns)
     draws = (calibration.problem.hyper(v) for v in calibration.draws(N_SCORE_DRAWS).v)
     scores = [np.asarray(noise.normal_scores(deviations.ravel(), hyper, frame)) for hyper in draws]
     tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # small tails keep digits
@@ -511,10 +511,10 @@ def _resolve_range(
     matching = [n for n in inputs if n in matching - past] or sorted(matching)
     names = [span.name] if span.name else matching
     if len(names) != 1:
-        several = f"several columns match: {', '.join(names)}"
+        ambiguity = f"several columns match: {', '.join(names)}"
         raise bc.InputError(
             f"limit {limit.text!r}: the column of the range in {ws.unit_label(span.unit) or 'plain numbers'} is not "
-            f"named, and {several if names else 'no column is in that unit'}. Write: over temperature -20..60 °C"
+            f"named, and {ambiguity if names else 'no column is in that unit'}. Write: over temperature -20..60 °C"
         )
     (name,) = names
     low, high = _convert_ends(limit, name, span, units[name], local_gravity=local_gravity)
@@ -532,8 +532,8 @@ def _range_faults(compensator: bc.Compensator, name: str, low: float, high: floa
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
     first, last = ws.limits(span[:2])
-    settled = {i.name for i in compensator.inputs if i.settled}
-    if first <= low and (high <= last or name in settled):
+    constants = {i.name for i in compensator.inputs if i.settled}
+    if first <= low and (high <= last or name in constants):
         return []
     request = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [

@@ -197,8 +197,8 @@ class Decisions(ws.Printed):
     def withheld(self, why: str) -> Decisions:
         """Return a copy with all decisions undecided, because the calibration is unreliable for the reason `why`."""
         reason = NOT_RELIABLE.format(why.rstrip("."))
-        undecided = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
-        return replace(self, decisions=tuple(undecided))
+        decisions = (replace(d, decision=UNDECIDED, why=reason, risk=None) for d in self.decisions)
+        return replace(self, decisions=tuple(decisions))
 
     @property
     def conforms(self) -> bool:
@@ -218,12 +218,12 @@ class Decisions(ws.Printed):
                 return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
         table = self.table()
         why = ws.TableColumn("why", lambda d: "\n".join((d.why, *statement_lines(d)[1:])))
-        met = "Every limit is met, by the rule below."
+        conclusion = "Every limit is met, by the rule below."
         return ws.Foreword(
             "decisions",
             "Does it conform?",
             " ".join((f"Of the calibration {self.calibration}.", *self.notes)),
-            verdict=met if self.conforms else "Not every limit is shown to be met.",
+            verdict=conclusion if self.conforms else "Not every limit is shown to be met.",
             is_negative=not self.conforms,
             reason=f"Decision rule: {self.rule_in_words}.",
             table=("Decisions", replace(table, columns=(*table.columns, why), fold=1)),
@@ -267,10 +267,10 @@ class Decisions(ws.Printed):
         return [rule, "", self.table(), *(f"\n{part}" for part in parts)]
 
 
-def worst_end(d: Decision) -> float:
+def worst_end(decision: Decision) -> float:
     """Return the end of the estimate's range that is nearer to its limit."""
-    low, high = d.estimate
-    return high if d.tolerance.high - high <= low - d.tolerance.low else low
+    low, high = decision.estimate
+    return high if decision.tolerance.high - high <= low - decision.tolerance.low else low
 
 
 def _fill(text: str) -> str:

@@ -50,17 +50,17 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
     unit, path = instrument.column(column).unit or "1", Path(path)
     root, label = _parse_root(path), ws.unit_label(unit) or "plain numbers"
     elements = [e for result in root.iter(f"{DCC}result") for e in result.iter()]
-    results = [_parse_errors(path, e, unit) for e in elements if _name(e) in ("list", "data")]
+    results = [_parse_errors(path, e, unit) for e in elements if _tag(e) in ("list", "data")]
     tables = [errors for errors in results if errors is not None]
     if len(tables) != 1:
-        units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _name(e) == "unit"))
+        units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _tag(e) == "unit"))
         fault = f"{len(tables)} tables of errors in {label}; units are {units or 'not stated'}"
-        raise _error(path, "dcc:result", fault, f"one dcc:quantity of refType {ERROR}")
+        raise _make_error(path, "dcc:result", fault, f"one dcc:quantity of refType {ERROR}")
     x, error, sd = tables[0]
     points, u, low, high = np.unique(x), float(sd.max()), x.min(), x.max()
     corrections = np.array([0.0 - error[x == p].mean() for p in points])
     if len(points) > MAX_POINTS:
-        raise _error(path, ERROR, f"{len(points)} points", f"at most {MAX_POINTS}")
+        raise _make_error(path, ERROR, f"{len(points)} points", f"at most {MAX_POINTS}")
     offset = f"{u!r} {'delta_degC' if unit == 'degC' else unit}"
     formula, stated = "offset", {"offset": offset}
     if high > low:
@@ -82,7 +82,7 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
     return replace(effect, equation=equation, columns=(column,))
 
 
-def _error(path: Path, element: str, fault: str, expected: str) -> bc.InputError:
+def _make_error(path: Path, element: str, fault: str, expected: str) -> bc.InputError:
     return bc.InputError(f"{str(path)!r}, {element}: {fault}; expected: {expected}")
 
 
@@ -94,10 +94,10 @@ def _parse_root(path: Path) -> ET.Element:
             return root
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
         fault = f"not read as XML ({error})"
-    raise _error(path, "the root", fault, f"{ROOT}, of {MAX_BYTES:,} bytes at most")
+    raise _make_error(path, "the root", fault, f"{ROOT}, of {MAX_BYTES:,} bytes at most")
 
 
-def _name(element: ET.Element) -> str:
+def _tag(element: ET.Element) -> str:
     """Return an element's name, without namespace and without the ending XMLList."""
     return element.tag.rpartition("}")[2].removesuffix("XMLList")
 
@@ -112,7 +112,7 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
                 values = _parse_values(quantity, unit, name == ERROR) if name in KINDS else None
             except (ValueError, KeyError) as error:
                 expected = "numbers, with one uncertainty or one for each"
-                raise _error(path, f"dcc:quantity {kind}", str(error), expected) from None
+                raise _make_error(path, f"dcc:quantity {kind}", str(error), expected) from None
             if values is not None:
                 values[0] *= -1.0 if kind.endswith("_correction") else 1.0
                 columns[name] = np.hstack([columns.get(name, values[:, :0]), values])
@@ -121,19 +121,19 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
     if not np.all(error[1] > 0):
         fault = "no coverage factor" if np.isnan(error[1]).any() else "no uncertainty"
         expected = f"si:{' or si:'.join(EXPANDED)} with si:coverageFactor, or si:{STANDARD[0]}"
-        raise _error(path, f"dcc:quantity {ERROR}", fault, expected)
+        raise _make_error(path, f"dcc:quantity {ERROR}", fault, expected)
     points = columns.get(MEASURED, columns.get(REFERENCE, np.zeros((2, 1))))[0]
     if len(points) != error.shape[1]:
         fault, expected = f"{error.shape[1]} errors at {len(points)} points", "equal numbers"
-        raise _error(path, f"dcc:quantity {MEASURED} or {REFERENCE}", fault, expected)
+        raise _make_error(path, f"dcc:quantity {MEASURED} or {REFERENCE}", fault, expected)
     return points + (error[0] if MEASURED not in columns and REFERENCE in columns else 0.0), *error
 
 
 def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
     """Return values and standard uncertainties (2, n) in `unit`, NaN without coverage factor; None in other units."""
-    children = (list(e) if _name(e) in ("hybrid", "list") else [e] for e in quantity)
-    for real in (e for group in children for e in group if _name(e) in ("real", "realList")):
-        texts = {_name(e): (e.text or "").split() for e in real.iter()}
+    children = (list(e) if _tag(e) in ("hybrid", "list") else [e] for e in quantity)
+    for real in (e for group in children for e in group if _tag(e) in ("real", "realList")):
+        texts = {_tag(e): (e.text or "").split() for e in real.iter()}
         factor, source_unit = _parse_unit(*dict.fromkeys(texts.get("unit", [""])))
         if not (source_unit and ws.same_dimension(source_unit, unit)):
             continue

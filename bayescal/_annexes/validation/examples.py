@@ -95,10 +95,10 @@ def _fit_known(
     y: Any, u: float, columns: Mapping[str, Any], *arguments: Any, **options: Any
 ) -> bc.Calibration:
     """Fit each estimate y as two readings, y − u and y + u: their mean is y with standard uncertainty u."""
-    tiled = {name: np.tile(values, 2) for name, values in columns.items()}
+    repeats = {name: np.tile(values, 2) for name, values in columns.items()}
     pairs = np.concatenate([np.asarray(y) - u, np.asarray(y) + u])
     method = bc.LeastSquares(draws=DRAWS)
-    return fit(pairs, tiled, *arguments, u=u * 2**0.5, method=method, **options)
+    return fit(pairs, repeats, *arguments, u=u * 2**0.5, method=method, **options)
 
 
 def conformity(mean: float, u: float, limit: str, **options: Any) -> Any:

@@ -20,13 +20,13 @@ LINE = "line"  # the sum of all columns, each times its coefficient
 
 
 @cache
-def _compiled(text: str) -> CodeType:
+def _compile(text: str) -> CodeType:
     return compile(text.replace("[", "(").replace("]", ")"), text, "eval")
 
 
 def evaluate(text: str, values: Mapping[str, Any]) -> Any:
     """Evaluate an equation of this package's own data, such as "b1*(1-exp[-b2*x])"."""
-    return eval(_compiled(text), FUNCTIONS, dict(values))
+    return eval(_compile(text), FUNCTIONS, dict(values))
 
 
 def fit(
@@ -69,7 +69,7 @@ def fit(
         ]
 
     def compute(text: str, slots: Any, r: Any) -> Any:
-        columns_used = {name: r[name] for name in columns if name in _compiled(text).co_names}
+        columns_used = {name: r[name] for name in columns if name in _compile(text).co_names}
         return evaluate(text, columns_used | {slot: slots[slot] + b for slot, b in starts.items()})
 
     equation = None if stimulus in columns else lambda v, slots, r: v - compute(value, slots, r)

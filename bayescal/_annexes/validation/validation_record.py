@@ -45,9 +45,9 @@ class Row(NamedTuple):
     def cells(self) -> list[str]:
         """Return the cells of the row as text."""
         values = (ws.number(value, 7) for value in (self.certified, self.value))
-        small = (ws.number(v, 2) for v in (self.value - self.certified, self.tolerance))
+        differences = (ws.number(v, 2) for v in (self.value - self.certified, self.tolerance))
         outcome = "passed" if self.passed else "FAILED"
-        return [self.clause, self.tested, self.quantity, *values, *small, outcome]
+        return [self.clause, self.tested, self.quantity, *values, *differences, outcome]
 
 
 class Section(NamedTuple):
@@ -117,9 +117,9 @@ class ValidationRecord:
             cells = [
                 ["", "", *r.cells[2:]] if s else r.cells for r, s in zip(rows, is_same, strict=True)
             ]
-            unanswered = [f"Not answered: {text}." for text in standard["not_answered"]]
+            notes = [f"Not answered: {text}." for text in standard["not_answered"]]
             if rows:
-                yield Section(standard["title"], unanswered, HEAD, cells, WIDTHS)
+                yield Section(standard["title"], notes, HEAD, cells, WIDTHS)
         sets = {name: [name, f"{k:.1e}", f"{p:.2f}"] for name, (k, p) in self.nist.items()}
         for row in self.rows_of(NIST):
             sets[row.clause] += [f"{row.value:.1e}", f"{row.tolerance:.0e}", row.cells[-1]]
