@@ -1,1 +1,1 @@
-"""Measurements of the library itself: how accurate, how fast. `python -m benchmarks NAME`."""
+"""Benchmarks of the library's accuracy, search and speed: `python -m benchmarks NAME`."""

@@ -1,9 +1,9 @@
-"""`python -m benchmarks NAME …` measures what is missing of a benchmark, and writes its page; without names, of all.
+"""`python -m benchmarks NAME …` measures the missing campaigns of a benchmark and writes its page; without names, all.
 
-python -m benchmarks render              writes every page from the results that stand
-python -m benchmarks stated              names the pages that say otherwise than the results, or than is printed
-python -m benchmarks release             measures a sample of every bank anew: see `release.py`
-python -m benchmarks shown PAGE …        prints pages of docs/ anew: see `shown.py`
+python -m benchmarks render              write all pages from the stored results
+python -m benchmarks stated              list pages that differ from the results, or from present output
+python -m benchmarks release             measure a sample of every bank again: see `release.py`
+python -m benchmarks shown PAGE …        print pages of docs/ again: see `shown.py`
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def module_of(name: str) -> Any:
 
 
 def rendered() -> Texts:
-    """Return every page from the results that stand, by its path."""
+    """Return all pages, rendered from the stored results, by path."""
     modules = (module_of(name) for name in MODULES)
     pages = (module.render() for module in modules if hasattr(module, "render"))
     return {path: text for page in pages for path, text in page.items()}
 
 
 def render() -> None:
-    """Write every page."""
+    """Write all pages from the stored results."""
     for path, text in rendered().items():
         path.write_text(text, "utf-8")
 
@@ -56,7 +56,7 @@ def main(names: list[str]) -> int:
     """Run benchmarks in order.
 
     Returns:
-        The exit status: 2 for a name that is not known, else 0.
+        The exit status: 2 for an unknown name, otherwise 0.
     """
     if names == ["render"]:
         render()

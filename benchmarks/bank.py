@@ -1,4 +1,4 @@
-"""A bank: campaigns that are measured one after another, a row each; stopped, it goes on where it was."""
+"""A bank of campaigns, measured in turn with a row of results each; an interrupted bank resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ OUTCOME = ("crash", "status", "verdict", "final", "added")
 
 @dataclass(frozen=True)
 class Bank:
-    """Campaigns of one file of rows, `benchmarks/results/NAME.jsonl`.
+    """Campaigns whose rows are in one file, `benchmarks/results/NAME.jsonl`.
 
     Attributes:
-        name: of the file.
-        cases: all campaigns in the order in which they are measured, each with the values of `fields` that name it.
-        measure: from a campaign to its row.
-        fields: of a row, that tell campaigns apart.
+        name: name of the file.
+        cases: all campaigns in the order of measurement, each with the values of `fields` that identify it.
+        measure: function from a campaign to its row.
+        fields: fields of a row that identify its campaign.
     """
 
     name: str
@@ -37,14 +37,14 @@ class Bank:
         return read_lines(RESULTS / f"{self.name}.jsonl")
 
     def run(self) -> None:
-        """Measure the campaigns that have no row."""
+        """Measure the campaigns without a row."""
         done_keys = {self._key(row) for row in self.rows}
         for key, case in self.cases():
             if key not in done_keys:
                 self._keep(self._measured(key, case))
 
     def again(self, count: int, seed: str) -> list[tuple[Row, Row]]:
-        """Measure some campaigns that have a row anew, drawn at random; return their old and their new rows."""
+        """Measure a random sample of the campaigns with a row again; return their old and new rows."""
         rows_by_key = {self._key(row): row for row in self.rows}
         cases = [(key, case) for key, case in self.cases() if key in rows_by_key]
         drawn = random.Random(seed).sample(cases, min(count, len(cases)))
@@ -57,7 +57,7 @@ class Bank:
         return tuple(row[field] for field in self.fields)
 
     def _measured(self, key: tuple[Any, ...], case: Any) -> Row:
-        """Measure a campaign's row; an error is recorded as a row without a right answer."""
+        """Measure a campaign's row; an error is recorded as a row without a correct answer."""
         start = time.process_time()
         row: Row = dict(zip(self.fields, key, strict=True))
         try:
@@ -75,5 +75,5 @@ class Bank:
 
 
 def same_outcome(old: Row, new: Row) -> bool:
-    """Return whether a campaign came out as it had before."""
+    """Return whether the outcome of a campaign is unchanged."""
     return all(old.get(name) == new.get(name) for name in OUTCOME)

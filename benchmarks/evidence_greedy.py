@@ -1,8 +1,8 @@
-"""The same candidates given to another search: PySINDy's `EvidenceGreedy`, on campaigns of the bank of hidden effects.
+"""Search of the same candidates by PySINDy's `EvidenceGreedy`, on campaigns of the bank of hidden effects.
 
-It is told the columns of each candidate where its shapes fit best, which ours averages over, plausible sizes as its
-prior, and the noise as the true structure has it. Its evidence has ours' form; it weighs no families and no odds of
-structures. Released versions up to 2.1 lack it: it is of the repository (dynamicslab/pysindy, c4421fc).
+It is given each candidate's columns at its best-fitting shapes, over which bayescal averages, the plausible sizes as
+prior, and the noise of the true structure. Its evidence has the same form; it has neither families nor prior odds of
+structures. Releases up to 2.1 lack it: it is in the repository (dynamicslab/pysindy, c4421fc).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ EACH = {"single": 15, "empty": 15}  # campaigns of each instrument
 
 
 def cases() -> Iterator[tuple[tuple[str, int], tuple[str, Case]]]:
-    """Give the first campaigns of each kind."""
+    """Yield the first campaigns of each kind."""
     for name in INSTRUMENTS:
         for kind, count in EACH.items():
             for case in [c for c in plan(instrument_named(name)) if c.kind == kind][:count]:
@@ -36,7 +36,7 @@ def cases() -> Iterator[tuple[tuple[str, int], tuple[str, Case]]]:
 
 
 def measure(task: tuple[str, Case]) -> dict[str, Any]:
-    """Return which families it keeps."""
+    """Return the families that `EvidenceGreedy` selects."""
     from pysindy.optimizers import EvidenceGreedy  # pyright: ignore[reportMissingImports]
 
     name, case = task
@@ -62,7 +62,7 @@ BANKS = (Bank("evidence_greedy", cases, measure, ("instrument", "seed")),)
 
 
 def lines() -> Iterator[tuple[str, str, str]]:
-    """Give the lines of the page *How we know*: theirs beside ours, on the same campaigns."""
+    """Yield the lines of the page *How we know*: its results beside those of bayescal, on the same campaigns."""
     bank = {(b.name.removeprefix("hidden_effects_"), r["seed"]): r for b in OURS for r in b.rows}
     pairs = [(row, bank[row["instrument"], row["seed"]]) for row in BANKS[0].rows]
     clear = [(t, o) for t, o in pairs if t["hidden"] and o["oracle"] > CLEAR]

@@ -1,4 +1,4 @@
-"""The page *How we know*: what was tried, on whose numbers, and what came of it, one table."""
+"""The page *How we know*: a table of all tests, with the data they use and their results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Line = tuple[str, str, str]
 
 
 def lines() -> Iterator[Line]:
-    """Give what was tried, what came out, and the page with more."""
+    """Yield the lines: test, result, and the page with details."""
     certified, page = read("certified"), "[certified data](certified.md)"
     for kind, sets in (("nonlinear", "27 sets from both starts"), ("linear", "11 sets")):
         words = f"digits of the worst parameter {worst(certified[kind])[0]}"
@@ -92,7 +92,7 @@ def _spoilt() -> Iterator[Line]:
 
 
 def _released() -> Iterator[Line]:
-    """Give the campaigns measured anew for a release, and those of them that came out as they had."""
+    """Yield the campaigns measured again for a release, and the number with an unchanged outcome."""
     release = read("release")
     for name, row in release["banks"].items():
         words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows anew by version {release['version']}"
@@ -100,7 +100,7 @@ def _released() -> Iterator[Line]:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     days = [r["day"] for b in (*bank.results().values(), *spoilt.results().values()) for r in b]
     table = pages.table(["tried", "came out", "more"], lines())
     return pages.page("how_we_know", "Validation", "render", days, ABOUT, table)

@@ -1,8 +1,7 @@
-"""The open benchmark *find the missing effect*, held on an edition that nobody had seen, and its page.
+"""The open benchmark *find the missing effect*, on an edition that no entry was developed on, and its page.
 
-It makes the tasks, lets every entry solve them isolated, one after the other, and
-goes on where it was stopped: 100 tasks take some 45 minutes of processor. Another edition is a new number in `EDITION`:
-draw it once, and do not look for one.
+It makes the tasks and lets every entry solve them in isolation, one after the other; an interrupted run resumes. 100
+tasks take about 45 minutes of processor time. Another edition is a new number in `EDITION`: draw it once, at random.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ chamber ramp) are in the last column.
 
 
 def main() -> None:
-    """Make the tasks, solve, score, write the results and the page."""
+    """Make the tasks, solve and score them, and write results and page."""
     sys.path[:0] = [str(p) for p in PACKAGES if str(p) not in sys.path]
     from missing_effect.run import entry_file, run
     from missing_effect.score import ORACLE, scored
@@ -81,7 +80,7 @@ def _plain(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     results = read("missing_effect")
     entries, real = results["entries"], results["real"]
     body = []
@@ -127,7 +126,7 @@ def _mean(of: Mapping[str, Mapping[str, Any]], score: str) -> float:
 
 
 def _bootstrap(of: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
-    """Return the central 95 % of the mean log score over tasks drawn again."""
+    """Return the central 95 % of the mean log score over resampled tasks."""
     values = np.array([s["log"] for s in of.values()])
     means = np.random.default_rng(1).choice(values, (4000, len(values))).mean(axis=1)
     return tuple(np.quantile(means, [0.025, 0.975]).tolist())

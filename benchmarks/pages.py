@@ -1,4 +1,4 @@
-"""Pages of `docs/`: what was measured, when, how it is measured again, and one table."""
+"""Pages of `docs/` with results: what was measured, when, the command to measure it again, and a table."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def page(name: str, title: str, again: str, days: Iterable[str], *parts: str) ->
     """Return a page by its path.
 
     Args:
-        name: of its file in `docs/`, without suffix.
-        title: of it.
+        name: file name in `docs/`, without suffix.
+        title: title of the page.
         again: name of the benchmark, after `python -m benchmarks`.
-        days: on which its rows were measured; in any order.
+        days: dates of the measurements, in any order.
         parts: paragraphs and tables.
     """
     ends = sorted(days)
@@ -48,7 +48,7 @@ def _line(cells: Iterable[Any]) -> str:
 def claims_table(
     groups: Mapping[str, Rows], claims: Sequence[Claim], what: str = "campaigns"
 ) -> str:
-    """Return a table with a line for each claim and a column for each group of rows; that of all has intervals."""
+    """Return a table with a row per claim and a column per group of rows; the column of all has intervals."""
     all_rows = [row for rows in groups.values() for row in rows]
 
     def line(name: str, say: Callable[[Rows], str]) -> list[str]:
@@ -61,13 +61,13 @@ def claims_table(
 
 
 def share(flags: Iterable[bool]) -> str:
-    """Return a count and its exact (Clopper–Pearson) 95 % interval, in words."""
+    """Return a count and its exact (Clopper–Pearson) 95 % interval as text."""
     values = list(flags)
     return proportion(sum(values), len(values))
 
 
 def proportion(count: int, total: int) -> str:
-    """Return a proportion with its exact (Clopper–Pearson) 95 % interval, in words."""
+    """Return a proportion with its exact (Clopper–Pearson) 95 % interval as text."""
     if total == 0:
         return "–"
     low, high = stats.binomtest(int(count), total).proportion_ci(0.95, method="exact")
@@ -78,7 +78,7 @@ def proportion(count: int, total: int) -> str:
 def stated_and_true(pairs: Iterable[tuple[float, bool]], low: float, high: float) -> str:
     """Return how often statements of a probability from `low` to `high` were true, and how often they should be.
 
-    The second is the central 95 % of the Poisson binomial law of right statements.
+    The latter is the central 95 % of the Poisson binomial distribution of calibrated statements.
     """
     inside = [(p, true) for p, true in pairs if low <= p < high or p == high == 1.0]
     if not inside:

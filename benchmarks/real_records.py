@@ -1,9 +1,9 @@
-"""Public records of others' sensors: what is known of each, what is found, and whether it holds on what was left out.
+"""Public records of sensors: what is known of each, the effects found, and the errors on hold-out data.
 
-A record of NIST's Statistical Reference Datasets has an instrument of its own: a constant and a line, a parabola and a
-cubic as candidates, sizes from the range of the sensor. The channels of an inertial unit on a temperature ramp are read
-by `still_sensor`. Every second block is held out, in the order of what drives the record. The ramp is no part of the
-repository: it is looked for in `../shared/data`, or in `data` of the folder that BAYESCAL_SHARED names.
+A record of NIST's Statistical Reference Datasets has its own instrument: a constant and a line, with a parabola and a
+cubic as candidates, and sizes from the range of the sensor. The channels of an inertial unit on a temperature ramp are
+read as `still_sensor`. Every second block, in the order of the driving quantity, is hold-out data. The ramp is not in
+the repository: it is looked for in `../shared/data`, or in `data` of the folder given by BAYESCAL_SHARED.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class PublicRecord(NamedTuple):
     """A record of NIST's, and what its owner knows before a calibration.
 
     Attributes:
-        file: in the folder of data.
-        known: what NIST certifies.
-        driver, unit: what drives the output; "1" where NIST's data states no unit.
-        output_unit: of the output.
-        range: of the driver, at most.
-        bias, slope: plausible sizes, output unit, and output unit for each unit of the driver.
+        file: file name in the data folder.
+        known: the certified model.
+        driver, unit: quantity that drives the output, and its unit; "1" if NIST's data state no unit.
+        output_unit: unit of the output.
+        range: largest value of the driver.
+        bias, slope: plausible sizes, in the output unit, and output unit per unit of the driver.
     """
 
     file: str
@@ -85,7 +85,7 @@ RECORDS = {
 
 
 def instrument_of(record: PublicRecord) -> bc.Instrument:
-    """Return an instrument with a constant and a line; a parabola and a cubic may be missing."""
+    """Return an instrument with a constant and a line, and a parabola and a cubic as candidates."""
 
     def power(name: str, order: int) -> bc.Effect:
         size = record.slope if order == 1 else 0.5 * record.slope * record.range ** (1 - order)
@@ -114,7 +114,7 @@ def instrument_of(record: PublicRecord) -> bc.Instrument:
 
 
 def measured() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Give each record that is there with what was found."""
+    """Yield each available record's name with its results."""
     for title, record in RECORDS.items():
         path = nist_strd.FOLDER / record.file
         y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
@@ -138,7 +138,7 @@ def measured() -> Iterator[tuple[str, dict[str, Any]]]:
 def calibrated(
     instrument: bc.Instrument, whole: bc.Measurements, holdout: np.ndarray
 ) -> dict[str, Any]:
-    """Return what `calibrate` makes of a record, and its error where it was held out, output unit."""
+    """Return the results of `calibrate` on a record, and its hold-out error, output unit."""
     start = time.process_time()
     later = whole.select(holdout)
     trail = bc.calibrate(instrument.baseline(), whole.select(~holdout), holdout=later)
@@ -157,11 +157,11 @@ def calibrated(
 def peers(
     x: np.ndarray, y: np.ndarray, holdout: np.ndarray, clock: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """Return the errors of what is customary: a line, a cubic and, where there is time, a cubic with one lag."""
+    """Return the errors of customary methods: a line, a cubic and, if there is a time, a cubic with one lag."""
     powers = ((x - x.mean()) / np.ptp(x))[:, None] ** np.arange(4)
 
     def error(columns: np.ndarray) -> tuple[float, float]:
-        """Errors of the readings that are fitted, and of the others."""
+        """Return the errors of fitted and hold-out readings."""
         e = y - columns @ np.linalg.lstsq(columns[~holdout], y[~holdout], rcond=None)[0]
         fitted, other = (float(np.sqrt(np.mean(e[rows] ** 2))) for rows in (~holdout, holdout))
         return fitted, other
@@ -182,7 +182,7 @@ def peers(
 
 
 def main() -> None:
-    """Measure the records that are there."""
+    """Measure the available records."""
     rows: dict[str, Any] = read("real_records").get("rows", {})
     for title, row in measured():
         rows[title] = row
@@ -191,7 +191,7 @@ def main() -> None:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     rows: Mapping[str, dict[str, Any]] = read("real_records")["rows"]
     head = ["record", "found beside a line", "error held out", "line", "cubic", "cubic + lag"]
     body = []

@@ -1,4 +1,4 @@
-"""Results as JSON, with the versions, the day and the machine that made them; rows of banks as lines of JSON."""
+"""Results as JSON, with versions, date and machine; rows of banks as lines of JSON."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def today() -> str:
 
 
 def surroundings() -> dict[str, Any]:
-    """Return the day, Python, the packages and the machine."""
+    """Return date, Python version, package versions and machine."""
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
     packages = {name: version(name) for name in PACKAGES}
     return {
@@ -38,7 +38,7 @@ def surroundings() -> dict[str, Any]:
 
 
 def write(name: str, results: Mapping[str, Any]) -> Path:
-    """Write `benchmarks/results/NAME.json`, with what surrounds it."""
+    """Write `benchmarks/results/NAME.json` with date, versions and machine; return its path."""
     path = RESULTS / f"{name}.json"
     content = {"surroundings": surroundings(), **results}
     path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
@@ -46,19 +46,19 @@ def write(name: str, results: Mapping[str, Any]) -> Path:
 
 
 def read(name: str) -> dict[str, Any]:
-    """Return what `write` wrote; empty if nothing stands there."""
+    """Return results written by `write`; empty if there are none."""
     path = RESULTS / f"{name}.json"
     return json.loads(path.read_text("utf-8")) if path.is_file() else {}
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file, a line each; none if there is no file."""
+    """Return the rows of a file, one per line; none if there is no file."""
     text = path.read_text("utf-8") if path.is_file() else ""
     return [json.loads(line) for line in text.splitlines()]
 
 
 def write_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write the rows of a file, beside and then renamed."""
+    """Write the rows of a file atomically."""
     draft = path.with_suffix(".part")
     draft.write_text("".join(json.dumps(r, ensure_ascii=False) + "\n" for r in rows), "utf-8")
     draft.replace(path)

@@ -1,8 +1,8 @@
-"""What a release states, measured by its code: `python -m benchmarks release`.
+"""Check of a release's stated results by its code: `python -m benchmarks release`.
 
-Of every bank campaigns drawn at random, others for each version, are measured anew, and each is compared with what it
-was: the same final model, status or verdict. A bank that stands in results/release.json for this version is not
-measured again; *how we know* has the counts.
+A random sample of each bank's campaigns, a different one for each version, is measured again and compared with the
+stored rows: the same final model, status or verdict. Banks that results/release.json has for this version are not
+measured again; the page *How we know* has the counts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from benchmarks.record import read, today, write
 
 
 def main(_: Sequence[str] = ()) -> None:
-    """Measure a sample of each bank, and write every page."""
+    """Measure a sample of each bank, and write all pages."""
     installed = version("bayescal")
     release = read("release")
     banks: dict[str, Any] = release["banks"] if release.get("version") == installed else {}

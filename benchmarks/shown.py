@@ -1,10 +1,10 @@
-"""Pages that show commands, code and what they print: run, compared, and printed anew.
+"""Pages that show commands, code and their output: run, compare and print them again.
 
-    python -m benchmarks shown start.md …         writes what is printed now into pages of docs/
+    python -m benchmarks shown start.md …         write the present output into pages of docs/
 
-On a page, in order and in one folder: a `python` block is run, or written to a file where it has a `title`; each line
-of a `sh` block is a bayescal command, which exits with 0 or with the status that a comment names; a `text` block is
-what the block before it printed, "…" standing for lines left out. Indented and `console` blocks are only shown.
+The blocks of a page are processed in order, in one folder: a `python` block is run, or written to a file if it has a
+`title`; each line of a `sh` block is a bayescal command, which must exit with 0 or with the status in a comment; a
+`text` block is the output of the block before it, with "…" for omitted lines. Indented and `console` blocks are not run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Run = Callable[[Sequence[str]], tuple[int, str]]
 
 
 class Example(NamedTuple):
-    """A `text` block of a page: what it shows, what was printed, and where its text begins and ends in the page."""
+    """A `text` block of a page: the text shown, the actual output, and the position of the text in the page."""
 
     shown: str
     printed: str
@@ -44,7 +44,7 @@ class Example(NamedTuple):
     last: int
 
     def difference(self, last_digits: float = LAST_DIGITS) -> str:
-        """Return which parts between lines of "…" are absent from the printed output, in order; empty if none."""
+        """Return the parts between lines of "…" that are absent from the output, in order; empty if none."""
         lines = self.printed.splitlines()
         for part in LEFT_OUT.split(self.shown):
             if not (expected := part.strip("\n").splitlines()):
@@ -59,7 +59,7 @@ class Example(NamedTuple):
         return ""
 
     def anew(self) -> str:
-        """Return the block as printed now, each part from its first line to its last."""
+        """Return the block with its present output, each part from its first line to its last."""
         lines, output = self.printed.rstrip("\n").splitlines(), list[str]()
         for i, part in enumerate(LEFT_OUT.split(self.shown)):
             output += ["…"] if i else []
@@ -78,8 +78,8 @@ class Example(NamedTuple):
 def difference(printed: str, expected: str, last_digits: float = LAST_DIGITS) -> str:
     """Return the difference of a text from the expected one; empty if none.
 
-    Words are compared exactly, numbers within some of the last digit shown, or 2 %. Rules under a table's head and the
-    spaces between columns are not compared: their lengths depend on the numbers.
+    Words are compared exactly, numbers within some units of the last shown digit, or 2 %. Rules under a table's head
+    and spaces between columns, whose lengths depend on the numbers, are not compared.
     """
     where = f"\nprinted now:\n\n{printed}\n\nshown:\n\n{expected}"
     for line, other in zip_longest(_lines(printed), _lines(expected), fillvalue=""):
@@ -92,10 +92,10 @@ def difference(printed: str, expected: str, last_digits: float = LAST_DIGITS) ->
 
 
 def followed(page: str, run: Run) -> Iterator[Example]:
-    """Run a page from top to bottom in the current folder, and give each of its `text` blocks.
+    """Run a page from top to bottom in the current folder; yield each of its `text` blocks.
 
     Raises:
-        ValueError: a command is not one of bayescal, or ends with another status than the page says.
+        ValueError: a command is not bayescal's, or exits with a status other than the page's.
     """
     names: dict[str, object] = {}
     printed = ""
@@ -117,7 +117,7 @@ def followed(page: str, run: Run) -> Iterator[Example]:
 
 
 def in_a_process(arguments: Sequence[str]) -> tuple[int, str]:
-    """Run a bayescal command in a process of its own; omit its progress lines."""
+    """Run a bayescal command in a separate process; return status and output without progress lines."""
     surroundings = {**os.environ, "COLUMNS": "80", "MPLBACKEND": "Agg"}
     command = [sys.executable, "-m", "bayescal", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=surroundings)
@@ -126,7 +126,7 @@ def in_a_process(arguments: Sequence[str]) -> tuple[int, str]:
 
 
 def differing(name: str) -> Iterator[str]:
-    """List the differences of a page of docs/ from present output, one sentence each."""
+    """Yield the differences of a page of docs/ from present output, one sentence each."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for block in followed((DOCS / name).read_text("utf-8"), in_a_process):
             if message := block.difference():
@@ -134,7 +134,7 @@ def differing(name: str) -> Iterator[str]:
 
 
 def main(names: Sequence[str]) -> None:
-    """Print pages anew."""
+    """Print pages again."""
     for name in names:
         path = DOCS / name
         page, output, before = path.read_text("utf-8"), "", 0

@@ -1,7 +1,7 @@
-"""What answers cost beside peers: a command, one fit, ten thousand devices, a posterior; each answer is compared first.
+"""Speed beside peers: a command, one fit, ten thousand devices, a posterior; answers are compared before times.
 
-Ours and a peer run in turn on the same machine, which is busy as machines are: the ratios are what can be compared. A
-peer that is not installed leaves its row as it was.
+bayescal and a peer run in turn on the same machine under its usual load, so that only ratios are comparable. A row
+whose peer is not installed is unchanged.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Row = dict[str, Any]
 
 
 def peer(table: str) -> None:
-    """Fit a line and a quadratic by PyMC and nutpie and compare them: a script of an afternoon; print the slope."""
+    """Fit and compare a line and a quadratic by PyMC and nutpie, a script of one afternoon's work; print the slope."""
     import arviz as az  # pyright: ignore[reportMissingImports]
     import nutpie  # pyright: ignore[reportMissingImports]
     import pymc as pm  # pyright: ignore[reportMissingImports]
@@ -67,10 +67,10 @@ def peer(table: str) -> None:
 
 
 def in_a_process(command: tuple[str, ...], folder: Path) -> tuple[float, dict[str, Any]]:
-    """Run a process of this Python, its compiled code kept in a folder; return its processor seconds and its JSON.
+    """Run Python in a process with its compiled code cached in a folder; return processor seconds and its JSON.
 
     Raises:
-        RuntimeError: it failed.
+        RuntimeError: the process failed.
     """
     variables = {
         "BAYESCAL_CACHE": str(folder / "bayescal"),
@@ -87,13 +87,13 @@ def in_a_process(command: tuple[str, ...], folder: Path) -> tuple[float, dict[st
 
 
 def _children() -> float:
-    """Return the processor seconds of the children that ended."""
+    """Return the processor seconds of the finished child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def commands() -> Iterator[Row]:
-    """Time a command on a table of 18 rows, and the peer's script, first with nothing compiled, then again."""
+    """Time a command on a table of 18 rows, and the peer's script, first without compiled code, then again."""
     with tempfile.TemporaryDirectory() as our_folder, tempfile.TemporaryDirectory() as other:
         for start in ("cold", "warm"):
             seconds, our_values = in_a_process(OURS, Path(our_folder))
@@ -105,7 +105,7 @@ def commands() -> Iterator[Row]:
 
 
 def compared(what: str, ours: Answer, theirs: Answer, sd: Any) -> Row:
-    """Return a row.
+    """Return the row of a comparison.
 
     Raises:
         RuntimeError: the answers differ by more than a tenth of their standard deviations.
@@ -117,7 +117,7 @@ def compared(what: str, ours: Answer, theirs: Answer, sd: Any) -> Row:
 
 
 def least(work: Callable[[], np.ndarray]) -> Answer:
-    """Return the least processor seconds of several runs, and what the last one found."""
+    """Return the smallest processor time, s, of several runs, and the last result."""
     seconds, values = [], np.zeros(0)
     for _ in range(REPEATS):
         start = time.process_time()
@@ -127,7 +127,7 @@ def least(work: Callable[[], np.ndarray]) -> Answer:
 
 
 def line_by(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return how a peer fits offset and slope of one device: output over °C from T0, with the instrument's priors."""
+    """Return a peer's fit of offset and slope of one device: output over T − T0, °C, with the instrument's priors."""
     from scipy.optimize import least_squares
 
     def residuals(x: np.ndarray, t: np.ndarray, output: np.ndarray) -> np.ndarray:
@@ -149,7 +149,7 @@ def line_by(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 
 def lot() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return device, °C from T0 and output, °/s, of 25 readings of each device."""
+    """Return device, T − T0, °C, and output, °/s, of 25 readings of each device."""
     rng = np.random.default_rng(2026)
     device = np.repeat(np.arange(DEVICES), 25)
     t = rng.uniform(-60.0, 65.0, len(device))
@@ -185,7 +185,7 @@ def devices() -> Iterator[Row]:
 
 
 def single() -> Iterator[Row]:
-    """Time one fit by least squares of 600 readings."""
+    """Time one least-squares fit of 600 readings."""
     t = lot()[1][:600]
     output = 2.0 + 0.03 * t + np.random.default_rng(5).normal(0.0, SCATTER, 600)
     readings = bc.Measurements.from_arrays(
@@ -250,7 +250,7 @@ def noise() -> Iterator[Row]:
 
 
 def main() -> None:
-    """Measure all; a row whose peer is not installed stays."""
+    """Measure all; rows whose peer is not installed stay."""
     rows = {row["what"]: row for row in read("speed").get("rows", [])}
     for part in (commands, devices, single, posteriors, noise):
         try:
@@ -263,7 +263,7 @@ def main() -> None:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     rows = read("speed")["rows"]
     table = pages.table(
         ["processor seconds, on one machine", "bayescal", "peer", "peer over bayescal", "measured"],

@@ -1,6 +1,6 @@
-"""Pages that say otherwise than the committed results: `python -m benchmarks stated`; `make docs` builds no site then.
+"""Pages that differ from the committed results: `python -m benchmarks stated`; `make docs` then builds no site.
 
-Pages that are rendered are rendered anew and compared; the page that shows what is printed is run.
+Rendered pages are rendered again and compared; the page that shows output is run.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ PRINTED = "start.md"  # the tests run every page that shows what is printed
 
 
 def differing() -> Iterator[str]:
-    """Give what a page says otherwise than it is rendered, a sentence each."""
+    """Yield the differences of pages from their rendering, one sentence each."""
     for path, text in rendered().items():
         before = path.read_text("utf-8")
         lines = zip(before.splitlines(), text.splitlines(), strict=False)
@@ -25,10 +25,10 @@ def differing() -> Iterator[str]:
 
 
 def main(_: Sequence[str] = ()) -> None:
-    """Name what differs.
+    """Print the differences.
 
     Raises:
-        SystemExit: something does.
+        SystemExit: there are differences.
     """
     if differences := [*differing(), *shown.differing(PRINTED)]:
         sys.exit("\n".join(differences))

@@ -1,1 +1,1 @@
-"""How right the numbers are: certified data, reference posteriors, coverage of intervals."""
+"""Numerical accuracy: certified data, reference posteriors, coverage of intervals."""

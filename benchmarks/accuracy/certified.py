@@ -1,4 +1,4 @@
-"""Certified data: NIST's regressions and posteriordb's posteriors, met to how many digits."""
+"""Certified data: number of digits to which NIST's regressions and posteriordb's posteriors are reproduced."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ The tests hold all of it. `bayescal validate` compares NIST's sets, and examples
 
 
 def main() -> None:
-    """Measure all."""
+    """Measure all sets and write the results."""
     kinds = {kind: nist_strd.certificates(kind) for kind in ("nonlinear", "linear")}
     found = {kind: [row for name in names for row in digits(name)] for kind, names in kinds.items()}
     write("certified", {**found, "posteriordb": [posterior_row(n) for n in posteriordb.PROBLEMS]})
 
 
 def digits(name: str) -> list[dict[str, Any]]:
-    """Return the digits met of one of NIST's sets, from each start."""
+    """Return the digits reached for one of NIST's sets, from each start."""
     rows = []
     for start, one in enumerate(nist_strd.fit_data_set(name), 1):
         met = [round(nist_strd.digits(error), 2) for error in one.errors[:2]]
@@ -39,7 +39,7 @@ def digits(name: str) -> list[dict[str, Any]]:
 
 
 def posterior_row(name: str) -> dict[str, Any]:
-    """Return the worst unknown of a reference posterior."""
+    """Return the results for the worst unknown of a reference posterior."""
     _, rows = posteriordb.compare(name)
     shift = max(rows, key=lambda r: abs(r.shift))
     ratio = max(rows, key=lambda r: abs(r.ratio - 1) / r.ratio_allowed)
@@ -53,7 +53,7 @@ def posterior_row(name: str) -> dict[str, Any]:
 
 
 def worst(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the worst parameter and the worst standard deviation of some sets, with the set of each."""
+    """Return the worst parameter and the worst standard deviation of some sets, with their sets."""
     sure = [row for row in rows if row["set"] not in nist_strd.NOISELESS]
     parameter = min(rows, key=lambda r: r["parameters"])
     sd = min(sure, key=lambda r: r["sd"])
@@ -61,7 +61,7 @@ def worst(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     results = read("certified")
     lines = [
         ["NIST, nonlinear, 27 sets from both starts", *worst(results["nonlinear"])],

@@ -1,9 +1,9 @@
-"""Do the intervals cover? Simulation-based calibration of every instrument on its reference problem.
+"""Coverage of intervals: simulation-based calibration of every instrument on its reference problem.
 
 Data sets are drawn from the priors that the fit uses (`reference_problem` of an instrument), and each is fitted as
-`bc.fit` fits it: mode and importance sampling on the host. Where its weights are uneven, `bc.fit` would go on to
-NUTS; here they count as they are.
-Their ranks and coverage stand in results/coverage.json.
+`bc.fit` does by default: mode and importance sampling. With uneven weights `bc.fit` would continue with NUTS; here the
+weighted draws are used unchanged.
+Ranks and coverage are stored in results/coverage.json.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Ground:
     """An instrument's reference problem.
 
     Attributes:
-        name: of the instrument.
-        model: baseline effects, proper priors.
-        plan: readings whose columns every data set shares.
-        chunk: data sets of one row.
+        name: name of the instrument.
+        model: baseline effects with proper priors.
+        plan: readings whose columns all data sets have.
+        chunk: number of data sets per row.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Ground:
         )
 
     def run(self, index: int) -> dict[str, Any]:
-        """Compute a chunk's ranks of every unknown, and k̂ of every data set."""
+        """Compute the ranks of every unknown for one chunk, and k̂ of each data set."""
         seed = seed_of(self.name, index)
         data, truth = drawn(self.model, self.chunk, self.plan, seed)
         samples, k_hats = drawn_one_by_one(self.model, data, self.method, seed)
@@ -77,12 +77,12 @@ class Ground:
 
 
 def seed_of(name: str, index: int) -> int:
-    """Return the seed of one chunk; unlike from instrument to instrument, so that their data sets are independent."""
+    """Return the seed of one chunk; instruments have different seeds, so that their data sets are independent."""
     return zlib.crc32(f"{name} {index}".encode())
 
 
 def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
-    """Return what `Marginal` promotes, chosen once, on the plan's own readings: one program serves all data sets."""
+    """Return the coefficients that `Marginal` samples; chosen once for the plan, so that data sets share a program."""
     layout, _ = bind(model, plan)
     record = Record(model.instrument, build_frame(plan, reference_of(plan)), plan["output"])
     return sampled_products.promote_products(Problem(layout, record), None)[0].layout.promoted
@@ -91,7 +91,7 @@ def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
 def drawn_one_by_one(
     model: bc.Model, data: Sequence[bc.Measurements], method: bc.Marginal, seed: int
 ) -> tuple[list[Posterior], list[float]]:
-    """Draw weighted posterior samples of each data set, with their Pareto k̂."""
+    """Draw weighted posterior samples of each data set; return them with their Pareto k̂."""
     samples, k_hats = [], []
     for index, data_set in enumerate(data):
         draws, of = drawn_once(model, data_set, method, seed + index)
@@ -106,7 +106,7 @@ def drawn_one_by_one(
 def drawn_once(
     model: bc.Model, readings: bc.Measurements, method: bc.Marginal, seed: int
 ) -> tuple[WeightedDraws, tuple[Layout, Levels]]:
-    """Draw weighted posterior samples of one data set; return them with the unknowns that they are of."""
+    """Draw weighted posterior samples of one data set; return them with layout and levels of their unknowns."""
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])
@@ -122,7 +122,7 @@ def joined(rows: list[dict[str, Any]]) -> dict[str, np.ndarray]:
 
 
 def own_level(unknowns: int) -> float:
-    """Return the test level of one unknown: shared over instruments, then over an instrument's unknowns."""
+    """Return the significance level of one unknown: divided among instruments, then among an instrument's unknowns."""
     return LEVEL / (len(INSTRUMENTS) * unknowns)
 
 
@@ -131,7 +131,7 @@ def judged(rank_sums: dict[str, np.ndarray]) -> dict[str, Judgement]:
 
 
 def uneven(rows: list[dict[str, Any]]) -> float:
-    """Return the share of data sets with unreliable importance weights."""
+    """Return the fraction of data sets with unreliable importance weights."""
     return float(np.mean(np.concatenate([row["pareto_k"] for row in rows]) > UNEVEN))
 
 
@@ -159,12 +159,12 @@ def summary(ground: Ground, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def cases(name: str) -> Iterator[tuple[tuple[int], tuple[str, int]]]:
-    """Give the chunks of an instrument's data sets."""
+    """Yield the chunks of an instrument's data sets."""
     return (((index,), (name, index)) for index in range(REPLICATES // CHUNK))
 
 
 def measure(case: tuple[str, int]) -> dict[str, Any]:
-    """Return the row of a chunk."""
+    """Return the row of one chunk."""
     name, index = case
     return Ground.of(name).run(index)
 
@@ -173,7 +173,7 @@ BANKS = tuple(Bank(f"coverage_{n}", partial(cases, n), measure, ("chunk",)) for 
 
 
 def main() -> None:
-    """Write results/coverage.json from the rows that stand; an instrument without rows keeps what is written."""
+    """Write results/coverage.json from the stored rows; instruments without rows keep their previous results."""
     instruments = read("coverage")["instruments"]
     new = {
         n: summary(Ground.of(n), b.rows) for n, b in zip(INSTRUMENTS, BANKS, strict=True) if b.rows

@@ -1,9 +1,9 @@
-"""Six reference posteriors of posteriordb, as models of the public API, fitted by `Marginal`.
+"""Six reference posteriors of posteriordb, as models of the public API fitted by `Marginal`.
 
-Every model here is linear in its coefficients: an instrument with one slot, an effect whose basis
-is the regressors, priors as in the reference. The eight schools are readings of known standard
-uncertainty, a common effect and one deviation for each school with a learned spread.
-Source: M. Magnusson et al., posteriordb (github.com/stan-dev/posteriordb), Stan's draws of each.
+All models are linear in their coefficients: an instrument with one slot, and an effect whose basis functions are the
+regressors, with the reference's priors. The eight schools are readings of known standard uncertainty, with a common
+effect and a deviation for each school of estimated standard deviation.
+Source: M. Magnusson et al., posteriordb (github.com/stan-dev/posteriordb), with Stan's reference draws.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ METHOD = bc.Marginal(draws=16_000, proposals=32_768)
 
 
 class Problem(NamedTuple):
-    """A model, its readings, and where each unknown of the reference is found in a calibration."""
+    """A model, its readings, and the position of each unknown of the reference in a calibration."""
 
     model: bc.Model
     readings: bc.Measurements
@@ -36,7 +36,7 @@ class Problem(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One unknown: shift of its mean in reference sd, ratio of its sd to the reference's."""
+    """Comparison of one unknown: shift of its mean in reference sd, ratio of its sd to the reference's."""
 
     name: str
     shift: float
@@ -47,14 +47,14 @@ class Row(NamedTuple):
 def regression(
     y: np.ndarray, columns: dict[str, np.ndarray], priors: list, noise: Any, names: list[str]
 ) -> Problem:
-    """Build y ~ N(X·β, σ²). A column of ones is one of the `columns`.
+    """Build y ~ N(X·β, σ²). An intercept is a column of ones among `columns`.
 
     Args:
         y: response.
         columns: regressors by name.
-        priors: of each coefficient.
+        priors: priors of the coefficients.
         noise: prior of σ.
-        names: of the coefficients, and of σ, in the reference.
+        names: names of the coefficients and of σ in the reference.
     """
     effect = bc.Effect(
         "value.regression",
@@ -177,7 +177,7 @@ PROBLEMS: dict[str, Callable[[dict], Problem]] = {
 
 
 def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[str, float]]]:
-    """Return a problem and the reference's summary of it."""
+    """Return a problem and the reference's summary."""
     raw = json.loads((folder / name / "data.json").read_text("utf-8"))
     data = {k: np.asarray(v, float) if isinstance(v, list) else v for k, v in raw.items()}
     reference = json.loads((folder / name / "summary.json").read_text("utf-8"))
@@ -185,13 +185,13 @@ def problem(name: str, folder: Path = FOLDER) -> tuple[Problem, dict[str, dict[s
 
 
 def sd_error(draws: np.ndarray, batches: int = 20) -> float:
-    """Estimate the relative Monte-Carlo error of draws' standard deviation from batches."""
+    """Estimate the relative Monte-Carlo error of the draws' standard deviation from batches."""
     batch_sds = [part.std(ddof=1) for part in np.array_split(draws, batches)]
     return float(np.std(batch_sds, ddof=1) / np.sqrt(batches) / draws.std(ddof=1))
 
 
 def compare(name: str, folder: Path = FOLDER, seed: int = 0) -> tuple[bc.Calibration, list[Row]]:
-    """Fit by `Marginal` and set each unknown beside the reference."""
+    """Fit by `Marginal` and compare each unknown with the reference."""
     posterior, reference = problem(name, folder)
     fit = bc.fit(posterior.model, posterior.readings, METHOD, seed=seed)
     rows = []

@@ -1,7 +1,7 @@
-"""Simulation-based calibration: data sets from the priors, the truth's place among the draws, and its test.
+"""Simulation-based calibration: data sets drawn from the priors, ranks of the truth among posterior draws, their test.
 
-Over data sets drawn from the very priors that the fit uses, the place of the truth among the posterior's draws
-is uniform, for every unknown, if model, simulator and inference agree.
+Over data sets drawn from the priors that the fit uses, the rank of the truth among the posterior draws is uniform for
+every unknown, if model, simulator and inference agree.
 
 Source: A. Talts et al., arXiv:1804.06788 (2018); the band: T. Säilynoja, P.-C. Bürkner, A. Vehtari, Statistics
 and Computing 32 (2022) 32, arXiv:2103.10522.
@@ -49,13 +49,13 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
 def drawn(
     model: bc.Model, count: int, plan: bc.Measurements, seed: int
 ) -> tuple[list[bc.Measurements], dict[str, np.ndarray]]:
-    """Draw data sets from the model's priors and noise, with the truth of every unknown, (count, …).
+    """Draw data sets from the model's priors and noise; return them with the truth of every unknown, (count, …).
 
     Args:
-        model: all its priors proper.
-        count: how many.
-        plan: the readings' columns; their output is replaced.
-        seed: of every random number.
+        model: model with proper priors.
+        count: number of data sets.
+        plan: readings with the columns; the output is replaced.
+        seed: seed of all random numbers.
     """
     layout, _ = bind(model, plan)
     frame = build_frame(plan, reference_of(plan))
@@ -76,8 +76,8 @@ class Posterior(NamedTuple):
     """Weighted draws of one data set.
 
     Attributes:
-        weights: summing to one, (s,).
-        samples: of every unknown, (s,) or (s, members).
+        weights: normalised weights, (s,).
+        samples: draws of every unknown, (s,) or (s, members).
     """
 
     weights: np.ndarray
@@ -87,10 +87,10 @@ class Posterior(NamedTuple):
 def ranks(
     posteriors: Iterable[Posterior], truth: dict[str, np.ndarray], seed: int = 0
 ) -> dict[str, list[float]]:
-    """Compute the share of weighted draws below the truth, per unknown and group member, one per data set.
+    """Compute the weighted fraction of draws below the truth, per unknown and group member, one per data set.
 
     Of S equally weighted draws the truth's rank is uniform over 0 … S; with a uniform number U added,
-    (rank + U)/(S + 1) is uniform over [0, 1]. S is here what the weights are worth (Kish).
+    (rank + U)/(S + 1) is uniform over [0, 1]. S is Kish's effective sample size.
     """
     random = np.random.default_rng(seed)
     rank_lists: dict[str, list[float]] = {}
@@ -109,7 +109,7 @@ def ranks(
 
 
 class Band(NamedTuple):
-    """Counts of ranks at or below each point, within which all of them lie with a given probability."""
+    """Limits of the counts of ranks at or below each point, within which all lie with a given probability."""
 
     points: np.ndarray
     low: np.ndarray
@@ -120,12 +120,12 @@ class Band(NamedTuple):
 def band(count: int, level: float) -> Band:
     """Compute the simultaneous band of the ECDF of `count` uniform numbers, exact at its points.
 
-    At each point the count is binomial; its central interval is taken with one and the same tail probability,
-    the largest at which all points hold together with probability 1 − `level`.
+    The count at each point is binomial. All points have central intervals of the same tail probability, the largest for
+    which all counts are inside with probability 1 − `level`.
 
     Args:
-        count: of ranks.
-        level: chance that uniform numbers leave the band.
+        count: number of ranks.
+        level: probability that uniform numbers leave the band.
     """
     points = np.arange(1, POINTS) / POINTS
     low_tail, high_tail = np.log(level / (2 * POINTS)) - 1.0, np.log(level / 2)
@@ -144,7 +144,7 @@ def _limits(count: int, points: np.ndarray, tail: float) -> tuple[np.ndarray, np
 
 
 def _inside(count: int, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Compute the probability that uniform counts stay within limits at all points, by a Markov chain."""
+    """Compute the probability that uniform counts are within limits at all points, by a Markov chain."""
     counts, probability, at = np.array([0]), np.array([1.0]), 0.0
     for point, lowest, highest in zip(points, low, high, strict=True):
         next_counts = np.arange(lowest, highest + 1)
@@ -157,26 +157,26 @@ def _inside(count: int, points: np.ndarray, low: np.ndarray, high: np.ndarray) -
 
 
 def expected_counts(total: int, chance: float, level: float) -> tuple[int, int]:
-    """Return the least and most of independent events, outside of which their count falls with at most `level`.
+    """Return limits of a binomial count, outside of which it falls with probability at most `level`.
 
     Args:
-        total: of events.
-        chance: of each.
-        level: half of it lies beyond either end, or less, for counts are whole.
+        total: number of events.
+        chance: probability of each event.
+        level: significance level; at most half of it beyond each limit, since counts are integers.
     """
     law = stats.binom(total, chance)
     return int(law.ppf(level / 2)), int(law.isf(level / 2))
 
 
 class Judgement(NamedTuple):
-    """What the ranks of one unknown say.
+    """Tests of the ranks of one unknown.
 
     Attributes:
-        count: of data sets.
-        uniform: whether their ECDF stays within its band.
-        distance: the Kolmogorov–Smirnov distance from uniform.
-        covered: in how many the 95 % interval held the truth.
-        coverage_holds: whether that is within its binomial band.
+        count: number of data sets.
+        uniform: whether the ECDF is within its band.
+        distance: Kolmogorov–Smirnov distance from the uniform distribution.
+        covered: number of data sets whose 95 % interval contains the truth.
+        coverage_holds: whether `covered` is within its binomial limits.
     """
 
     count: int
@@ -191,7 +191,7 @@ class Judgement(NamedTuple):
 
 
 def judge(values: np.ndarray | list[float], level: float) -> Judgement:
-    """Judge the ranks of one unknown, each of the two tests at half of `level`."""
+    """Test the ranks of one unknown, each of two tests at half of `level`."""
     values = np.asarray(values)
     count = len(values)
     limits = band(count, level / 2)

@@ -1,13 +1,13 @@
-"""Writes `reference_posterior.json` of an instrument: the posterior of its reference problem, by long NUTS.
+"""Write `reference_posterior.json` of an instrument: the posterior of its reference problem by long NUTS runs.
 
     python -m benchmarks.accuracy.reference_posteriors mems_gyro
     python -m benchmarks.accuracy.reference_posteriors ng_accelerometer --sampler whitened
 
-The reference must not rest on what it is to judge, so the coefficients are never integrated out. `program` is NumPyro's
-NUTS on the plain program (`bc.NUTS`); `whitened` runs the same kernel on the same exact log density in coordinates in
-which its curvature is even, for posteriors so correlated that the plain program does not mix. Runs are lengthened
-until every Monte-Carlo error of a mean is below 0.02 posterior standard deviations, and nothing is written
-unless R-hat < 1.01, no transition in a thousand diverges, and the errors are met.
+The reference must be independent of what it tests, so coefficients are never integrated out. `program` is NumPyro's
+NUTS on the plain program (`bc.NUTS`); `whitened` runs the same kernel on the same exact log density in coordinates of
+uniform curvature, for posteriors so correlated that the plain program does not mix. Runs are lengthened until the
+Monte-Carlo error of every mean is below 0.02 posterior standard deviations. A reference is written only if
+R-hat < 1.01, fewer than one transition in a thousand diverges, and the errors are reached.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def _program(model: bc.Model, readings: bc.Measurements, draws: int):
 def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     """Return the problem in whitened coordinates about the Laplace mode; the log density is exact.
 
-    Where a product of unknowns bends the model, one factor stands beside the hyper-parameters, so that the
-    coordinates of the others follow it.
+    Where a product of unknowns makes the model nonlinear, one factor is among the hyper-parameters, and the other's
+    coordinates depend on it.
     """
     layout, _ = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), readings["output"]
@@ -77,12 +77,12 @@ SAMPLERS = {"program": _program, "whitened": _whitened}
 
 
 def columns_of(layout: Layout, values: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
-    """Return draws (chains, draws) and unit of every unknown; members of a group each by number."""
+    """Return draws (chains, draws) and unit of every unknown; group members are numbered."""
     return {u.name: (values[..., i], u.unit) for i, u in enumerate(Unknowns.of(layout))}
 
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
-    """Return mean, sd and mcse of draws (chains, draws), with convergence diagnostics."""
+    """Return mean, sd and Monte-Carlo error of draws (chains, draws), with convergence diagnostics."""
     axes: Any = {"chain_axis": 0, "draw_axis": 1}
     statistics = {
         "mean": values.mean(),
@@ -99,7 +99,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
     """Compute the reference posterior of an instrument's reference problem.
 
     Raises:
-        SystemExit: it could not be had to the tolerances.
+        SystemExit: the tolerances were not reached.
     """
     problem = import_module(f"bayescal_models.{name}").reference_problem
     model, readings = problem.model(), problem.readings(seed=0)
@@ -151,14 +151,14 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
 
 
 def write(name: str, reference: dict[str, Any]) -> Path:
-    """Write it beside the instrument's model."""
+    """Write a reference beside the instrument's model; return its path."""
     path = ROOT / "models" / "bayescal_models" / name / "reference_posterior.json"
     path.write_text(json.dumps(reference, indent=1, ensure_ascii=False) + "\n", "utf-8")
     return path
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Make those of the instruments named, one after the other."""
+    """Compute and write the references of the named instruments in turn."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy.reference_posteriors")
     parser.add_argument("names", nargs="+", choices=INSTRUMENTS, metavar="instrument")
     parser.add_argument("--sampler", choices=SAMPLERS, default="program")

@@ -1,1 +1,1 @@
-"""Which effects are found, told apart and invented, in banks of simulated campaigns."""
+"""Detection, confusion and false discovery of effects, in banks of simulated campaigns."""

@@ -1,4 +1,4 @@
-"""The bank of simulated campaigns: what is hidden in each, at sizes drawn at random, and the readings."""
+"""The bank of simulated campaigns: hidden effects of random size, and the readings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LONG: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 
 class Case(NamedTuple):
-    """One campaign: its kind, its seed, what is hidden and how large; `shape` of what no catalogue has."""
+    """One campaign: its kind, its seed, hidden effects and their sizes; `shape` of an effect outside the catalogue."""
 
     kind: str
     seed: int
@@ -54,12 +54,12 @@ class Case(NamedTuple):
 
 
 def instrument_named(name: str) -> bc.Instrument:
-    """An instrument of this repository."""
+    """Return an instrument of this repository."""
     return import_module(f"bayescal_models.{name}").INSTRUMENT
 
 
 def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.Measurements:
-    """The campaign's readings, or those of a second campaign with the same hidden effects, to be held out."""
+    """Return the campaign's readings; if `later`, hold-out readings of a second campaign with its hidden effects."""
     assert instrument.simulate is not None
     seed = case.seed + (500_000 if later else 0)
     options = CAMPAIGNS.get(instrument.name, {})
@@ -70,8 +70,7 @@ def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.
 
 
 def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
-    """Candidates that are not in the model and that these readings can show; of forms those with a name of their own,
-    before their family."""
+    """Return candidates that are not in the model and are testable by these readings, named forms before families."""
     effects = (
         form
         for e in model.instrument.candidates
@@ -81,7 +80,7 @@ def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
 
 
 def plan(instrument: bc.Instrument) -> list[Case]:
-    """List the bank's cases, kinds in turn, so that any beginning is a fair sample."""
+    """Return the bank's cases, with kinds in turn, so that any initial part is a representative sample."""
     empty = simulated(instrument, Case("empty", 0, {}))
     effects = open_effects(instrument.for_readings(empty).baseline(), empty)
     cases = [
@@ -93,7 +92,7 @@ def plan(instrument: bc.Instrument) -> list[Case]:
 
 
 def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> Iterator[Case]:
-    """Campaigns of one kind; what is drawn of them does not depend on how many there are."""
+    """Yield the campaigns of one kind; their random numbers do not depend on the number of campaigns."""
     size = {e.name: e.coefficients[0].size for e in effects}
     family = {e.name: e.family_name for e in effects}
     names, count, first = list(size), COUNTS[kind], FIRST_SEED[kind]
@@ -123,7 +122,7 @@ def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> 
 
 
 def _signed(name: str, value: float) -> float:
-    """Sign a size at random; a group's standard deviation has no sign."""
+    """Give a size a random sign; a group's standard deviation stays positive."""
     return abs(value) if name.endswith((".run", ".cell", ".device")) else value
 
 
@@ -133,25 +132,24 @@ def _drawn(name: str, size: float, rng: np.random.Generator) -> float:
 
 
 def _from_prior(effects: list[bc.Effect], rng: np.random.Generator) -> dict[str, float]:
-    """Draw no effect half of the time; else one, each equally probable, at a size from its prior."""
+    """Draw no effect with probability one half; otherwise one of equally probable effects, its size from its prior."""
     empty, at, normal = rng.random() < 0.5, int(rng.integers(len(effects))), rng.standard_normal()
     value = effects[at].coefficients[0].size * normal
     return {} if empty else {effects[at].name: _signed(effects[at].name, float(value))}
 
 
 def by_law(instrument: bc.Instrument, case: Case) -> tuple[bc.Measurements, dict[str, float], bool]:
-    """Draw readings from the search's own prior; return them, what is hidden adds, and whether noise wanders."""
+    """Draw readings from the search's prior; return them, the hidden effects' contributions, whether noise wanders."""
     readings = simulated(instrument, case)
     return drawn_by_law(instrument.for_readings(readings).baseline(), readings, case.seed)
 
 
 def outside(readings: bc.Measurements, instrument: bc.Instrument, case: Case) -> bc.Measurements:
-    """Add to readings an effect outside the catalogue, one to six times the noise.
+    """Add to readings an effect outside the catalogue, of one to six times the noise.
 
-    `column`: the output follows a further recorded column, which wanders as the humidity of a laboratory does.
-    `periodic`: it goes up and down with the time, three to eight times in the record. `step`: at a moment in the
-    middle half of the record it jumps, and stays. `shock`: it jumps twice as far, and comes back within a tenth of
-    the record.
+    `column`: the output depends on a further recorded column that varies like the humidity of a laboratory. `periodic`:
+    a sinusoid in time, three to eight periods in the record. `step`: a step in the middle half of the record. `shock`:
+    a step of twice the size that returns within a tenth of the record.
     """
     strength, phase, place = np.random.default_rng(case.seed).random(3)
     strength = 1.0 + 5.0 * strength  # the same in both campaigns

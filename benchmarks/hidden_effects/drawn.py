@@ -1,4 +1,4 @@
-"""Readings drawn from the search's own prior: each candidate in or out, its shapes and sizes, the noise law."""
+"""Readings drawn from the search's prior: inclusion of each candidate, its shapes and sizes, and the noise law."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Added = tuple[np.ndarray, dict[str, float]]  # a sum of effects, and what each o
 def by_law(
     model: bc.Model, readings: bc.Measurements, seed: int
 ) -> tuple[bc.Measurements, dict[str, float], bool]:
-    """Add a draw of the prior to an empty campaign's readings; return them, the truth, whether noise wanders.
+    """Add a draw of the prior to an empty campaign's readings; return readings, truth, and whether noise is correlated.
 
-    The truth are the effects and what each adds that the baseline cannot hold: rms, over the noise.
+    The truth is, by effect, the part of its contribution outside the span of the baseline: rms, relative to the noise.
 
-    Each candidate is in by its prior odds, its shapes, spreads and coefficients by their priors in the catalogue's own
-    columns, its size times 1, 3 or 10 by their probabilities. The noise is white or wanders, by the odds of these two
-    laws, its diffusion and time by their priors; its white part stays the simulator's.
+    Each candidate is included by its prior odds, with shapes, standard deviations and coefficients from their priors in
+    the catalogue, times 1, 3 or 10 by their probabilities. The noise is white or white plus correlated, by the odds of
+    these laws, with diffusion and correlation time from their priors; the white part is the simulator's.
     """
     rng = np.random.default_rng([seed, 1])
     structures, _ = enumerate_structures(model, readings, reference_of(readings))
@@ -56,7 +56,7 @@ def _with(names: list[str]) -> Structure:
 
 
 def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> Added:
-    """Return the effects' contribution to the expected output at the fitted baseline, and what each adds."""
+    """Return the effects' contribution to the expected output at the fitted baseline, and the size of each."""
     base = structures.evaluate(Structure())
     model = structures.build_model(Structure(frozenset(names)))
     sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
@@ -92,13 +92,13 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
 
 
 def not_held(linear: LinearModel, part: np.ndarray) -> np.ndarray:
-    """Return what of a part of the output the model cannot hold, whitened (n,)."""
+    """Return the part of an output outside the span of the model's columns, whitened, (n,)."""
     white = linear.whiten(part[:, None])[:, 0]
     return linear.deflate(white, np.ones(len(linear.owners), dtype=bool))
 
 
 def _wander(structures: Structures, rng: np.random.Generator) -> np.ndarray:
-    """Simulate correlated noise with diffusion and time from the wandering law's priors."""
+    """Simulate correlated noise with diffusion and correlation time from their priors."""
     record: Record = structures.record
     priors = structures.noise_laws[WANDER].parameters()
     values = {

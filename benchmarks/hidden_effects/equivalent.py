@@ -1,4 +1,4 @@
-"""Pairs and triples of effects that the usual test of each instrument cannot tell apart: a page.
+"""Page of pairs and triples of effects that are collinear in the usual test of each instrument.
 
 python -m benchmarks equivalent
 """
@@ -34,7 +34,7 @@ at its plausible size; more than half a one.
 
 
 def main() -> None:
-    """Render the page."""
+    """Write the page."""
     rows = [row for name in ALL for row in _rows(name)]
     listed = {name for name, *_ in rows}
     head = ["instrument", "effect", "cannot be told from", "test that tells", "nats"]

@@ -1,7 +1,7 @@
-"""Nothing is hidden, and the noise or the priors are not what the model takes them for: how often is an effect added?
+"""False discoveries: how often is an effect added to an empty campaign whose noise or priors violate the model?
 
-Empty campaigns of every instrument, each spoilt in seven ways, searched as `calibrate` does, without its fits and
-checks; for wandering noise also under white noise alone, which shows what ignoring it costs.
+Empty campaigns of every instrument, each modified in seven ways, are searched as by `calibrate`, without its fits and
+checks; with correlated noise also under white noise alone, which shows the cost of ignoring the correlation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SAMPLE = 30  # campaigns of each instrument that a release measures anew
 
 
 def cases(name: str) -> Iterator[tuple[tuple[str, int], tuple[str, str, int]]]:
-    """Give the campaigns of an instrument."""
+    """Yield the campaigns of an instrument."""
     seeds = range(FIRST_SEED, FIRST_SEED + CAMPAIGNS)
     return (((how, seed), (name, how, seed)) for seed in seeds for how in SPOILT)
 
@@ -57,7 +57,7 @@ Spoil = Callable[[bc.Instrument, bc.Measurements, float, np.random.Generator], S
 
 
 def _wandering(instrument, readings, noise, random) -> Spoilt:
-    """Add noise of the record's size that wanders in each run, with a memory of a tenth of the run."""
+    """Add correlated noise of the record's noise size in each run, with a correlation time of a tenth of the run."""
     runs, at = readings.records.names, readings.records.codes
     wander = np.zeros(len(readings))
     for run in range(len(runs)):
@@ -81,7 +81,7 @@ def _heavy_tails(instrument, readings, noise, random) -> Spoilt:
 
 
 def _student(instrument, readings, noise, random) -> Spoilt:
-    """Add Student's t noise on three degrees of freedom."""
+    """Add Student-t noise of three degrees of freedom."""
     error = noise * random.standard_t(3, len(readings))
     return instrument, readings.with_column("output", readings["output"] + error)
 
@@ -93,7 +93,7 @@ def _missing(instrument, readings, noise, random) -> Spoilt:
 
 
 def _uneven(instrument, readings, noise, random) -> Spoilt:
-    """Thin to bursts: of every ten rows drop those after a random one; then cut the end, to half of the rows."""
+    """Thin readings to bursts: drop the rows after a random one of every ten, then the second half of the rows."""
     count = random.permutation(np.resize(np.arange(2, 11), len(readings) // 10 + 1))
     place = np.arange(len(readings))
     rows = np.flatnonzero(place % 10 < count[place // 10])

@@ -1,10 +1,10 @@
-"""Effects hidden in simulated campaigns: found, told apart, not invented.
+"""Effects hidden in simulated campaigns: rates of detection, of confusion, and of false discovery.
 
-A bank of campaigns for each instrument, by its own simulator: each candidate hidden in turn at sizes drawn at random
-(a third to three times the plausible one), two at once, several on a longer record, none, and what no catalogue has: an
-output that follows a further recorded column, a wave, a step and a shock in time. Every campaign is searched as
-`calibrate` does, without its fits and checks. The oracle is the log evidence of the true structure less the base's. A
-bank of its own is drawn from the search's prior: are the stated probabilities right?
+There is a bank of campaigns for each instrument, from its own simulator: each candidate hidden in turn at random sizes
+(a third to three times the plausible one), two at once, several in a longer record, none, and effects outside the
+catalogue: an output that depends on a further recorded column, a sinusoid, a step and a shock in time. Every campaign
+is searched as by `calibrate`, without its fits and checks. The oracle is the log evidence of the true structure minus
+the baseline's. A further bank is drawn from the search's prior, to test the stated probabilities.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WANDER = OrnsteinUhlenbeck.law
 
 
 def cases(name: str) -> Iterator[tuple[tuple[Any, ...], tuple[str, bank.Case]]]:
-    """Give the campaigns of an instrument's bank."""
+    """Yield the campaigns of an instrument's bank."""
     return (((case.seed,), (name, case)) for case in bank.plan(bank.instrument_named(name)))
 
 
@@ -107,7 +107,7 @@ def campaign(instrument: bc.Instrument, case: bank.Case) -> dict[str, Any]:
 
 
 def _against(trial: Searched, missing: list[str], wanders: bool) -> dict[str, Any] | None:
-    """Compare the true structure with the most probable one: whether it was evaluated, and log totals, nats."""
+    """Compare the true structure with the most probable one: whether it was evaluated, and log posteriors, nats."""
     structures = trial.structures
     best = structures.visited[trial.posterior.best]
     truth = Structure(frozenset(missing), WANDER if wanders else "")
@@ -126,19 +126,19 @@ def _against(trial: Searched, missing: list[str], wanders: bool) -> dict[str, An
 
 
 def _oracles(trial: Searched, truth: Structure) -> list[float]:
-    """Return the true structure's log Bayes factor against itself without each hidden effect."""
+    """Return the true structure's log Bayes factors over itself without each hidden effect."""
     evaluate, base = trial.structures.evaluate, trial.base
     reduced = map(truth.without_effects, sorted(truth.effects))
     return [evaluate(truth).log_evidence - evaluate(s, base).log_evidence for s in reduced]
 
 
 def hidden_in(row: dict[str, Any]) -> str:
-    """Return the effect of a campaign with one."""
+    """Return the hidden effect of a campaign with one."""
     return next(iter(row["hidden"]))
 
 
 def found_effects(row: dict[str, Any]) -> set[str]:
-    """Return the effects that stand in the final model or in a set beside one of it."""
+    """Return the effects in the final model, and those equivalent to one of them."""
     return set(row["final"]) | {name for effects, _ in row["sets"] for name in effects}
 
 
@@ -147,35 +147,35 @@ def of_kind(rows: Rows, kind: str) -> Rows:
 
 
 def clear(rows: Rows) -> Rows:
-    """Return the campaigns with one hidden effect that the readings show."""
+    """Return the campaigns with one hidden effect, detectable in the readings."""
     return [r for r in of_kind(rows, "single") if r["oracle"] > CLEAR]
 
 
 def _pairs(rows: Rows) -> Rows:
-    """Return the campaigns with two hidden effects, each of which the readings show."""
+    """Return the campaigns with two hidden effects, both detectable in the readings."""
     return [r for r in of_kind(rows, "pair") if min(r["oracle_of_each"]) >= STRONG]
 
 
 def _outside(rows: Rows, shape: str = "") -> Rows:
-    """Return the campaigns with what no catalogue has, of one shape, and that the readings show."""
+    """Return the campaigns with a detectable effect outside the catalogue, of one shape if given."""
     outside_rows = [r for r in of_kind(rows, "outside") if shape in ("", r["shape"])]
     return [r for r in outside_rows if r["oracle"] >= STRONG]
 
 
 def _names_outside(row: dict[str, Any]) -> bool:
-    """Return whether the column outside the catalogue is in the final model, in whatever form."""
+    """Return whether the final model depends on the column of the effect outside the catalogue."""
     column = bank.OUTSIDE[row["shape"]].removesuffix(")").split(",")[0]
     return any(n.removesuffix(")").split(",")[0] == column for n in row["final"])
 
 
 def _held_out(rows: Rows) -> str:
-    """Return the median of the final model's held-out error in that of the true model's."""
+    """Return the median ratio of the final model's hold-out error to the true model's."""
     ratios = [r["held_out"][1] / r["held_out"][2] for r in rows if "held_out" in r]
     return f"{np.median(ratios):.2f}" if ratios else "–"
 
 
 def _complete(rows: Rows, low: float, high: float) -> str:
-    """Return how often nothing was missing: no named effect, and no curve that adds more than is stated to count."""
+    """Return how often the model was complete: no named effect missing, and no curve above the stated minimum."""
     law = of_kind(rows, "law")
     counted = (
         [a for n, a in r["adds"].items() if n[:7] != "unknown" or a > MAX_UNNAMED_RMS] for r in law
@@ -265,7 +265,7 @@ def results() -> dict[str, Rows]:
 
 
 def render() -> pages.Texts:
-    """Return the page, and the bank in short in README.md, from the results that stand."""
+    """Render the page and its summary in README.md from the stored results."""
     groups, spoilt = results(), false_discoveries.results()
     days = [r["day"] for group_rows in (*groups.values(), *spoilt.values()) for r in group_rows]
     tables = (

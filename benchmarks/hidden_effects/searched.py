@@ -1,4 +1,4 @@
-"""One record searched as `calibrate` does, without its fits and checks; errors of structures on a second record."""
+"""Search of one record as by `calibrate`, without its fits and checks; errors of structures on a second record."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ MOST = 5  # effects, as by default
 
 @dataclass(eq=False)
 class Searched:
-    """A record and what the search makes of it.
+    """A record and the result of its search.
 
     Attributes:
         model: the baseline.
-        readings: spikes set aside.
-        structures: those weighed.
+        readings: readings without spikes.
+        structures: the evaluated structures.
         library: its candidates.
     """
 
@@ -58,7 +58,7 @@ class Searched:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Return the posterior over the structures that the search evaluated, not those evaluated later."""
+        """Return the posterior over the structures that the search evaluated, without those evaluated later."""
         return Posterior.from_structures(self.structures)
 
     @cached_property
@@ -86,11 +86,11 @@ class Searched:
 
 @dataclass(eq=False)
 class Later:
-    """A second record, in the terms of the first: members of groups are new to it, axes are not.
+    """A second record, in terms of the first: its group members are new, its axes are not.
 
     Attributes:
-        record: its own.
-        known: the same with members of the first record's names taken for these.
+        record: the second record with its own members.
+        known: the same, with members identified with those of the first record that have the same name.
     """
 
     record: Record

@@ -1,9 +1,8 @@
-"""Effects hidden in campaigns of three axes and of a dividing head: found where they can be, and none invented.
+"""Effects hidden in campaigns of three axes and of a dividing head: rates of detection and of false discovery.
 
 Accelerometers in 14 poses at each of five temperatures, gyroscopes on a rate table at the same temperatures, and an
-accelerometer on a dividing head in 24 positions. In every other campaign one effect is hidden, at a size drawn log-
-uniformly from hardly visible to plain; nothing in the others. Each is searched as `calibrate` does, without its fits
-and checks.
+accelerometer on a dividing head in 24 positions. In every other campaign one effect is hidden, of log-uniform size
+from hardly detectable to obvious. Each is searched as by `calibrate`, without its fits and checks.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
 
 
 def cases() -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
-    """Give the campaigns; the two triads in turn."""
+    """Yield the campaigns, with instruments in turn."""
     *triads, head = PLANS
     pairs = [(triads[seed // 2 % 2], seed) for seed in range(CAMPAIGNS["triad"])]
     pairs += [(head, seed) for seed in range(CAMPAIGNS["head"])]
@@ -90,6 +89,6 @@ BANKS = (Bank("triads", cases, measure, ("instrument", "seed")),)
 
 
 def results() -> dict[str, Rows]:
-    """Return the rows of each instrument, as those of the bank of hidden effects."""
+    """Return the rows of each instrument, in the form of the bank of hidden effects."""
     rows = [{**r, "kind": "single" if r["hidden"] else "empty"} for r in BANKS[0].rows]
     return {name: [r for r in rows if r["instrument"] == name] for name in PLANS}

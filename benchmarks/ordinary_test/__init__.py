@@ -1,1 +1,1 @@
-"""The ordinary test: a few runs through a chamber, a body that lags, and whatever else is hidden."""
+"""The ordinary test: a few runs in a chamber, a body that lags behind the thermometer, and further hidden effects."""

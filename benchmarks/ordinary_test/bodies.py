@@ -1,7 +1,7 @@
 """Thermal bodies as capacities and conductances, integrated in fine steps: chamber, package, die, slab, self-heating.
 
-Nothing here is taken from the library, nor solved in closed form: each body is a network of cells,
-C·dT/dt = G·(neighbours − T) + P, stepped by the trapezoidal rule, which keeps the balance of energy to the last digit.
+Independent of the library and of closed-form solutions: each body is a network of cells,
+C·dT/dt = G·(neighbours − T) + P, integrated by the trapezoidal rule, which conserves energy to the last digit.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ CELLS = 60  # of a slab: twice as many move its temperature by less than 1e-3 of
 
 @dataclass(frozen=True)
 class Body:
-    """Cells in a row between a face and nothing: what a package, a die, a slab is made of.
+    """A row of cells between a face and an insulated end: a package, a die or a slab.
 
     Attributes:
-        capacity: of each cell, J/°C (n,).
-        conductance: from the outside into the first cell, then from cell to cell, W/°C (n,).
-        weight: of each cell in the temperature that matters (n,); they sum to one.
+        capacity: heat capacity of each cell, J/°C, (n,).
+        conductance: conductance from outside to the first cell, then from cell to cell, W/°C, (n,).
+        weight: weight of each cell in the sensing temperature, (n,); they sum to one.
     """
 
     capacity: Array
@@ -32,7 +32,7 @@ class Body:
 
     @property
     def between(self) -> Array:
-        """Return the heat into each cell by the cells' temperatures, W/°C (n, n); the outside at 0 °C."""
+        """Return the matrix from cell temperatures to heat flows into cells, W/°C, (n, n); the outside is at 0 °C."""
         n = len(self.capacity)
         conductance = np.zeros((n, n))
         conductance[0, 0] -= self.conductance[0]
@@ -41,13 +41,13 @@ class Body:
         return conductance
 
     def cells(self, outside: Array, step: float, start: Array, power: float = 0.0) -> Array:
-        """Return the temperatures of all cells, °C (times, n).
+        """Return the temperatures of all cells, °C, (times, n).
 
         Args:
-            outside: temperature at the face, °C, linear between steps (times,).
-            step: s.
-            start: of the cells, °C (n,).
-            power: of a heater in the last cell, W.
+            outside: temperature at the face, °C, linear between steps, (times,).
+            step: time step, s.
+            start: initial temperatures of the cells, °C, (n,).
+            power: power of a heater in the last cell, W.
         """
         root = np.sqrt(self.capacity)
         rates, modes = np.linalg.eigh(self.between / np.outer(root, root))
@@ -69,50 +69,50 @@ class Body:
         return float(np.linalg.solve(-self.between, self.capacity) @ self.weight)
 
     def settled(self, outside: float, power: float = 0.0) -> Array:
-        """Return the cells' equilibrium temperatures, °C (n,)."""
+        """Return the cells' equilibrium temperatures, °C, (n,)."""
         return outside + power * np.cumsum(1 / self.conductance)
 
     def inside(self, outside: Array, step: float) -> Array:
-        """Return the sensing temperature, °C (times,), from equilibrium with the first outside value."""
+        """Return the sensing temperature, °C, (times,), from equilibrium with the first outside temperature."""
         start = self.settled(float(outside[0]))
         return self.cells(outside, step, start) @ self.weight
 
     def warming(self, times: Array, step: float) -> Array:
-        """Return the remaining self-heating after power-on, 1 at first, of the last cell (times,).
+        """Return the remaining fraction of the last cell's self-heating after power-on, 1 at first, (times,).
 
         Args:
-            times: since power-on, s, from 0 in even steps.
-            step: s.
+            times: time since power-on, s, from 0 in equal steps.
+            step: time step, s.
         """
         response = self.cells(0.0 * times, step, 0.0 * self.capacity, power=1.0)[:, -1]
         return 1 - response / self.settled(0.0, 1.0)[-1]
 
 
 def lump(time: float) -> Body:
-    """One body with this time constant, s."""
+    """Return a single cell with this time constant, s."""
     return Body(np.array([time]), np.ones(1), np.ones(1))
 
 
 def two_stages(first: float, second: float, share: float) -> Body:
-    """A die on a substrate on the package, which the die's heat passes through.
+    """Return a die on a substrate on the package; the die's heat flows through the substrate.
 
     Args:
         first: capacity of the substrate over its conductance to the package, s.
-        second: of the die over its conductance to the substrate, s.
-        share: the die's capacity over the substrate's.
+        second: capacity of the die over its conductance to the substrate, s.
+        share: capacity of the die over that of the substrate.
     """
     capacity = first * np.array([1.0, share])
     return Body(capacity, np.array([1.0, first * share / second]), np.array([0.0, 1.0]))
 
 
 def slab(time: float, contact: float, mean: bool, cells: int = CELLS) -> Body:
-    """A slab through which heat diffuses, behind a contact; its mean, or its far face.
+    """Return a slab with heat diffusion, behind a contact; it senses its mean, or its far face.
 
     Args:
         time: thickness² over diffusivity, s.
         contact: conductance of the contact over that of the slab (its Biot number).
-        mean: whether the mean matters, or the far face.
-        cells: how many.
+        mean: whether the mean is sensed; otherwise the far face.
+        cells: number of cells.
     """
     capacity = np.full(cells, time / cells)
     inner = float(cells)  # from cell to cell; half a cell lies before the first
@@ -124,13 +124,13 @@ def slab(time: float, contact: float, mean: bool, cells: int = CELLS) -> Body:
 
 @dataclass(frozen=True)
 class Chamber:
-    """A chamber's air behind its controller: second order, with overshoot, and a limit to its power.
+    """The air of a controlled chamber: a second-order response with overshoot, and limited power.
 
     Attributes:
-        period: of its undamped oscillation, s.
-        damping: below 1 it overshoots.
-        fastest: change of the air, °C/s.
-        wander: standard deviation of what the controller does not hold, °C.
+        period: period of the undamped oscillation, s.
+        damping: damping ratio; below 1 it overshoots.
+        fastest: largest rate of the air temperature, °C/s.
+        wander: standard deviation of temperature variations that the controller leaves, °C.
     """
 
     period: float
@@ -139,7 +139,7 @@ class Chamber:
     wander: float
 
     def air(self, goal: Array, step: float, rng: np.random.Generator) -> Array:
-        """Return the air temperature, °C (times,), from rest at the first goal."""
+        """Return the air temperature, °C, (times,), from rest at the first set point."""
         rate = 2 * np.pi / self.period
         kicks = rng.standard_normal(len(goal)) * self.wander * np.sqrt(2 * step / 300.0)
         temperature = np.empty_like(goal)

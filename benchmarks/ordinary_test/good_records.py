@@ -1,8 +1,8 @@
-"""Three hundred records with nothing wrong in them: how often is a result shut, or a thermometer doubted?
+"""Three hundred records without faults: how often is a result not reliable, or a thermometer questioned?
 
-Fifty campaigns of each of six instruments, by its own simulator, in chambers that step within seconds, ramp and hold;
-in half of them effects of the bank of hidden effects, at its sizes. Every second one of the two instruments at rest is
-of the ordinary test's own worlds.
+Fifty campaigns of each of six instruments, from its own simulator, in chambers that step within seconds, ramp and
+hold; half of them have effects of the bank of hidden effects, at its sizes. Every second campaign of the two
+instruments at rest is one of the ordinary test.
 """
 
 from __future__ import annotations
@@ -86,13 +86,13 @@ class Cell(NamedTuple):
 
 
 def plan() -> list[Cell]:
-    """Return the cells that are measured, in their order."""
+    """Return the measured campaigns, in order."""
     cells = [Cell(name, seed) for name in CAMPAIGNS for seed in range(PER_INSTRUMENT)]
     return in_order(cells)[:COUNT]
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """One campaign's row."""
+    """Return the row of one campaign."""
     rng = np.random.default_rng([56, list(CAMPAIGNS).index(cell.instrument), cell.seed])
     ordinary = cell.instrument in INSTRUMENTS and cell.seed % 2
     world, search = (_of_the_ordinary_test if ordinary else _of_its_simulator)(rng, cell)
@@ -118,7 +118,7 @@ Calibration = tuple[dict[str, Any], Callable[[], tuple[bc.SearchPath, float]]]
 
 
 def _of_the_ordinary_test(rng: np.random.Generator, cell: Cell) -> Calibration:
-    """A campaign of `worlds.py`."""
+    """Simulate and calibrate a campaign of `worlds.py`."""
     structure, repeats = str(rng.choice(("none", *STRUCTURES))), bool(rng.integers(2))
     hidden = tuple(f for f in FURTHER if rng.random() < 0.25)
     whole = (structure, repeats, int(rng.choice(READINGS)), hidden)
@@ -128,7 +128,7 @@ def _of_the_ordinary_test(rng: np.random.Generator, cell: Cell) -> Calibration:
 
 
 def _of_its_simulator(rng: np.random.Generator, cell: Cell) -> Calibration:
-    """A campaign of the instrument's own simulator, in one of its chambers."""
+    """Simulate a campaign by the instrument's own simulator, in one of its chambers, and calibrate it."""
     instrument = instrument_named(cell.instrument)
     at = int(rng.integers(len(CAMPAIGNS[cell.instrument])))
     hidden = _hidden(rng, instrument) if rng.random() < 0.5 else {}
@@ -145,7 +145,7 @@ def _of_its_simulator(rng: np.random.Generator, cell: Cell) -> Calibration:
 
 
 def _hidden(rng: np.random.Generator, instrument: bc.Instrument) -> dict[str, float]:
-    """Effects of one of the bank's campaigns."""
+    """Draw the effects of one of the bank's campaigns."""
     cases: list[Case] = [c for c in bank(instrument) if c.kind in KINDS]
     return cases[int(rng.integers(len(cases)))].hidden
 

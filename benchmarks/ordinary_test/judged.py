@@ -1,4 +1,4 @@
-"""One campaign calibrated from its file as a user would, and what came out beside what is true."""
+"""Calibration of one campaign from its file, as by a user, and comparison of the result with the truth."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ ORDER = 20261126  # seed of every order, drawn before anything was measured
 
 
 def in_order(cells: Sequence[Any]) -> list[Any]:
-    """Return the cells of a plan in the order in which they are measured."""
+    """Return the campaigns of a plan in order of measurement."""
     shuffled = list(cells)
     random.Random(ORDER).shuffle(shuffled)
     return shuffled
 
 
 def read(campaign: Campaign, record: Record, instrument: bc.Instrument, first: int = 1):
-    """Read a file that holds a record."""
+    """Read a file with a record."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "record.csv"
         pd.DataFrame(campaign.file(record, first)).to_csv(path, index=False)
@@ -38,7 +38,7 @@ def read(campaign: Campaign, record: Record, instrument: bc.Instrument, first: i
 
 
 def calibrated(campaign: Campaign, instrument: bc.Instrument) -> tuple[bc.SearchPath, float]:
-    """Run the whole search loop; return its path and processor seconds."""
+    """Run the search; return its path and processor seconds."""
     start = time.process_time()
     readings = read(campaign, campaign.fitted, instrument)
     model = instrument.for_readings(readings).baseline()
@@ -46,7 +46,7 @@ def calibrated(campaign: Campaign, instrument: bc.Instrument) -> tuple[bc.Search
 
 
 def judged(campaign: Campaign, name: str) -> dict[str, Any]:
-    """Judge a campaign read as an instrument of this name."""
+    """Calibrate a campaign read as an instrument of this name; return the comparison with the truth."""
     instrument = INSTRUMENTS[name]
     path, seconds = calibrated(campaign, instrument)
     row = {"instrument": name, **outcome(path, campaign), "seconds": seconds}
@@ -60,7 +60,7 @@ def judged(campaign: Campaign, name: str) -> dict[str, Any]:
 
 
 def outcome(path: bc.SearchPath, campaign: Campaign) -> dict[str, Any]:
-    """Return the truth, the search's answer, and the coefficients."""
+    """Return the truth, the result of the search, and the coefficients."""
     answer = _search_answer(path)
     coefficients = _coefficients(path.calibration, campaign, answer["final"])
     return {**_true(campaign), **answer, "coefficients": coefficients}
@@ -85,7 +85,7 @@ def _true(campaign: Campaign) -> dict[str, Any]:
 
 
 def _search_answer(path: bc.SearchPath) -> dict[str, Any]:
-    """Return the search's answer, in names, probabilities and sentences."""
+    """Return the result of the search: names, probabilities and sentences."""
     final, base = path.final, {*path.steps[0].calibration.model.names}
     effects = [e for e in final.calibration.model.effects if e.name not in base]
     inclusion: dict[str, float] = {}
@@ -119,11 +119,11 @@ def _search_answer(path: bc.SearchPath) -> dict[str, Any]:
 def _coefficients(
     calibration: bc.Calibration, campaign: Campaign, final: Collection[str]
 ) -> dict[str, Any]:
-    """Return each coefficient that has a truth: mean, standard uncertainty, 95 % interval, and that truth.
+    """Return each coefficient with a truth: mean, standard uncertainty, 95 % interval, and truth.
 
-    The truth is the settled output as a power series about the tool's own T0: constant (the runs' and the supply's
-    mean), slope, quadratic; the supply's sensitivity; the time of a body that is one; the size of a lag that is an
-    addition.
+    The truth is the steady-state output as a power series about the calibration's T0: constant (mean of runs and
+    supply), slope, quadratic; the sensitivity to the supply; the time constant of a single body; the size of an
+    additional lag.
     """
     sensor, names = campaign.sensor, [str(n) for n in calibration.posterior]
     T0 = calibration.reference["T0"]

@@ -1,9 +1,9 @@
 """The ordinary test of a laboratory: a few runs of a temperature profile, and a body that lags behind the thermometer.
 
-Cells: how the body lags × whether the profile repeats × how many readings × five seeds, in an order drawn before any
-was run; in each a random subset of run offsets, warm-up, a quadratic and the supply's voltage is hidden, at random
-sizes, and one of two instruments reads the file. Bodies are integrated numerically (`bodies.py`), evidences of what is
-hidden are exact (`oracle.py`).
+Campaigns are combinations of the kind of lag, whether the profile repeats, the number of readings, and five seeds, in
+an order drawn before the first was run. In each a random subset of run offsets, warm-up, a quadratic and the supply
+voltage is hidden, at random sizes, and one of two instruments reads the file. Bodies are integrated numerically
+(`bodies.py`); the evidences of hidden effects are exact (`oracle.py`).
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ class Cell(NamedTuple):
 
     @property
     def rng(self) -> np.random.Generator:
-        """Return the cell's random generator."""
+        """Return the campaign's random-number generator."""
         return np.random.default_rng(
             [53, STRUCTURES.index(self.structure), self.repeats, self.readings, self.seed]
         )
 
 
 def plan() -> list[Cell]:
-    """Return the cells that are measured, in their order."""
+    """Return the measured campaigns, in order."""
     cells = in_order([Cell(*c) for c in product(STRUCTURES, (True, False), READINGS, range(SEEDS))])
     return [cell for cell in cells if cell.readings <= LONGEST][:COUNT]
 
 
 def build(cell: Cell) -> tuple[Campaign, str]:
-    """Build a cell's campaign, and the instrument that reads it."""
+    """Build a campaign, and the name of the instrument that reads it."""
     rng = cell.rng
     hidden = tuple(f for f in FURTHER if rng.random() < 0.5)
     recorded = "supply" in hidden or bool(rng.random() < 0.5)
@@ -58,7 +58,7 @@ def build(cell: Cell) -> tuple[Campaign, str]:
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """Measure one campaign's row."""
+    """Return the row of one campaign."""
     return judged(*build(cell))
 
 

@@ -1,4 +1,4 @@
-"""Which of the library's names stand for which physical family: one table, and what follows from it."""
+"""Table of the physical family of each of the library's effect names, and comparisons by family."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def found_families(names: Iterable[str], sets: Iterable[Sequence[str]]) -> set[s
 def invented(
     names: Collection[str], sets: Sequence[Sequence[str]], true: Collection[str]
 ) -> list[str]:
-    """List stand-alone effects, and sets, without any true cause; descriptions do not count."""
+    """Return effects and sets that contain no true cause; descriptions do not count."""
 
     allowed = {*true, "line"}
 

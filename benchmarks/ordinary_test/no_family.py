@@ -1,7 +1,7 @@
-"""What no family describes, hidden in the ordinary test: is it called unknown, or by a wrong name?
+"""Effects that no family describes, hidden in the ordinary test: are they reported as unknown, or by a wrong name?
 
-A further recorded column that the output follows; a resonance in the temperature of the die; a step at a moment; a
-function of the time in a run that is no warm-up.
+A further recorded column that the output depends on; a resonance in the temperature of the die; a step in time; a
+function of the time within a run that is not a warm-up.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class Cell(NamedTuple):
 
 
 def plan() -> list[Cell]:
-    """Return the cells that are measured, in their order."""
+    """Return the measured campaigns, in order."""
     cells = [Cell(*c) for c in product(SHAPES, (True, False), READINGS, range(SEEDS))]
     return in_order(cells)[:COUNT]
 
 
 def column(rng: np.random.Generator, bare: Record) -> Further:
-    """The output follows the speed of a fan, and saturates; nothing in the catalogue knows of fans."""
+    """Add a saturating dependence of the output on a recorded fan speed, which the catalogue does not have."""
     seed, bend = int(rng.integers(2**31)), rng.uniform(0.3, 2.0)
 
     def wave(record: Record) -> Array:
@@ -55,14 +55,14 @@ def column(rng: np.random.Generator, bare: Record) -> Further:
 
 
 def resonance(rng: np.random.Generator, bare: Record) -> Further:
-    """Two modes cross at one temperature of the die: the output rises there by a Lorentz curve."""
+    """Add a Lorentz curve of the output over the die's temperature, as of two modes that cross at one temperature."""
     low, high = np.quantile(bare.inner, [0.2, 0.8])
     at, width = rng.uniform(low, high), rng.uniform(1.0, 4.0)
     return Further(lambda record: 1 / (1 + ((record.inner - at) / width) ** 2))
 
 
 def step(rng: np.random.Generator, bare: Record) -> Further:
-    """The output steps at one moment, within a run, and stays."""
+    """Add a permanent step of the output at one moment within a run."""
     at = float(rng.choice(np.quantile(bare.time, np.linspace(0.25, 0.75, 50))))
     return Further(lambda record: (record.time > at).astype(float))
 
@@ -79,7 +79,7 @@ SHAPES = {"column": column, "resonance": resonance, "step": step, "elapsed": ela
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """Measure one campaign's row."""
+    """Return the row of one campaign."""
     shape = list(SHAPES).index(cell.shape)
     rng = np.random.default_rng([54, shape, cell.repeats, cell.readings, cell.seed])
     structure = str(rng.choice(("none", *STRUCTURES)))

@@ -1,7 +1,7 @@
-"""What an observer who knows every column knows: exact evidences of linear-Gaussian models, and least squares.
+"""The oracle, which knows all true columns: exact evidences of linear-Gaussian models, and least squares.
 
-y = X·c + e, c ~ N(0, S) with known S, e white of unknown size σ with p(σ) ∝ 1/σ. Given σ the coefficients integrate
-out in closed form; σ is integrated on a grid. Nothing of it is the library's.
+y = X·c + e, c ~ N(0, S) with known S, e white of unknown standard deviation σ with p(σ) ∝ 1/σ. Given σ the coefficients
+are integrated out in closed form; σ is integrated on a grid. Independent of the library.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ def log_evidence(y: np.ndarray, columns: np.ndarray, sd: np.ndarray) -> float:
     """Compute the log evidence of a model, in nats.
 
     Args:
-        y: readings (n,).
-        columns: of its coefficients (n, k).
-        sd: their prior standard deviations (k,).
+        y: readings, (n,).
+        columns: columns of the coefficients, (n, k).
+        sd: prior standard deviations of the coefficients, (k,).
     """
     u, singular, _ = np.linalg.svd(columns * sd, full_matrices=False)
     inside = u.T @ y

@@ -1,4 +1,4 @@
-"""The page *The ordinary test*: what was hidden, what no family describes, and records with nothing wrong in them."""
+"""The page *The ordinary test*: hidden effects, effects outside all families, and records without faults."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ GOOD = "Records without a fault, of six instruments, in chambers that step, ramp
 
 
 def lost(row: dict[str, Any], least: float = CLEAR) -> list[str]:
-    """Return the hidden families of an oracle above `least` that are neither in the model nor in a set."""
+    """Return the hidden families with an oracle above `least` that are neither in the model nor in a set."""
     named_effects = naming.found_families(row["final"], [members for members, _ in row["sets"]])
     return [h for h in row["hidden"] if row["oracle"][h] >= least and h not in named_effects]
 
 
 def invented(row: dict[str, Any]) -> list[str]:
-    """Return the named effects, and sets, of which nothing is there."""
+    """Return the named effects and sets that contain no true cause."""
     return naming.invented(row["final"], [members for members, _ in row["sets"]], row["hidden"])
 
 
@@ -66,7 +66,7 @@ def _held_out(rows: Rows, kind: str) -> str:
 
 
 def described(row: dict[str, Any]) -> list[str]:
-    """Return the descriptions in the final model: unknown functions, a noise law that is not white."""
+    """Return the descriptions in the final model: unknown dependences, and a noise law that is not white."""
     noise = [] if row["noise_law"] == "white" else [f"{row['noise_law']} noise"]
     return [n for n in row["final"] if naming.family(n) == "description"] + noise
 
@@ -104,7 +104,7 @@ CLAIMS: tuple[Claim, ...] = (
 
 
 def strange(rows: Rows) -> Rows:
-    """Return the campaigns whose strange effect is clear."""
+    """Return the campaigns whose effect outside all families is clear."""
     return [r for r in rows if r["oracle"]["further"] >= CLEAR]
 
 
@@ -134,7 +134,7 @@ GOOD_CLAIMS: tuple[Claim, ...] = (
 
 
 def by(rows: Iterable[dict[str, Any]], field: str) -> dict[str, Rows]:
-    """Return rows by the value of a field."""
+    """Group rows by the value of a field."""
     groups: dict[str, Rows] = {}
     for row in sorted(rows, key=lambda r: r[field]):
         groups.setdefault(row[field], []).append(row)
@@ -142,7 +142,7 @@ def by(rows: Iterable[dict[str, Any]], field: str) -> dict[str, Rows]:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     ordinary, odd, good = map(whole, ("ordinary_test", "no_family", "good_records"))
     days = [row["day"] for row in (*ordinary, *odd, *good)]
     again = "ordinary_test no_family good_records"

@@ -1,7 +1,7 @@
-"""A sensor on a package in a chamber: what is recorded of a campaign, and every true column behind it.
+"""Campaigns of a sensor on a package in a chamber: recorded quantities, and all true columns.
 
-The thermometer stands on the package, the sensor is a body behind it (or its electronics is). A campaign has three to
-five runs of one to two and a half hours; each begins with the power going on, in a chamber that came from somewhere.
+The thermometer is on the package, and the sensor, or its electronics, is a body behind it. A campaign has three to five
+runs of one to two and a half hours; each begins with power-on, in a chamber with a random initial temperature.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ STYLES = ("mixed", "ramps", "steps")  # of a program
 
 
 class Program(NamedTuple):
-    """Set points of a chamber through a run: corners of a line.
+    """Set points of a chamber through a run, as a piecewise linear function.
 
     Attributes:
-        time: s since power-on.
-        goal: °C.
+        time: times of the corners since power-on, s.
+        goal: set points at the corners, °C.
     """
 
     time: Array
@@ -48,19 +48,19 @@ class Program(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Runs as they were recorded, and what is behind each reading.
+    """Recorded runs, and the true quantities at each reading.
 
     Attributes:
         run: index of each reading's run, from 0.
-        time: s, one origin over all runs.
-        package: true temperature under the thermometer, °C.
-        thermometer: as recorded, °C.
-        inner: temperature of the body behind it, °C.
-        warming: what self-heating still lacks, 1 at power-on.
-        supply: as recorded, V.
-        output: °/s.
-        clean: the same without noise.
-        since: s since a run's first reading.
+        time: time from a common origin of all runs, s.
+        package: true temperature at the thermometer, °C.
+        thermometer: recorded temperature, °C.
+        inner: temperature of the body behind the package, °C.
+        warming: remaining fraction of the self-heating, 1 at power-on.
+        supply: recorded supply voltage, V.
+        output: recorded output, °/s.
+        clean: output without noise, °/s.
+        since: time since a run's first reading, s.
     """
 
     run: NDArray[np.int64]
@@ -77,17 +77,17 @@ class Record:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is true of one sensor.
+    """True properties of one sensor.
 
     Attributes:
-        structure: of `STRUCTURES`; "none": nothing lags.
-        body: behind the package.
-        middle: °C, about which its laws are written.
-        slope: of the settled output, °/s/°C.
-        share: of it, the electronics'; of `added` alone.
-        sizes: °/s over a unit of each hidden family's own column: °/s/°C² for the curve, °/s for warm-up and runs
-            (standard deviation), °/s/V for the supply.
-        noise: °/s.
+        structure: one of `STRUCTURES`; "none": no lag.
+        body: body behind the package.
+        middle: temperature about which its laws are expanded, °C.
+        slope: slope of the steady-state output, °/s/°C.
+        share: part of the slope due to the electronics; of structure `added` only.
+        sizes: °/s per unit of each hidden family's column: °/s/°C² for the curve, °/s for warm-up and runs (standard
+            deviation), °/s/V for the supply.
+        noise: standard deviation of the noise, °/s.
         further: an effect that no family describes, °/s.
     """
 
@@ -101,7 +101,7 @@ class Sensor:
     further: Callable[[Record], Array] | None = None
 
     def acting(self, record: Record) -> Array:
-        """Return the temperature at which the sensor's own terms act, from the middle, °C."""
+        """Return the temperature at which the sensor's own terms act, relative to `middle`, °C."""
         at = record.package if self.structure in ("added", "none") else record.inner
         return at - self.middle
 
@@ -114,7 +114,7 @@ class Sensor:
         return output
 
     def measured(self, rng: np.random.Generator, record: Record) -> Record:
-        """Return the runs with an output, each run with an offset of its own."""
+        """Return the record with an output, with an offset for each run."""
         runs = len(np.unique(record.run))
         offsets = self.sizes.get("run", 0.0) * rng.standard_normal(runs)
         clean = ZERO + offsets[record.run] + self.thermal(record)
@@ -126,22 +126,22 @@ class Sensor:
         return replace(record, clean=clean, output=output)
 
     def settled(self, temperature: Array) -> Array:
-        """Output long after the temperature and the power came on, °/s, runs and supply at their means."""
+        """Return the steady-state output, °/s, with runs and supply at their means."""
         u = temperature - self.middle
         return ZERO + self.slope * u + self.sizes.get("curve", 0.0) * u**2
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign to fit, two to predict, and the sensor.
+    """A record to fit, two to predict, and the sensor.
 
     Attributes:
-        sensor: what is true.
+        sensor: the true sensor.
         fitted: readings to fit.
-        later: hold-out readings of the same kind of profile, and of another kind.
-        hidden: families that are there.
+        later: hold-out readings with the same kind of profile, and with another kind.
+        hidden: hidden families.
         recorded: whether the supply is a column of the file.
-        columns: further ones, by header.
+        columns: further columns, by header.
     """
 
     sensor: Sensor
@@ -164,11 +164,11 @@ class Campaign:
         return {**table, "output [deg/s]": np.round(record.output, 6)}
 
     def design(self, record: Record, without: str = "") -> tuple[Array, Array, list[str]]:
-        """True columns of a model (n, k), prior standard deviations of their coefficients, and whose each is.
+        """Return the true columns of a model (n, k), their coefficients' prior standard deviations, and their families.
 
         Args:
             record: readings.
-            without: a family to leave out; all temperature terms then act at the thermometer.
+            without: family to omit; all temperature terms then act at the thermometer.
         """
         sensor, sizes = self.sensor, self.sensor.sizes
         lags = without != "lag" and sensor.structure not in ("added", "none")
@@ -191,7 +191,7 @@ class Campaign:
         return np.array([c for _, c, _ in included]).T, np.abs([s for _, _, s in included]), names
 
     def oracle(self) -> dict[str, float]:
-        """Return each hidden family's log Bayes factor: all true columns against those without its own, nats."""
+        """Return each hidden family's log Bayes factor: all true columns over those without its own, nats."""
         y = self.fitted.output
         columns, sd, _ = self.design(self.fitted)
         whole = log_evidence(y, columns, sd)
@@ -203,7 +203,7 @@ class Campaign:
         return evidence
 
     def errors_of_true(self) -> dict[str, float]:
-        """Hold-out errors of the true model, fitted by least squares, °/s rms, a constant of each run removed."""
+        """Return hold-out errors of the true model fitted by least squares, °/s rms, without a constant per run."""
         columns, _, names = self.design(self.fitted)
         # Of a constant and an offset for every run, one is too many: the latter have the level.
         indices = [i for i, n in enumerate(names) if n != "constant" or "run" not in self.hidden]
@@ -219,7 +219,7 @@ class Campaign:
 
 
 def within_runs(errors: Array, run: NDArray[np.int64]) -> float:
-    """Root mean square of errors whose mean in each run is removed."""
+    """Return the root mean square of errors after subtraction of each run's mean."""
     codes = np.unique(run, return_inverse=True)[1]
     means = np.bincount(codes, errors) / np.bincount(codes)
     return float(np.sqrt(np.mean((errors - means[codes]) ** 2)))
@@ -236,17 +236,17 @@ def drawn(
     offsets: float | None = None,
     further: Callable[[np.random.Generator, Record, float], Further] | None = None,
 ) -> Campaign:
-    """Draw a campaign with these families hidden in it, all else at random.
+    """Draw a campaign with these families hidden in it, and all other properties at random.
 
     Args:
-        rng: of everything.
-        structure: of `STRUCTURES`, or "none".
+        rng: random-number generator.
+        structure: one of `STRUCTURES`, or "none".
         repeats: whether all runs have one profile.
-        readings: how many, nearly.
-        hidden: of "run", "warm-up", "curve", "supply".
+        readings: approximate number of readings.
+        hidden: families among "run", "warm-up", "curve", "supply".
         recorded: whether the supply is in the file.
-        offsets: standard deviation of the runs' offsets in parts of the noise; at random if not given.
-        further: makes an effect that no family describes, of the readings to fit and the noise.
+        offsets: standard deviation of the runs' offsets relative to the noise; random if not given.
+        further: factory of an effect that no family describes, from generator, readings to fit and noise.
     """
     plan = Plan.of(rng, structure, repeats, readings)
     noise = _log_uniform(rng, NOISES)
@@ -287,18 +287,18 @@ class Further(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """How a campaign goes: the sensor's bodies, the programs of its runs, the times of readings.
+    """Plan of a campaign: the sensor's bodies, the programs of its runs, the times of readings.
 
     Attributes:
-        structure, body, warm, middle: as of `Sensor`.
-        package: under the thermometer, in the chamber's air.
-        chamber: in which it is tested.
-        slope, share: likewise.
-        programs: of each fitted run.
-        later: of hold-out runs, by kind: "same", "other".
-        duration: of a run, s.
-        interval: between readings, s.
-        delay: of the logger, from power-on to a run's first reading, s.
+        structure, body, warm, middle: as in `Sensor`.
+        package: body between the chamber's air and the thermometer.
+        chamber: the chamber.
+        slope, share: as in `Sensor`.
+        programs: programs of the fitted runs.
+        later: programs of the hold-out runs, by kind: "same", "other".
+        duration: duration of a run, s.
+        interval: time between readings, s.
+        delay: time from power-on to a run's first reading, s.
     """
 
     structure: str
@@ -317,7 +317,7 @@ class Plan:
 
     @classmethod
     def of(cls, rng: np.random.Generator, structure: str, repeats: bool, readings: int) -> Plan:
-        """A plan at random."""
+        """Draw a plan at random."""
         runs = int(rng.integers(3, 6))
         duration = rng.uniform(1.2, 2.5) * 3600
         low = rng.uniform(-40.0, 25.0)
@@ -352,7 +352,7 @@ class Plan:
     def record(
         self, rng: np.random.Generator, programs: tuple[Program, ...], start: float = 0.0
     ) -> Record:
-        """Runs through these programs, one after the other, the power off between them; no output yet."""
+        """Simulate runs through these programs, with the power off between them; without output."""
         parts = []
         for i, program in enumerate(programs):
             run = _run(rng, self, program)
@@ -365,7 +365,7 @@ class Plan:
 
 
 def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Array]:
-    """One run: the chamber comes from somewhere, soaks, the power goes on, and the program runs."""
+    """Simulate one run: the chamber soaks from a random temperature, the power is switched on, and the program runs."""
     first = float(program.goal[0])
     came = rng.uniform(18.0, 28.0)
     # Who tests knows about how slow the part is: it has come to within a degree or two.
@@ -396,7 +396,7 @@ def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Ar
 
 
 def _supply(rng: np.random.Generator, count: int) -> Array:
-    """A supply of 5 V that wanders over 20 min, with steps of its load, V."""
+    """Simulate a 5 V supply that varies over 20 min, with steps of its load, V."""
     share = STEP / 1200.0
     kicks = np.sqrt(2 * share) * rng.standard_normal(count)
     kicks[0] = rng.standard_normal()
@@ -410,7 +410,7 @@ def _supply(rng: np.random.Generator, count: int) -> Array:
 def _program(
     rng: np.random.Generator, style: str, ends: tuple[float, float], duration: float
 ) -> Program:
-    """Ramps, steps and dwells between two temperatures."""
+    """Draw ramps, steps and dwells between two temperatures."""
     time, goal = [0.0], [float(rng.uniform(*ends))]
     up = bool(rng.integers(2))
     while time[-1] < duration:
@@ -435,7 +435,7 @@ def _program(
 
 
 def _body(rng: np.random.Generator, structure: str) -> Body:
-    """A body whose settled lag on a ramp is log-uniform over `TIMES`."""
+    """Draw a body whose steady lag on a ramp is log-uniform over `TIMES`."""
     time = _log_uniform(rng, TIMES)
     ratio, contact, mean = (
         _log_uniform(rng, (0.2, 1.0)),

@@ -1,1 +1,1 @@
-"""Records spoilt as files from a laboratory are: answered rightly, said to be spoilt, or silently wrong."""
+"""Records with faults, as files from a laboratory have them: answered correctly, reported, or silently wrong."""

@@ -1,17 +1,17 @@
-"""One spoilt record through the door and the search, and the verdict: right, said, or silently wrong.
+"""Reading and search of one faulty record, and the verdict: right, said (reported), or silently wrong.
 
-*Right*: the readings are not refused; each true coefficient that the final model holds lies within 3.3 posterior
-standard deviations of its mean (0.1 % of right answers for each do not); and the error of a second campaign is at
-most 1.2 times what it should be. That is the root of the sum of squares of the oracle's error (the true structure
-fitted to the record as it was before it was spoilt, of the rows that are left) and of the final model's own stated
-standard uncertainty of the output: a model that knows little, and says so, is right. Of that uncertainty at most 30
-times the oracle's counts, for a model can also be so wide that it says nothing.
+*Right*: the readings are accepted; each true coefficient in the final model is within 3.3 posterior standard deviations
+of its mean (0.1 % of correct answers are not, for each); and the error of a second campaign is at most 1.2 times the
+expected one. That is the root sum of squares of the oracle's error (the true structure fitted to the remaining rows of
+the record before the fault) and of the final model's own standard uncertainty of the output: a model that knows little
+and says so is right. Of that uncertainty at most 30 times the oracle's counts, for a model can be so uncertain that it
+is of no use.
 
-*Said*: the file is refused, or the search refuses it and that, or a flag, names the cause; or `trail.ok` is False; or
-a flag of the readings, a note that terms are confounded, or an effect that was added, names the cause. *Wrong*:
-neither. A right answer that is also said counts as right; where a sentence is what is asked for, as of a hold-out that
-is training data, only with that sentence. *Crash*: the search ends in an error that is no refusal, or in one whose
-sentence is of something else.
+*Said*: the file is refused, or the search refuses it and the reason, or a flag, names the cause; or `trail.ok` is
+False; or a flag of the readings, a note that terms are confounded, or an added effect names the cause. *Wrong*:
+neither. A right answer that is also said counts as right; if a sentence is required, as for hold-out data that are
+training data, only with that sentence. *Crash*: the search ends in an error that is not a refusal, or in one whose
+sentence is about something else.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAX_SD = 30.0  # largest counted ratio of a model's standard uncertainty to the 
 
 
 def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
-    """Judge one record of a kind: its outcome and verdict."""
+    """Judge one record of a kind; return its outcome and verdict."""
     hides = None if kind.hides is None else kind.hides(subject)
     campaign = subject.campaign(seed, hides)
     start = time.perf_counter()
@@ -77,7 +77,7 @@ def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
 def _files(
     subject: Subject, kind: Kind, campaign: Campaign, seed: int
 ) -> tuple[bc.Measurements, bc.Measurements | None, bc.Model]:
-    """The file and the hold-out given beside it, as they are read, and the model to begin with."""
+    """Return the file and the hold-out data given with it, as they are read, and the initial model."""
     record, further = campaign.record, None
     if kind.of_holdout:
         source = campaign.record if kind.of_training else campaign.holdout
@@ -105,13 +105,13 @@ def _generator(kind: Kind, seed: int) -> np.random.Generator:
 def read(
     subject: Subject, columns: Columns, units: dict[str, str], *, anything: bool = False
 ) -> bc.Measurements:
-    """Write a file as a user has one, and read it.
+    """Write a file as a user would, and read it.
 
     Args:
-        subject: whose readings they are.
-        columns: the file's.
-        units: of its columns of numbers.
-        anything: accept one temperature.
+        subject: subject of the readings.
+        columns: columns of the file.
+        units: units of its numeric columns.
+        anything: accept readings at a single temperature.
     """
     units = {"case_temperature": "degC", **units}
     headers = {f"{n} [{units[n]}]" if n in units else n: cells for n, cells in columns.items()}
@@ -162,7 +162,7 @@ def _verdict(
 def _away(
     subject: Subject, kind: Kind, campaign: Campaign, seed: int, final: bc.Calibration
 ) -> dict[str, float]:
-    """Distance of each true coefficient that the model holds from its mean, posterior standard deviations."""
+    """Return the distance of each true coefficient in the model from its mean, in posterior standard deviations."""
     if kind.renamed:
         return {}
     true = subject.truth(campaign.hidden, final.hold_at, seed, kind.changed(subject))
@@ -177,13 +177,13 @@ def _away(
 def error_of(
     subject: Subject, calibration: bc.Calibration, later: bc.Measurements
 ) -> tuple[float, float]:
-    """Root mean square error of the expected output of a second campaign, and its stated standard uncertainty."""
+    """Return the rms error of the expected output of a second campaign, and its stated standard uncertainty."""
     expected = bc.predict(calibration, later, new_groups=not subject.one_unit)
     return expected.rmse, float(np.sqrt(np.mean(expected.model_sd**2)))
 
 
 class Oracles:
-    """Errors of the true structure fitted to records as they were before they were spoilt; one serves many kinds."""
+    """Errors of the true structure fitted to records before their faults; one is used for many kinds."""
 
     def __init__(self) -> None:
         self.known: dict[tuple[Any, ...], tuple[float, float]] = {}
@@ -191,7 +191,7 @@ class Oracles:
     def of(
         self, subject: Subject, kind: Kind, campaign: Campaign, seed: int
     ) -> tuple[float, float]:
-        """The error of the second campaign and its stated uncertainty, from the rows that a kind leaves."""
+        """Return the error of the second campaign and its stated uncertainty, from the rows that a kind keeps."""
         cut = "" if kind.keeps_rows else kind.name
         at = (subject.name, seed, tuple(campaign.hidden.items()), cut)
         if at not in self.known:

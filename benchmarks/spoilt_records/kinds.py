@@ -1,4 +1,4 @@
-"""A kind of spoilt record: what is done to the columns of a file, and what is true of it then; the list of all."""
+"""Kinds of faults: the change of a file's columns, and what is true of the record then; the list of all kinds."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ NOTHING: Mapping[str, float] = {}
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of spoilt record. What is true of it stands in the docstring of its function.
+    """One kind of fault. What is true of such a record is in the docstring of its function.
 
     Attributes:
-        name: in the results and on the page.
-        spoil: from the columns of a record to those of the file.
-        fits: whether it can happen to an instrument.
-        says: regular expression for words that name the cause; without them a sentence is of something else.
-        finds: the same for the name of an effect that was added: one that names the cause says it.
-        keeps_rows: False where it leaves rows out, and does nothing else: the oracle is fitted to what is left.
-        alike: the second campaign is spoilt alike, for it is the unit or the set-up that is odd.
-        changed: what it adds to true coefficients.
-        hides: effects hidden in the campaign in place of the subject's own; None for these.
-        noise: what the second campaign carries beside its own noise where it is spoilt alike, in parts of that noise.
-        of_holdout: the record is as it was, and the file that is spoilt is the hold-out given beside it.
-        of_training: that hold-out is made of the record itself, in place of a second campaign.
-        renamed: columns are called by other names, alike in the second campaign: no coefficient keeps its meaning.
-        must_say: a right answer counts only beside a sentence that names the cause.
+        name: name in the results and on the page.
+        spoil: function from the columns of a record to those of the faulty file.
+        fits: whether it can occur for an instrument.
+        says: regular expression for words that name the cause; without them a sentence is about something else.
+        finds: the same for the name of an added effect, which then names the cause.
+        keeps_rows: False if it only removes rows: the oracle is fitted to the remaining ones.
+        alike: whether the second campaign has the same fault, because unit or set-up are unusual.
+        changed: change of the true coefficients.
+        hides: effects hidden in the campaign in place of the subject's; None: the subject's.
+        noise: additional noise of a second campaign with the same fault, in units of its own noise.
+        of_holdout: whether the record is unchanged, and the hold-out data have the fault.
+        of_training: whether the hold-out data are made from the record, in place of a second campaign.
+        renamed: whether columns have other names, in both campaigns, so that no coefficient keeps its meaning.
+        must_say: whether a right answer counts only with a sentence that names the cause.
     """
 
     name: str
@@ -56,7 +56,7 @@ KINDS: dict[str, Kind] = {}
 def kind(
     name: str, says: str, fits: Callable[[Subject], bool] = lambda _: True, **fields: object
 ) -> Callable[[Spoil], Spoil]:
-    """Enter a function into the list of kinds; arguments as the attributes of `Kind`."""
+    """Register a function as a kind; arguments as the attributes of `Kind`."""
 
     def enter(spoil: Spoil) -> Spoil:
         assert name not in KINDS, f"two kinds are called {name!r}"
@@ -72,7 +72,7 @@ def rows(columns: Columns, chosen: np.ndarray) -> Columns:
 
 
 def records(columns: Columns, subject: Subject) -> list[np.ndarray]:
-    """Return the rows of each record in time, in the order of the file."""
+    """Return the rows of each record in time, in file order."""
     if subject.group not in columns:
         return [np.arange(len(columns["output"]))]
     labels = columns[subject.group]
@@ -80,7 +80,7 @@ def records(columns: Columns, subject: Subject) -> list[np.ndarray]:
 
 
 def step(columns: Columns, subject: Subject) -> float:
-    """Return the usual time between two readings, s."""
+    """Return the usual time between readings, s."""
     return float(np.median(np.diff(columns["time"][records(columns, subject)[0]])))
 
 

@@ -1,8 +1,8 @@
-"""Kinds of spoilt record, as files from a laboratory are; which are silently answered wrongly.
+"""Kinds of faulty records, as files from a laboratory have them: how many are silently answered wrongly?
 
-A campaign is simulated, with an effect hidden in every second one, spoilt, written to a file, read and calibrated as a
-user would; a second campaign, which the search never sees, judges what came out (`judge.py`). Forty-five kinds stand in
-`of_*.py`; sixty further kinds, listed before any check of them was written, in `covariates.toml` (`of_file.py`).
+A campaign is simulated, with an effect hidden in every second one, changed by a fault, written to a file, read and
+calibrated as by a user; a second campaign, which the search never uses, tests the result (`judge.py`). Forty-five kinds
+are in `of_*.py`; sixty further kinds, listed before any check for them was written, are in `covariates.toml`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ refusal. Cells: right/said/wrong.
 
 
 def cases(name: str, kinds: Mapping[str, Kind], seeds: range) -> Iterator[Any]:
-    """Give kinds and seeds, a seed of every kind before the next, so that a part of them is a fair sample."""
+    """Yield kinds and seeds, one seed of all kinds before the next, so that any initial part is representative."""
     fitting = [kind for kind in kinds.values() if kind.fits(SUBJECTS[name])]
     return (((k.name, seed), (name, k, seed)) for seed in seeds for k in fitting)
 
@@ -76,7 +76,7 @@ def results(banks: tuple[Bank, ...] = SPOILT) -> dict[str, Rows]:
 
 
 def verdicts(rows: Rows) -> Counter[str]:
-    """Return how many records were right, said and wrong; what crashed counts as wrong."""
+    """Return the numbers of records that were right, said and wrong; crashes count as wrong."""
     count = Counter(r.get("verdict", "crash") for r in rows if r["kind"] != NOTHING)
     count["wrong"] += count.pop("crash", 0)
     return count
@@ -94,7 +94,7 @@ def _total(rows: Rows) -> str:
 
 
 def furthest(row: dict[str, Any]) -> str:
-    """Return the coefficient furthest from its truth, in words."""
+    """Return the coefficient furthest from its truth, as text."""
     if not row.get("away"):  # nothing came out, or nothing has a truth
         return ""
     name = max(row["away"], key=lambda n: abs(row["away"][n]))
@@ -102,7 +102,7 @@ def furthest(row: dict[str, Any]) -> str:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     groups, further = results(), results(SIXTY)
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]

@@ -1,4 +1,4 @@
-"""Kinds of spoilt time and labels of runs."""
+"""Kinds of faulty times and run labels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _ticks(columns: Columns, subject: Subject) -> np.ndarray:
 
 @kind("several readings on one tick of the clock", CLOCK)
 def ticking(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """A clock so coarse that three readings bear the same time. True: the unit as it was."""
+    """Coarsen the clock so that three readings have the same time. True: the unit as it was."""
     return changed(columns, time=_ticks(columns, subject))
 
 
@@ -48,20 +48,20 @@ def corrected(columns: Columns, subject: Subject, rng: Generator) -> Columns:
 
 @kind("clock running fast, with jitter", CLOCK)
 def fast_clock(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """Time is 0.1 % too long and each stamp late by up to a fifth of a step. True: the unit as it was."""
+    """Stretch time by 0.1 % and delay each stamp by up to a fifth of a step. True: the unit as it was."""
     late = 0.2 * step(columns, subject) * rng.random(len(columns["time"]))
     return changed(columns, time=columns["time"] * 1.001 + late)
 
 
 @kind("time in minutes under a header in seconds", CLOCK, alike=True)
 def minutes(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The wrong unit of time. True: the unit as it was; its laws in time are sixty times slower than they look."""
+    """State a wrong unit of time. True: the unit as it was; its laws in time are sixty times slower than stated."""
     return changed(columns, time=columns["time"] / 60.0)
 
 
 @kind("one label for two runs", "run|gap|time", fits=lambda s: s.group == "run")
 def one_label(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The second run bears the label of the first. True: the unit as it was."""
+    """Label the second run as the first. True: the unit as it was."""
     first, second = records(columns, subject)[:2]
     labels = columns[subject.group].copy()
     labels[second] = labels[first[0]]
@@ -75,7 +75,7 @@ def one_label(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     fits=lambda s: s.group == "run",
 )
 def another_unit(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The last run was of a unit with another constant and slope. True: the unit of the other runs."""
+    """Take the last run from a unit with another constant and slope. True: the unit of the other runs."""
     return changed(columns, output=columns["output"] + _of_another(columns, subject, -1))
 
 
@@ -87,14 +87,14 @@ def another_unit(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     must_say=True,
 )
 def other_holdout(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The hold-out given is of a unit with another constant and slope. True: the record's; that they differ has to
-    be said, for the hold-out is there to be believed.
+    """Take the hold-out data from a unit with another constant and slope. True: the record's unit; a sentence must
+    state the difference, since hold-out data are given to be relied on.
     """
     return changed(columns, output=columns["output"] + _of_another(columns, subject, None))
 
 
 def _of_another(columns: Columns, subject: Subject, run: int | None) -> np.ndarray:
-    """Return another unit's additional output, a fifth of a prior standard deviation each; in one run or all."""
+    """Return the additional output of another unit, a fifth of a prior standard deviation each, in one run or all."""
     zero, slope = subject.zero, subject.slope
     added = 0.2 * (zero.size * zero.column(columns) + slope.size * slope.column(columns))
     if run is None:

@@ -1,4 +1,4 @@
-"""Kinds of spoilt columns beside the output: thermometers, known inputs, units."""
+"""Kinds of faulty columns other than the output: thermometers, known inputs, units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Generator = np.random.Generator
 
 @kind("nothing", "^$")
 def unchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """Not spoilt: what is said of these would be said of any record."""
+    """Return the file unchanged: a sentence on this record would appear on any."""
     return columns
 
 
@@ -24,10 +24,10 @@ def unchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     renamed=True,
 )
 def exchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """The thermometer's column stands under another's header, and that under its.
+    """Exchange the headers of the thermometer and another column.
 
-    Where the other is a thermometer too nothing in the file shows it. True: the unit's output as a function of the
-    columns as they are named, in the second campaign as in the first.
+    If the other is also a thermometer, the file does not show it. True: the unit's output as a function of the columns
+    as named, in both campaigns.
     """
     first, second = subject.thermometer, subject.partner
     return changed(columns, **{first: columns[second], second: columns[first]})
@@ -39,13 +39,13 @@ def exchanged(columns: Columns, subject: Subject, rng: Generator) -> Columns:
     fits=lambda s: s.wrong_unit != 1.0,
 )
 def wrong_unit(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """Radians where the header says degrees (or the other way round), m/s² for g. True: the unit as it was."""
+    """Give radians under a header in degrees (or the reverse), or m/s² for g. True: the unit as it was."""
     return changed(columns, **{subject.input: subject.wrong_unit * columns[subject.input]})
 
 
 @kind("a thermometer stuck for a while", "stuck|constant|thermometer|temperature")
 def stuck(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """For a sixth of the record the thermometer shows the same. True: the unit as it was."""
+    """Hold the thermometer's value for a sixth of the record. True: the unit as it was."""
     warm = columns[subject.thermometer].copy()
     begin = int(rng.integers(len(warm) // 4, len(warm) // 2))
     warm[begin : begin + len(warm) // 6] = warm[begin]
@@ -54,21 +54,21 @@ def stuck(columns: Columns, subject: Subject, rng: Generator) -> Columns:
 
 @kind("a second thermometer like the first", "temperature", alike=True)
 def collinear(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """A further column differs from the thermometer's by a hundredth of a degree. True: the unit as it was."""
+    """Add a column that differs from the thermometer by a hundredth of a degree. True: the unit as it was."""
     warm = columns[subject.thermometer]
     return changed(columns, case_temperature=warm + 0.01 * rng.standard_normal(len(warm)))
 
 
 @kind("thermometer rounded to 0.5 °C", "round|quanti|resolution|thermometer|temperature")
 def coarse_thermometer(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """A thermometer with a coarse display. True: the unit as it was, at the temperatures that it had."""
+    """Round the temperature to a coarse display. True: the unit as it was, at the true temperatures."""
     warm = columns[subject.thermometer]
     return changed(columns, **{subject.thermometer: 0.5 * np.rint(2.0 * warm)})
 
 
 @kind("−999 in a few rows of the temperature", "temperature|-999|−999")
 def missing_temperature(columns: Columns, subject: Subject, rng: Generator) -> Columns:
-    """A logger's mark for no value, in three rows. True: the unit as it was."""
+    """Put a logger's mark for a missing value in three rows. True: the unit as it was."""
     warm = columns[subject.thermometer].copy()
     warm[rng.choice(len(warm), 3, replace=False)] = -999.0
     return changed(columns, **{subject.thermometer: warm})

@@ -1,22 +1,22 @@
-"""Kinds of spoilt records from a table, a TOML file, so that others add theirs without code.
+"""Kinds of faulty records from a TOML file, so that kinds can be added without code.
 
     [[kind]]
     name = "thermometer late by a minute in the last run"
     steps = [{ do = "late", by = 60.0, where = "last run" }]
 
-Each kind is a table of
+The fields of a kind are
 
-- `name`; `true`, what is true of it in words (the unit as it was); `says`, a regular expression for words that name the
-  cause (a thermometer's, unless given);
-- `finds`, the same for the name of an effect that was added: one that names the cause says it;
-- `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
-- `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
-- `must_say`: true where a right answer counts only beside a sentence that names the cause;
-- `alike`: true where the second campaign, which judges the result, is spoilt in the same way;
-- `steps`, done one after the other, each a table of `do`, a function of `STEPS`; `column`: "thermometer" (the default),
-  "sibling", "output", "input", or a column's name; `where`: a name of `_where`; and the function's own numbers.
+- `name`; `true`, what is true of the record in words (default: the unit as it was); `says`, a regular expression for
+  words that name the cause (default: a thermometer's);
+- `finds`, the same for the name of an added effect, which then names the cause;
+- `needs`: "runs" if the records must be runs, "sibling" if the unit must have a second thermometer;
+- `of`: "record" (the default), or "hold-out from the record": hold-out data made from the training data are given;
+- `must_say`: true if a right answer counts only with a sentence that names the cause;
+- `alike`: true if the second campaign, which tests the result, has the same fault;
+- `steps`, applied in order, each a table of `do`, a function of `STEPS`; `column`: "thermometer" (the default),
+  "sibling", "output", "input", or a column's name; `where`: a name in `_where`; and the function's parameters.
 
-Steps work in each record in time by itself, and change the rows of `where` alone.
+A step is applied to each record in time separately, and changes only the rows of `where`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ TEN = 10
 
 @dataclass(frozen=True)
 class Piece:
-    """What a step works on: a column in one record in time.
+    """Input of a step: one column in one record in time.
 
     Attributes:
-        time: s.
-        usual: time between two readings, s.
-        cells: of the column.
-        before: those of the record before it; of the last, before the first.
-        all: those of the whole file.
-        rng: of what is random.
+        time: times, s.
+        usual: usual time between readings, s.
+        cells: values of the column.
+        before: values in the preceding record; for the first record, those of the last.
+        all: values in the whole file.
+        rng: random-number generator.
     """
 
     time: np.ndarray
@@ -56,7 +56,7 @@ class Piece:
     rng: np.random.Generator
 
     def at(self, part: float) -> float:
-        """A place in the column's range, from 0 at its minimum to 1 at its maximum."""
+        """Return the value at a fraction of the column's range, from 0 at its minimum to 1 at its maximum."""
         return float(self.all.min() + part * np.ptp(self.all))
 
 
@@ -75,7 +75,7 @@ def _dropped(p: Piece, share: float) -> np.ndarray:
 
 
 def _smoothed(p: Piece, over: float = 0.0, readings: float = 0.0) -> np.ndarray:
-    """A body of first order that starts at the column's first cell."""
+    """Return the temperature of a first-order body that starts at the column's first value."""
     tau, smoothed = over + readings * p.usual, p.cells.astype(float)
     keep = np.exp(-np.diff(p.time) / tau)
     for i in range(1, len(smoothed)):
@@ -157,10 +157,10 @@ THERMOMETER = "temperature|thermometer"
 
 
 def kinds_of(path: Path) -> dict[str, Kind]:
-    """The kinds of a file, by name.
+    """Return the kinds of a file, by name.
 
     Raises:
-        ValueError: it names what there is not; and where.
+        ValueError: an unknown or repeated name, and where it is.
     """
     kinds: dict[str, Kind] = {}
     for table in tomllib.loads(path.read_text("utf-8"))["kind"]:
@@ -210,7 +210,7 @@ def _done(
     where: str = "everywhere",
     **numbers: float,
 ) -> Columns:
-    """One step: the columns with it done to the rows that it is for."""
+    """Apply one step to the rows of `where`; return the columns."""
     if do == "halved":
         return rows(columns, np.arange(len(columns["output"])) % 2 == 0)
     roles = {"thermometer": subject.thermometer, "sibling": subject.sibling, "input": subject.input}

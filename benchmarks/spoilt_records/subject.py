@@ -1,4 +1,4 @@
-"""An instrument of the gauntlet: how it is simulated, what is hidden in it, what is true, which column is which."""
+"""An instrument of the benchmark of faulty records: its simulator, hidden effects, truth, and roles of its columns."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LATER = 500_000  # added to the seed of the second campaign
 
 @dataclass(frozen=True)
 class Campaign:
-    """A record, a second one to judge by, and what is true of both.
+    """A record, a second one that tests the result, and what is true of both.
 
     Attributes:
-        record, holdout: columns.
-        units: of each column of numbers.
-        hidden: effects hidden in both, by size.
+        record, holdout: columns of each.
+        units: units of the numeric columns.
+        hidden: effects hidden in both, with sizes.
     """
 
     record: Columns
@@ -35,12 +35,12 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Shift:
-    """A coefficient that the model holds, and what the output gains for each unit of it.
+    """A coefficient of the model, and the change of the output per unit of it.
 
     Attributes:
-        names: of the coefficient, or of all members of its group, which change alike.
-        size: its prior standard deviation; of an instrument that takes its sizes from the readings, the true value.
-        column: the gain, from the columns of a file.
+        names: names of the coefficient, or of all members of its group, which change alike.
+        size: its prior standard deviation; for an instrument with sizes from the readings, the true value.
+        column: function from the columns of a file to the change of the output.
     """
 
     names: tuple[str, ...]
@@ -50,29 +50,29 @@ class Shift:
 
 @dataclass(frozen=True)
 class Subject:
-    """An instrument of the gauntlet.
+    """An instrument of the benchmark.
 
     Attributes:
-        name: of the instrument.
-        hidden: effects that are hidden in turn, with their sizes.
-        true: coefficients that are true of every campaign; those of polynomials about `T0`.
-        drawn: from the seed and what is hidden, true coefficients that are drawn for each campaign.
-        exact: hidden effects whose law is that of the catalogue, and the coefficient's true value for each unit of
-            size; of the others the coefficient is not judged.
+        name: name of the instrument.
+        hidden: effects that are hidden in turn, with sizes.
+        true: true coefficients of every campaign; those of polynomials about `T0`.
+        drawn: function from the seed and the hidden effects to true coefficients drawn for each campaign.
+        exact: hidden effects whose law is the catalogue's, and the coefficient's true value per unit of size; the
+            coefficients of other hidden effects are not judged.
         noise: standard deviation of a reading, output unit.
         zero, slope: coefficients that a device may have far from nominal.
-        thermometer: column that the model's temperature is read from.
-        partner: column of numbers that could be mistaken for the thermometer's; empty if there is none.
-        sibling: a second thermometer of the unit itself; empty if there is none.
-        input: column of the known input, in which a wrong unit or sign would show; empty if there is none.
-        group: column of labels whose members are records in time of their own.
-        polynomials: names of constant, line, quadratic … in the thermometer's temperature, a tuple for each slot.
-        T0: about which the true ones are, °C.
+        thermometer: column with the model's temperature.
+        partner: numeric column that could be mistaken for the thermometer's; empty if there is none.
+        sibling: second thermometer of the unit; empty if there is none.
+        input: column of the known input, which would show a wrong unit or sign; empty if there is none.
+        group: column of labels whose members are separate records in time.
+        polynomials: names of constant, line, quadratic … in the thermometer's temperature, a tuple per slot.
+        T0: temperature about which the true coefficients are, °C.
         lag: a thermal lag that can be hidden; empty if there is none.
-        wrong_unit: factor by which another unit of the known input is mistaken for its own; 1 if there is none.
-        sign: whether a known input tells the output's sign.
-        one_unit: whether a second campaign is one of the same unit only if it is taken at the same time.
-        options: of the simulator.
+        wrong_unit: factor between another unit of the known input and its own; 1 if there is none.
+        sign: whether a known input determines the output's sign.
+        one_unit: whether a second campaign is of the same unit only if it is taken at the same time.
+        options: options of the simulator.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Subject:
         return instrument_named(self.name)
 
     def campaign(self, seed: int, hidden: Mapping[str, float] | None = None) -> Campaign:
-        """A record with these effects hidden in it, or with the subject's own, one in every second seed."""
+        """Simulate a record with these effects, or with one of the subject's own in every second seed."""
         if hidden is None:
             turn = (seed - 1) // 2 % len(self.hidden)
             hidden = dict([self.hidden[turn]]) if seed % 2 else {}
@@ -119,7 +119,7 @@ class Subject:
         return simulate(dict(hidden), seed=seed, **(self.options or {}))
 
     def loud(self, effect: str, times: float) -> dict[str, float]:
-        """An effect at the size at which its part of the output has an rms of so many times the noise."""
+        """Return an effect at the size at which the rms of its contribution is so many times the noise."""
         size = dict(self.hidden).get(effect, 1.0)
         without, with_effect = (self._simulated(1, e)["output"] for e in ({}, {effect: size}))
         rms = float(np.std(with_effect - without))
@@ -132,13 +132,13 @@ class Subject:
         seed: int,
         changed: Mapping[str, float],
     ) -> dict[str, float]:
-        """True coefficients by name, about a fit's own reference temperature; about `T0` where it has none.
+        """Return true coefficients by name, about a fit's own reference temperature; about `T0` if it has none.
 
         Args:
-            hidden: effects in the record, by size.
-            hold_at: temperatures at which the fit's coefficients hold, °C.
-            seed: of the campaign.
-            changed: what a kind of record adds to coefficients.
+            hidden: effects in the record, with sizes.
+            hold_at: reference temperatures of the fit's coefficients, °C.
+            seed: seed of the campaign.
+            changed: changes of coefficients by a kind of fault.
         """
         values = {**self.true, **self.drawn(seed, hidden)}
         for effect, size in hidden.items():
@@ -152,7 +152,7 @@ class Subject:
 
 
 def _about(shift: float, values: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-    """Coefficients of the same polynomial about another temperature; zero ones only where they become another."""
+    """Return the coefficients of a polynomial about another temperature; zero ones only if they become nonzero."""
     powers = range(len(names))
     moved = {
         names[k]: sum(
@@ -164,6 +164,6 @@ def _about(shift: float, values: Mapping[str, float], names: tuple[str, ...]) ->
 
 
 def _halves(readings: bc.Measurements) -> tuple[bc.Measurements, bc.Measurements]:
-    """Every other reading, and those between."""
+    """Return every other reading, and the readings between."""
     rows = np.arange(len(readings))
     return readings.select(rows % 2 == 0), readings.select(rows % 2 == 1)

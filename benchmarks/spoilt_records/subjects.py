@@ -1,4 +1,4 @@
-"""The six instruments of the gauntlet."""
+"""The six instruments of the benchmark of faulty records."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def _ones(c: Columns) -> np.ndarray:
 
 
 def _opposed(c: Columns) -> np.ndarray:
-    """Output of an accelerometer on the arm for each ppm of scale factor."""
+    """Return the output of an accelerometer on the arm per ppm of scale factor."""
     return 1e-6 * np.where(c["group"] == "outer", 1.0, -1.0) * c["acceleration"]
 
 
 def _tilted(c: Columns) -> np.ndarray:
-    """Output of an accelerometer on the tilted table for each ppm of scale factor, its nuisance angles left out."""
+    """Return the output of an accelerometer on the tilted table per ppm of scale factor, without nuisance angles."""
     return np.sin(c["tilt"]) * np.sin(c["position_angle"])
 
 
 def _of_devices(seed: int, hidden: Mapping[str, float]) -> dict[str, float]:
-    """Scale factors of the accelerometers on the arm, ppm."""
+    """Return the scale factors of the accelerometers on the arm, ppm."""
     _, truth = simulate_batch(hidden, seed=seed, campaign=BATCH)
     pairs = zip(truth.names, truth.scale, strict=True)
     return {f"scale.device({name})": 1e6 * (scale - 1.0) for name, scale in pairs}

@@ -1,1 +1,1 @@
-"""What is stated where the model may be wrong: coverage after a search, probabilities, tests of hold-out data."""
+"""Statements under a misspecified model: coverage after a search, probabilities, tests of hold-out data."""

@@ -1,6 +1,6 @@
-"""What is stated after a search where effects of every size are hidden: intervals, probabilities, completeness.
+"""Intervals, probabilities and completeness stated after a search, with hidden effects of all sizes.
 
-Campaigns of three instruments whose laws are none of the catalogue's, fitted by `calibrate` alone.
+Campaigns of three instruments whose laws are not in the catalogue, fitted by `calibrate`.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ Z = 1.959964  # of a 95 % interval
 
 
 def cases(name: str) -> Iterator[tuple[tuple[int], tuple[str, int]]]:
-    """Give the campaigns of an instrument, in turn with effects that some formula is like and with others."""
+    """Yield the campaigns of an instrument, in turn with effects that resemble a formula and with others."""
     seeds = ((i // 2 + NO_FORMULA * (i % 2)) for i in range(COUNT))
     return (((seed,), (name, seed)) for seed in seeds)
 
 
 def campaign(case: tuple[str, int]) -> dict[str, Any]:
-    """Return the row of a campaign, as `calibrate` leaves it."""
+    """Calibrate a campaign; return its row."""
     name, seed = case
     instrument, simulate, powers = WORLDS[name]
     world: World = simulate(seed)
@@ -101,7 +101,7 @@ def campaign(case: tuple[str, int]) -> dict[str, Any]:
 
 
 def added(case: tuple[str, int], world: World, baseline: bc.Calibration) -> dict[str, float]:
-    """Return what each hidden effect adds to the readings that the baseline cannot hold: rms, over the noise."""
+    """Return the contribution of each hidden effect outside the span of the baseline: rms, relative to the noise."""
     (name, seed), rms, line = case, dict[str, float](), baseline.linear
     for effect in world.hidden:
         part = world.truth - WORLDS[name][1](seed, without=effect).truth
@@ -113,7 +113,7 @@ def added(case: tuple[str, int], world: World, baseline: bc.Calibration) -> dict
 
 
 def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str, Any]:
-    """Shares of readings and of coefficients whose 95 % interval holds the truth, and the widths of the intervals."""
+    """Return fractions of readings and coefficients whose 95 % interval contains the truth, and interval widths."""
     row: dict[str, Any] = {}
     for kind, readings, truth in (
         ("fitted", None, world.truth),
@@ -136,7 +136,7 @@ def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str
 
 
 def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
-    """Draws of a baseline's coefficient; of "zero(x)" those of the axis x, with what is the same as they."""
+    """Return draws of a baseline coefficient; for "zero(x)" those of the axis x, with the terms equivalent to it."""
     base, _, axis = slot.rstrip(")").partition("(")
     samples = calibration.samples(f"{base}.{name}")
     for other, factor in BESIDE.get(f"{base}.{name}", {}).items():
@@ -158,7 +158,7 @@ BANDS = ((0.05, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.95), (0.95, 1.0))
 
 
 def _family(name: str) -> str:
-    """Return the family of an effect, of whatever form."""
+    """Return the family of an effect in any form."""
     slot, *cause = name.split(".")
     return ".".join((slot, *(ONE.get(c, c) for c in cause[:1])))
 
@@ -174,7 +174,7 @@ def _coefficients(rows: Rows) -> str:
 
 
 def _effects(rows: Rows, low: float, high: float) -> str:
-    """Return how often named effects of a stated probability were there."""
+    """Return how often named effects of a stated probability were true."""
     pairs = []
     for row in rows:
         stated, hidden = dict[str, float](), set(map(_family, row["hidden"]))
@@ -189,12 +189,12 @@ def _effects(rows: Rows, low: float, high: float) -> str:
 
 
 def _named_where_open(rows: Rows) -> str:
-    """Return how often names stated from 0.95 on were right where the verdict holds: else none is to be believed."""
+    """Return how often names with a probability of at least 0.95 were right, where the verdict is reliable."""
     return _effects([row for row in rows if row["open"]], *BANDS[-1])
 
 
 def _complete(rows: Rows, low: float, high: float) -> str:
-    """Return how often a model of a stated probability to be complete had all that can be seen and matters."""
+    """Return how often models of a stated completeness had all effects that are detectable and matter."""
     pairs = []
     for row in rows:
         counted = {e for e in row["hidden"] if row["adds"][e] > MAX_UNNAMED_RMS} - {*row["unseen"]}
@@ -232,7 +232,7 @@ seen is missing that adds more than a fifth of the noise, rms, to what the basel
 
 
 def results() -> dict[str, Rows]:
-    """Return the rows of each instrument, those without a formula apart."""
+    """Return the rows of each instrument, with those without a formula separate."""
     groups = dict[str, Rows]()
     for name, bank in zip(WORLDS, BANKS, strict=True):
         for words, odd in ((name, False), (f"{name}, no formula", True)):
@@ -241,7 +241,7 @@ def results() -> dict[str, Rows]:
 
 
 def render() -> pages.Texts:
-    """Return the page from the results that stand."""
+    """Render the page from the stored results."""
     groups = results()
     days = [row["day"] for rows in groups.values() for row in rows]
     title = "Model misspecification"

@@ -1,4 +1,4 @@
-"""Three instruments whose laws are none of the catalogue's: effects in closed form, at sizes from tiny to large."""
+"""Three simulated instruments whose laws are not in the catalogue: effects in closed form, from tiny to large sizes."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ Course = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class World:
-    """One campaign: readings, what was hidden, and the true expected output.
+    """One campaign: readings, hidden effects, and the true expected output.
 
     Attributes:
-        readings: to fit.
-        truth: expected output of the readings without noise, with their runs' own offsets, output unit.
-        later: hold-out readings: runs of their own.
-        later_truth: of these.
-        other, other_truth: the same of another profile of temperature, beyond the range too; none of an inclinometer.
+        readings: readings to fit.
+        truth: expected output of the readings without noise, with their runs' offsets, output unit.
+        later: hold-out readings, of other runs.
+        later_truth: expected output of the hold-out readings.
+        other, other_truth: hold-out readings of another temperature profile with a wider range, and their truth; an
+            inclinometer has none.
         hidden: size over the plausible one, by name.
-        static: of each slot, given T0, °C, its course about the point at which the baseline's coefficients are, at the
-            middle of the record, reported units: of °C from T0; of an inclinometer's axis of degrees from 0.
+        static: by slot, given T0, °C, its steady-state values about the centre of the baseline's coefficients, at the
+            middle of the record, reported units: a function of °C from T0, or for an inclinometer of degrees from 0.
     """
 
     readings: bc.Measurements
@@ -47,18 +48,18 @@ class World:
     other_truth: np.ndarray | None = None
 
     def about(self, slot: str, reference: float, count: int) -> np.ndarray:
-        """The first terms of a slot's power series, T0 being `reference`, °C: what a baseline's coefficients are."""
+        """Return the first terms of a slot's power series about `reference`, °C: a baseline's true coefficients."""
         step = 5.0 * np.linspace(-1.0, 1.0, 13)
         fitted = np.polynomial.polynomial.polyfit(step, self.static[slot](reference)(step), 6)
         return fitted[:count]
 
 
 def gyro(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
-    """A gyro at rest through temperature sweeps: 0.05 °/s of noise, a reading a minute.
+    """Simulate a gyro at rest through temperature sweeps: 0.05 °/s of noise, a reading per minute.
 
     Args:
-        seed: of everything.
-        hidden: sizes over the plausible ones; at random if not given, but for one that is left out, `without`.
+        seed: seed of all random numbers.
+        hidden: sizes over the plausible ones; if not given, drawn at random, except for `without`.
     """
     rng, laws = np.random.default_rng([35, seed]), _GYRO if seed < NO_FORMULA else _ODD_GYRO
     hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
@@ -92,9 +93,9 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, without: str = ""
 
 
 def quartz(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
-    """A quartz accelerometer with two thermometers: ramps at three attitudes, 5 µg of noise, a reading a minute.
+    """Simulate a quartz accelerometer with two thermometers: ramps at three attitudes, 5 µg noise, a reading a minute.
 
-    Args: as `gyro` has them.
+    Args: as in `gyro`.
     """
     rng, laws = np.random.default_rng([38, seed]), _QUARTZ if seed < NO_FORMULA else _ODD_QUARTZ
     hidden = _drawn(rng, laws, without) if hidden is None else dict(hidden)
@@ -139,9 +140,9 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None, without: str = 
 
 
 def inclinometer(seed: int, hidden: Mapping[str, float] | None = None, without: str = "") -> World:
-    """A two-axis inclinometer on a dividing table: ±45° by 3°, to and fro, three mountings of each axis, 2″ of noise.
+    """Simulate a two-axis inclinometer on a dividing table: ±45° by 3°, both ways, three mountings per axis, 2″ noise.
 
-    Args: as `gyro` has them.
+    Args: as in `gyro`.
     """
     rng, laws = (
         np.random.default_rng([40, seed]),
@@ -213,8 +214,9 @@ def inclinometer(seed: int, hidden: Mapping[str, float] | None = None, without: 
 
 @dataclass(frozen=True)
 class Table:
-    """What an effect of an inclinometer may depend on: the placement angle, °; °C from 20 °C; s; +1 forward and −1
-    backward; ° since the direction changed."""
+    """Columns that an effect of an inclinometer may depend on: placement angle, °; °C from 20 °C; time, s; direction,
+    +1 forward and −1 backward; angle since the direction changed, °.
+    """
 
     degrees: np.ndarray
     warmth: np.ndarray
@@ -230,7 +232,7 @@ def _static(
     parameters: tuple[float, ...],
     readings: bc.Measurements,
 ) -> Callable[[float], Course]:
-    """A slot as a function of °C from T0, long after switching on, a drift at its mean over the readings."""
+    """Return a slot as a function of °C from T0, long after power-on, with a drift at its mean over the readings."""
     zero, time = np.zeros(1), readings["time"]
 
     def output_at(temperature: np.ndarray) -> np.ndarray:
@@ -246,15 +248,16 @@ def _static(
 
 
 def _cubic(rng: np.random.Generator, constant: float, slope: float) -> tuple[float, ...]:
-    """A polynomial of the third degree with its plausible coefficients."""
+    """Draw a cubic polynomial with plausible coefficients."""
     sizes = constant, slope, 0.01 * slope, 1e-4 * slope
     return tuple(float(v) for v in rng.normal(0.0, sizes))
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """What an effect may depend on: °C from 55 °C, s since a run began, s since the record began, the run, and °C
-    by which the circuit is warmer than the head."""
+    """Columns that an effect may depend on: °C from 55 °C, time since the start of the run and of the record, s, run,
+    and temperature of the circuit minus that of the head, °C.
+    """
 
     warmth: np.ndarray
     since: np.ndarray
@@ -264,9 +267,9 @@ class Sweep:
 
 
 def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray, ...]:
-    """Sweeps between 30 °C and 80 °C, each run at its own pace: run, time, time since its begin, temperature.
+    """Return run, time, time since the run's start, and temperature of sweeps between 30 and 80 °C at random rates.
 
-    Runs begin every `RUN_PERIOD` seconds; hold-out runs lie between those that are fitted.
+    Runs begin every `RUN_PERIOD` seconds; hold-out runs are between the fitted ones.
     """
     step, count = 60.0, 40
     since = np.tile(step * np.arange(count), runs)
@@ -282,7 +285,7 @@ def _sweeps(rng: np.random.Generator, runs: int, first: int) -> tuple[np.ndarray
 
 
 def _behind(at: Sweep, tau: float) -> np.ndarray:
-    """°C by which a body of two equal stages is behind the thermometer; in balance when a run begins."""
+    """Return °C by which two equal bodies in series are behind the thermometer, in equilibrium at a run's start."""
     lag = np.zeros_like(at.warmth)
     for run in np.unique(at.run):
         rows = np.flatnonzero(at.run == run)
@@ -299,7 +302,7 @@ def _behind(at: Sweep, tau: float) -> np.ndarray:
 
 
 def _two_decays(since: np.ndarray, time: float) -> np.ndarray:
-    """A part and its case warm up: two thirds with one time, a third with twice that."""
+    """Return the warm-up of a part and its case: two thirds with one time constant, a third with twice that."""
     return (2 * np.exp(-since / time) + np.exp(-since / (2 * time))) / 3
 
 
@@ -335,7 +338,7 @@ _INCLINOMETER: Mapping[str, Callable[[Table], np.ndarray]] = {
 
 
 def _play(at: Sweep) -> np.ndarray:
-    """°C by which a part with 3 °C of play is behind the thermometer."""
+    """Return °C by which a part with 3 °C of play is behind the thermometer."""
     play, last = np.zeros_like(at.warmth), 0.0
     for i, (now, since) in enumerate(zip(at.warmth, at.since, strict=True)):
         last = now if since == 0 else min(max(last, now - 3.0), now + 3.0)
@@ -344,7 +347,7 @@ def _play(at: Sweep) -> np.ndarray:
 
 
 def _rate(at: Sweep) -> np.ndarray:
-    """°C/min."""
+    """Return the temperature rate, °C/min."""
     same = np.diff(at.run, prepend=-1) == 0
     return np.where(
         same, 60 * np.diff(at.warmth, prepend=0.0) / np.diff(at.time, prepend=-1.0), 0.0
@@ -384,12 +387,12 @@ _ODD_TABLE: Mapping[str, Callable[[Table], np.ndarray]] = {
 
 
 def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Offsets of unit standard deviation that are not normal."""
+    """Draw offsets of unit standard deviation that are not normal."""
     return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), count)
 
 
 def _drawn(rng: np.random.Generator, laws: Mapping[str, object], without: str) -> dict[str, float]:
-    """Draw hidden effects, at sizes log-uniform over two decades, that of one left out zero."""
+    """Draw hidden effects at sizes log-uniform over two decades; that of an omitted one is zero."""
     names = rng.choice(sorted(laws), size=rng.choice(COUNTS), replace=False)
     low, high = np.log(SIZES)
     sizes = {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}

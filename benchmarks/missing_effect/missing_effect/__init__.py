@@ -1,4 +1,4 @@
-"""An open benchmark for calibration: find the effect that the model of an instrument lacks, and say how sure you are.
+"""An open benchmark for calibration: find the effects missing from an instrument's model, and state their probability.
 
 An entry is one file with `solve(task)`; see README.md. Needs numpy, pandas and scipy.
 """

@@ -16,7 +16,7 @@ from missing_effect.task import Task
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; 2 where what was asked for cannot be done."""
+    """Run a command; return its exit status, 2 for an error in the arguments or input files."""
     args = _parser().parse_args(arguments)
     try:
         return args.command(args)
@@ -30,13 +30,13 @@ def _generate(args: argparse.Namespace) -> int:
         from missing_effect_maker import generate, real
     except ImportError:
         raise InputError(
-            "tasks are made by a package of its own, which is not installed: "
+            "the package that makes tasks is not installed: run "
             "`pip install ./benchmarks/missing_effect/maker` in a checkout of the repository"
         ) from None
     sizes = generate.sizes(args.edition)
     if args.size not in (0, *sizes):
         raise InputError(
-            f"edition {args.edition} has sizes {', '.join(map(str, sizes))}, not {args.size}"
+            f"edition {args.edition} has the sizes {', '.join(map(str, sizes))}, not {args.size}"
         )
     hashes = dict(generate.generate(args.tasks, args.size, args.edition))
     print(f"{len(hashes)} tasks of edition {args.edition} in {args.tasks}")
@@ -44,14 +44,14 @@ def _generate(args: argparse.Namespace) -> int:
         published_editions = published()
         other = [name for name, digest in hashes.items() if published_editions.get(name) != digest]
         if other:
-            print(f"not as published: {', '.join(other)}", file=sys.stderr)
+            print(f"different from the published edition: {', '.join(other)}", file=sys.stderr)
             return 1
-        print("every one byte for byte as published")
+        print("all tasks are byte for byte those of the published edition")
     if args.data is None:
-        print("the real track is left out: --data names a folder with its records (DATASHEET.md)")
+        print("without the real track: give the folder of its records by --data (DATASHEET.md)")
         return 0
     if not args.data.is_dir():
-        raise InputError(f"--data {args.data} is no folder")
+        raise InputError(f"--data {args.data} is not a folder")
     for line in real.generate(args.data, args.tasks):
         print(line)
     return 0
@@ -83,28 +83,28 @@ def _score(args: argparse.Namespace) -> int:
 def _leaderboard(args: argparse.Namespace) -> int:
     names = entries_in(args.results, args.tasks, args.size)
     if not names:
-        raise InputError(f"{args.results} has no entry with all answers: run one first")
+        raise InputError(f"{args.results}: no entry has answered all tasks: run an entry first")
     scores = {n: scored(args.tasks, args.results, n, args.size) for n in (*names, ORACLE)}
     strange = alien(args.tasks, args.size)
     note = f"{len(next(iter(scores.values())))} tasks"
     note += (
         f", of which {len(strange)} are not of the published edition."
         if strange
-        else ", as published."
+        else " of the published edition."
     )
     leaderboard.write(scores, args.out, note)
     print(leaderboard.markdown(scores))
-    print(f"{note} The page: {args.out}")
+    print(f"{note} Page: {args.out}")
     return 0
 
 
 def _describe(args: argparse.Namespace) -> int:
     if not (args.task / "task.json").is_file():
-        raise InputError(f"{args.task} is no task: it has no task.json")
+        raise InputError(f"{args.task} is not the folder of a task: it has no task.json")
     task = Task.read(args.task)
     args.out.write_text(picture(task), "utf-8")
     print(in_words(task))
-    print(f"The picture: {args.out}")
+    print(f"Plots: {args.out}")
     return 0
 
 
@@ -123,36 +123,36 @@ def _parser() -> argparse.ArgumentParser:
         )
         if results:
             sub_parser.add_argument(
-                "--results", type=Path, default=Path("results"), help="of answers"
+                "--results", type=Path, default=Path("results"), help="folder of the answers"
             )
             sub_parser.add_argument(
-                "--size", type=int, help="the first so many tasks; all if not given"
+                "--size", type=int, help="number of tasks, from the first; default: all"
             )
 
-    sub = command("generate", _generate, "make the tasks")
+    sub = command("generate", _generate, "generate the tasks")
     sub.add_argument("tasks", type=Path, nargs="?", default=Path("tasks"))
-    sub.add_argument("--size", type=int, default=10, help="10, 100, 200 or 600")
-    sub.add_argument("--edition", type=int, default=EDITION, help="another number: new tasks")
+    sub.add_argument("--size", type=int, default=10, help="number of tasks: 10, 100, 200 or 600")
+    sub.add_argument("--edition", type=int, default=EDITION, help="number of the edition")
     sub.add_argument(
-        "--data", type=Path, help="folder with public records: the real tasks too (DATASHEET.md)"
+        "--data", type=Path, help="folder of public records, for the real tasks (DATASHEET.md)"
     )
-    sub = command("run", _run, "let entries solve tasks")
+    sub = command("run", _run, "solve the tasks by entries")
     sub.add_argument(
-        "entries", nargs="+", help="a Python file with solve(task), or a shipped entry's name"
+        "entries", nargs="+", help="Python files with solve(task), or names of shipped entries"
     )
-    sub.add_argument("--limit", type=float, default=LIMIT, help="seconds of processor a task")
+    sub.add_argument("--limit", type=float, default=LIMIT, help="processor time per task, s")
     sub.add_argument(
-        "--trusted", action="store_true", help="in this process, without isolation: quick"
+        "--trusted", action="store_true", help="run in this process without isolation: faster"
     )
     where(sub)
     sub = command("score", _score, "score entries, as text or JSON")
     sub.add_argument("entries", nargs="+")
     sub.add_argument("--json", action="store_true")
     where(sub)
-    sub = command("leaderboard", _leaderboard, "all entries with all answers, as a page")
+    sub = command("leaderboard", _leaderboard, "write a page of all entries with all answers")
     sub.add_argument("--out", type=Path, default=Path("leaderboard.html"))
     where(sub)
-    sub = command("describe", _describe, "a task in words, and a picture of it")
+    sub = command("describe", _describe, "describe a task in words and plots")
     sub.add_argument("task", type=Path, help="folder of a task")
     sub.add_argument("--out", type=Path, default=Path("task.html"))
     return sub_parser

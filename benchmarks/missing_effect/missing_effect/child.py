@@ -1,10 +1,10 @@
 """The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER LIMIT`.
 
-With an entry alone it loads that and ends: what a start costs.
+Given an entry alone, the process only loads it, so that the cost of a start can be measured.
 
-It refuses, from before the entry is loaded: sockets, other processes, files called truth.json (to open, to link, to
-rename), the package that makes tasks. That is an audit hook, which Python code cannot take off; machine code that an
-entry brings along could pass it.
+An audit hook, set before the entry is loaded, refuses sockets, other processes, files named truth.json (to open, link
+or rename) and the package that makes tasks. Python code cannot remove the hook; machine code supplied with an entry
+could bypass it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAKER = "missing_effect_maker"
 
 
 def watch(event: str, arguments: tuple[Any, ...]) -> None:
-    """End the process at an audit event that no entry needs."""
+    """End the process at an audit event that an entry does not need."""
     if event.startswith("socket.") and event not in ("socket.__new__", "socket.gethostname"):
         refuse(f"the network ({event})")
     if event in PROGRAMS:
@@ -47,20 +47,20 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _sealed(argument: Any) -> bool:
-    """Return whether a path is that of a truth, which links and renames must not reach either."""
+    """Return whether a path is that of a truth file, which must be neither linked nor renamed."""
     path = isinstance(argument, str | bytes | os.PathLike)
     return path and os.path.basename(os.fsdecode(argument)).lower() == "truth.json"
 
 
 def refuse(what: str) -> None:
-    """Say what, where the runner reads it, and end at once: an exception could be caught."""
+    """Print the reason to standard error and end the process at once, since an exception could be caught."""
     sys.stderr.write(f"refused: the entry reached for {what}\n")
     sys.stderr.flush()
     os._exit(3)
 
 
 def main(entry: str, folder: str = "", answer: str = "", limit: str = "") -> int:
-    """Solve within so many seconds of processor, and write the answer as JSON; without a folder load the entry only."""
+    """Solve a task within `limit` s of processor time and write the answer as JSON; without a folder load the entry."""
     if not folder:
         runpy.run_path(entry)
         return 0
@@ -74,7 +74,7 @@ def main(entry: str, folder: str = "", answer: str = "", limit: str = "") -> int
 
 
 def as_json(answer: dict[str, Any]) -> dict[str, Any]:
-    """Convert the answer of `solve` to JSON: sets as pairs of names and probability."""
+    """Convert the answer of `solve` to JSON data, with sets as pairs of names and probability."""
     sets = answer.get("sets")
     return {
         "sets": None if sets is None else [[list(s), float(p)] for s, p in sets.items()],

@@ -1,4 +1,4 @@
-"""A task for people: its terms in words, and a picture of its readings and of what the known model leaves of them."""
+"""Description of a task for readers: its terms in words, and plots of its output and of the base model's residuals."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MOST = 1500  # points drawn; of more, every so many
 
 
 def in_words(task: Task) -> str:
-    """Describe a task."""
+    """Return the description of a task as text."""
     lines = [
-        f"{task.name}: {len(task.train)} readings, {len(task.holdout)} held out, in {task.unit}"
+        f"{task.name}: {len(task.train)} training and {len(task.holdout)} hold-out readings, in {task.unit}"
     ]
     for head, terms in (("known", task.base), ("may be missing", task.candidates)):
         lines.append(f"{head}:")
@@ -32,7 +32,7 @@ def picture(task: Task) -> str:
     problem = Regression(task)
     panels = [
         _panel(f"output, {task.unit}", problem.y),
-        _panel(f"what the known terms leave, {task.unit}", problem.left),
+        _panel(f"residuals of the known terms, {task.unit}", problem.left),
     ]
     words = escape(in_words(task))
     body = f"<h1>{escape(task.name)}</h1>{''.join(panels)}<pre>{words}</pre>"

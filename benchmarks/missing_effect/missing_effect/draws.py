@@ -1,6 +1,6 @@
-"""Random numbers that are the same on every machine: the raw stream of PCG64, turned into variates here.
+"""Random numbers that are identical on every machine: variates computed here from the raw stream of PCG64.
 
-NumPy promises that a bit generator's stream stays as it is, but not how a `Generator` makes variates of it (NEP 19).
+NumPy guarantees the stream of a bit generator, but not the variates that a `Generator` computes from it (NEP 19).
 Source of PCG64: M. O'Neill, HMC-CS-2014-0905.
 """
 
@@ -17,13 +17,13 @@ Option = TypeVar("Option")
 
 
 class Draws:
-    """A stream of variates, begun by integers."""
+    """A stream of random variates, seeded by integers."""
 
     def __init__(self, *seed: int) -> None:
         self._bits = np.random.PCG64(np.random.SeedSequence(seed))
 
     def uniform(self, count: int) -> Array:
-        """Between 0 and 1, neither of which comes: 53 bits each, and half of the last."""
+        """Draw numbers uniform in the open interval (0, 1), with 53 bits each, at the centres of the cells."""
         raw = self._bits.random_raw(count) >> np.uint64(11)
         return (raw.astype(float) + 0.5) * 2.0**-53
 
@@ -34,7 +34,7 @@ class Draws:
         return low + (high - low) * float(self.uniform(1)[0])
 
     def ratio(self, low: float, high: float) -> float:
-        """Between two positive numbers, its logarithm uniform."""
+        """Draw a number log-uniformly between two positive limits."""
         return low * (high / low) ** float(self.uniform(1)[0])
 
     def sign(self) -> float:
@@ -47,11 +47,11 @@ class Draws:
         return self.shuffled(options)[0]
 
     def wave(self, count: int, knots: int) -> Array:
-        """A smooth random course of mean 0 and standard deviation 1: six cosines, none faster than `knots` half turns.
+        """Draw a smooth random function of mean 0 and standard deviation 1: a sum of six cosines.
 
         Args:
-            count: of its values.
-            knots: half turns that the fastest may have over the whole.
+            count: number of values.
+            knots: number of half periods of the fastest cosine.
         """
         at = (np.arange(count) + 0.5) / count
         orders = 1 + np.floor(self.uniform(6) * knots)

@@ -1,4 +1,4 @@
-"""What is known of an edition beforehand: a task's files, the tracks, number and hashes of the published one."""
+"""Properties of an edition: the files of a task, the tracks, and number and hashes of the published edition."""
 
 from __future__ import annotations
 

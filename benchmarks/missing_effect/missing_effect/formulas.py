@@ -1,7 +1,7 @@
-"""What the terms of a model look like: functions of recorded columns and of a few shapes, by the name in task.json.
+"""Formulas of model terms: functions of recorded columns and of a few shapes, by their names in task.json.
 
-Each takes the data frame and names of its columns as stated in the task, its shapes as keywords, and returns (n, k):
-as many columns as the term has coefficients. A run is equally spaced in time and stands in one piece.
+Each takes the data frame, the arguments stated in the task, and its shapes as keywords; it returns (n, k), a column
+for each coefficient of the term. The readings of a run are equally spaced in time and contiguous.
 """
 
 from __future__ import annotations
@@ -16,45 +16,45 @@ Array = np.ndarray
 
 
 def constant(data: pd.DataFrame) -> Array:
-    """1."""
+    """Return a column of ones."""
     return np.ones((len(data), 1))
 
 
 def power(data: pd.DataFrame, column: str, about: float, order: int) -> Array:
-    """(x − about)^order."""
+    """Return (x − about)^order."""
     return (data[column].to_numpy(float)[:, None] - about) ** order
 
 
 def product(data: pd.DataFrame, first: str, second: str, about: float) -> Array:
-    """x·(z − about)."""
+    """Return x·(z − about)."""
     x, z = data[first].to_numpy(float), data[second].to_numpy(float)
     return (x * (z - about))[:, None]
 
 
 def difference(data: pd.DataFrame, first: str, second: str, order: int) -> Array:
-    """(x − z)^order."""
+    """Return (x − z)^order."""
     x, z = data[first].to_numpy(float), data[second].to_numpy(float)
     return ((x - z) ** order)[:, None]
 
 
 def harmonic(data: pd.DataFrame, column: str, period: float) -> Array:
-    """cos and sin of 2π·x/period: two coefficients."""
+    """Return cos and sin of 2π·x/period: two coefficients."""
     at = 2 * np.pi * data[column].to_numpy(float) / period
     return np.column_stack([np.cos(at), np.sin(at)])
 
 
 def decay(data: pd.DataFrame, column: str, scale: float) -> Array:
-    """exp(−x/scale)."""
+    """Return exp(−x/scale)."""
     return np.exp(-data[column].to_numpy(float) / scale)[:, None]
 
 
 def peak(data: pd.DataFrame, column: str, centre: float, *, width: float) -> Array:
-    """exp(−((x − centre)/width)²)."""
+    """Return exp(−((x − centre)/width)²)."""
     return np.exp(-(((data[column].to_numpy(float) - centre) / width) ** 2))[:, None]
 
 
 def rate(data: pd.DataFrame, column: str, group: str) -> Array:
-    """dx/dt, by central differences within a run."""
+    """Return dx/dt, by central differences within a run."""
     rates = np.zeros(len(data))
     for at in _runs(data, group):
         rates[at] = np.gradient(data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at])
@@ -62,7 +62,7 @@ def rate(data: pd.DataFrame, column: str, group: str) -> Array:
 
 
 def lag(data: pd.DataFrame, column: str, group: str, *, tau: float) -> Array:
-    """x̃ − x of a first-order body, τ·dx̃/dt = x − x̃, that a run begins with at x; x linear between readings."""
+    """Return x̃ − x of a first-order body, τ·dx̃/dt = x − x̃, x̃ = x at a run's start; x linear between readings."""
     lags = np.zeros(len(data))
     for at in _runs(data, group):
         x, time = data[column].to_numpy(float)[at], data["time"].to_numpy(float)[at]
@@ -75,7 +75,7 @@ def lag(data: pd.DataFrame, column: str, group: str, *, tau: float) -> Array:
 
 
 def warm_up(data: pd.DataFrame, group: str, *, tau: float) -> Array:
-    """exp(−t/τ), t from the begin of the run."""
+    """Return exp(−t/τ), t from the start of the run."""
     time, elapsed = data["time"].to_numpy(float), np.zeros(len(data))
     for at in _runs(data, group):
         elapsed[at] = np.exp(-(time[at] - time[at][0]) / tau)
@@ -83,7 +83,7 @@ def warm_up(data: pd.DataFrame, group: str, *, tau: float) -> Array:
 
 
 def direction(data: pd.DataFrame, column: str, group: str, *, width: float) -> Array:
-    """Dahl's hysteresis D, dD/dx = (sign(dx) − D)/width along the path of x within a run, D = 0 at its begin."""
+    """Return Dahl's hysteresis D, dD/dx = (sign(dx) − D)/width along the path of x within a run, D = 0 at its start."""
     directions = np.zeros(len(data))
     for at in _runs(data, group):
         x = data[column].to_numpy(float)[at]
@@ -97,19 +97,19 @@ def direction(data: pd.DataFrame, column: str, group: str, *, width: float) -> A
 
 
 def each(data: pd.DataFrame, group: str, levels: list[int]) -> Array:
-    """One column for each member of a group; a member that is not listed has zeros in all."""
+    """Return an indicator column for each listed member of a group; other members have zeros in all."""
     return (data[group].to_numpy()[:, None] == np.asarray(levels)[None, :]).astype(float)
 
 
 def each_times(
     data: pd.DataFrame, group: str, levels: list[int], column: str, about: float, order: int
 ) -> Array:
-    """(x − about)^order, one column for each member of a group."""
+    """Return (x − about)^order in a column for each member of a group."""
     return each(data, group, levels) * power(data, column, about, order)
 
 
 def _runs(data: pd.DataFrame, group: str) -> Iterator[slice]:
-    """Rows of each run."""
+    """Yield the rows of each run."""
     label = data[group].to_numpy()
     edges = np.flatnonzero(np.diff(label)) + 1
     for begin, end in zip([0, *edges], [*edges, len(label)], strict=True):

@@ -1,4 +1,4 @@
-"""The leaderboard: a table of entries as text, and as one HTML page that needs nothing from elsewhere."""
+"""The leaderboard: a table of entries as text, and as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Entries = dict[str, dict[str, Score]]
 
 
 def order(entries: Entries) -> list[tuple[str, Summary]]:
-    """Entries by their log score, the best first; those that state no sets after, by their prediction."""
+    """Return the entries by log score, the best first, then those without sets, by their prediction."""
     all_ = [(name, summary(scores)) for name, scores in entries.items()]
     return sorted(
         all_, key=lambda e: (math.isnan(e[1].log[0]), -_or_zero(e[1].log[0]), e[1].crps[0])
@@ -75,7 +75,7 @@ def tables(entries: Entries) -> dict[str, list[list[str]]]:
 
 
 def markdown(entries: Entries, level: str = "##") -> str:
-    """The tables as Markdown."""
+    """Return the tables as Markdown."""
     parts = []
     for head, rows in tables(entries).items():
         lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
@@ -84,7 +84,7 @@ def markdown(entries: Entries, level: str = "##") -> str:
 
 
 def page(entries: Entries, note: str) -> str:
-    """The tables as an HTML page."""
+    """Return the tables as an HTML page."""
     parts = [f"<h1>Find the missing effect</h1><p>{escape(note)}</p>"]
     for head, rows in tables(entries).items():
         body = "".join(

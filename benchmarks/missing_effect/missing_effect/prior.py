@@ -1,6 +1,6 @@
-"""What the data sheet says of the simulated tracks, as a prior: for entries that take it.
+"""The data sheet's prior for the simulated tracks, for entries that use it.
 
-Weights are numbers of tasks of its 600. They are not normalised.
+Weights are numbers of tasks out of its 600; they are not normalised.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RIVAL_CORRELATION = 0.9  # correlation of the courses of two rivals, at least
 
 
 def weight(kind: str, missing: int, candidates: int, fleet: bool = False) -> float:
-    """Return the prior weight of a set of so many missing effects under a kind of noise, shared by sets of its size."""
+    """Return the prior weight of one set of `missing` effects; sets of equal size share that of their kind of noise."""
     if missing > MOST:
         return 0.0
     tasks = (FLEETS if fleet else TASKS).get(kind, (0, 0, 0))
@@ -31,7 +31,7 @@ def weight(kind: str, missing: int, candidates: int, fleet: bool = False) -> flo
 
 
 def rivals(task: Task) -> tuple[str, ...]:
-    """The two candidates of a confounded task, of which one is missing, under white noise; none of another task."""
+    """Return the two candidates of a confounded task, of which one is missing; empty for other tasks."""
     linear = [t for t in task.candidates if t.formula == "power" and t.arguments["order"] == 1]
     correlated = [
         (a.name, b.name)

@@ -1,7 +1,7 @@
-"""What customary selections begin with: columns on both parts of a task, the base's taken out by least squares.
+"""A task as a linear regression: columns of training and hold-out readings, with the base terms projected out.
 
-Of a term that is not linear in a shape, the value that fits best beside the base alone is taken, of `NODES` values.
-A run that is held out has an offset that nobody knows: it widens the prediction by the stated size.
+The shape of a term is the one of `NODES` values that fits best with the base alone. The unknown offset of a run that
+occurs only in the hold-out data increases the variance of its prediction by the stated size squared.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NODES = 15  # values tried of a shape, evenly in its logarithm: steps of a sixth
 
 @dataclass(frozen=True)
 class Columns:
-    """Of one term: on the training readings, and on those held out, (n, k) and (m, k)."""
+    """Columns of one term, for the training readings (n, k) and the hold-out readings (m, k)."""
 
     name: str
     train: Array
@@ -32,11 +32,11 @@ class Regression:
 
     Attributes:
         y: training output, (n,).
-        base: columns of the base's terms, (n, q).
-        left: training output without what the base explains, (n,).
-        candidates: in the task's order, each at its best shape.
-        extra: variance of a reading that is held out, of offsets that the training readings do not show.
-        correlation: of neighbouring readings' noise: training readings are whitened by it, first-order autoregressive.
+        base: columns of the base terms, (n, q).
+        left: residuals of the training output from a fit of the base terms, (n,).
+        candidates: columns of the candidates, in the task's order, each at its best shape.
+        extra: variance of a hold-out reading due to offsets of groups without training readings.
+        correlation: correlation of the noise of neighbouring readings (first-order autoregressive), used for whitening.
     """
 
     def __init__(self, task: Task, correlation: float = 0.0) -> None:
@@ -57,21 +57,21 @@ class Regression:
 
     @property
     def parameters(self) -> int:
-        """Return the parameters of the base."""
+        """Return the number of parameters of the base."""
         return self._orthogonal.shape[1]
 
     def without_base(self, columns: Array) -> Array:
-        """Project the base's columns out of others."""
+        """Project the base columns out of other columns."""
         return columns - self._orthogonal @ (self._orthogonal.T @ columns)
 
     @cached_property
     def projected(self) -> list[Array]:
-        """Candidates' training columns without what the base explains."""
+        """Return the candidates' training columns with the base projected out."""
         return [self.without_base(c.train) for c in self.candidates]
 
     @cached_property
     def beyond(self) -> Array:
-        """Candidates' columns on the readings held out, less what the base makes of them by least squares, (m, p)."""
+        """Return the candidates' hold-out columns minus their least-squares prediction from the base, (m, p)."""
         x = np.hstack([c.train for c in self.candidates])
         scale = np.maximum(np.sqrt(np.mean(self.base**2, axis=0)), 1e-300)
         share = np.linalg.lstsq(self.base / scale, x, rcond=1e-10)[0]
@@ -79,18 +79,18 @@ class Regression:
 
     @cached_property
     def of_base(self) -> Array:
-        """Variance of a reading held out about the base fitted alone, in units of the noise's, (m,)."""
+        """Return the prediction variance of hold-out readings by the base, relative to the noise variance, (m,)."""
         noise = float(self.left @ self.left) / (self.y.size - self.parameters)
         return (self.predict(())[1] ** 2 - self.extra) / noise
 
     @cached_property
     def cost(self) -> list[int]:
-        """Parameters of each candidate: coefficients, and shapes."""
+        """Return the number of parameters of each candidate, coefficients and shapes."""
         shapes = [len(t.shapes) for t in self.task.candidates]
         return [c.train.shape[1] + s for c, s in zip(self.candidates, shapes, strict=True)]
 
     def squares(self, chosen: Collection[int]) -> float:
-        """Sum of squared residuals with some candidates beside the base."""
+        """Return the residual sum of squares of the base with some candidates."""
         if not chosen:
             return float(self.left @ self.left)
         basis = _orthogonal(np.hstack([self.projected[i] for i in sorted(chosen)]))
@@ -100,7 +100,7 @@ class Regression:
         return tuple(sorted(self.candidates[i].name for i in chosen))
 
     def predict(self, chosen: Collection[int]) -> tuple[Array, Array]:
-        """Mean and standard deviation of the readings held out, of a least-squares fit: (m,) each."""
+        """Return mean and standard deviation of the hold-out readings from a least-squares fit, (m,) each."""
         chosen = sorted(chosen)
         x = np.hstack([self.base, *(self.candidates[i].train for i in chosen)])
         later = np.hstack([self._base_later, *(self.candidates[i].holdout for i in chosen)])
@@ -116,7 +116,7 @@ class Regression:
         return later / scale @ size, np.sqrt(variance * (of_reading + spread) + self.extra)
 
     def correlated(self) -> float:
-        """Correlation of neighbouring residuals beside all candidates at once, within runs; not below zero."""
+        """Estimate the correlation of neighbouring residuals within runs after fitting all candidates; at least 0."""
         basis = _orthogonal(np.hstack(self.projected))
         e = self.left - basis @ (basis.T @ self.left)
         inside = ~self._first[1:]
@@ -124,13 +124,13 @@ class Regression:
         return float(np.clip(shared / (e @ e) * e.size / inside.sum(), 0.0, 0.95))
 
     def _whitened(self, columns: Array) -> Array:
-        """Columns of training readings less what the reading before says of each; the first of a run scaled."""
+        """Whiten columns of the training readings by the autoregressive noise; the first reading of a run is scaled."""
         whitened = columns - self.correlation * np.roll(columns, 1, axis=0)
         whitened[self._first] = np.sqrt(1 - self.correlation**2) * columns[self._first]
         return whitened
 
     def average(self, models: Sequence[tuple[Collection[int], float]]) -> tuple[Array, Array]:
-        """Average predictions over sets with their probabilities; those below 1 % are left out."""
+        """Average the predictions of several sets by their probabilities; sets below 1 % are omitted."""
         probable = [m for m in models if m[1] >= 0.01] or [max(models, key=lambda m: m[1])]
         weights = np.array([p for _, p in probable])
         weights = weights / weights.sum()
@@ -140,7 +140,7 @@ class Regression:
         return mean, np.sqrt(weights @ (variances + (means - mean) ** 2))
 
     def _best(self, term: Term) -> Columns:
-        """A candidate's columns at the shape that fits best beside the base."""
+        """Return a candidate's columns at the shape that fits best with the base."""
         trials = []
         for shapes in grid(term, NODES):
             plain = _both(term, self.task, shapes)
@@ -151,7 +151,7 @@ class Regression:
 
 
 def grid(term: Term, count: int) -> list[dict[str, float]]:
-    """Values of a term's shape, evenly in the logarithm; one empty dictionary where it has none."""
+    """Return values of a term's shape on a logarithmic grid; a single empty dictionary if it has no shape."""
     if not term.shapes:
         return [{}]
     ((name, (low, high)),) = term.shapes.items()
@@ -166,19 +166,19 @@ def _both(term: Term, task: Task, shapes: dict[str, float] | None = None) -> Col
 
 
 def _unseen(columns: Columns, term: Term) -> bool:
-    """Return whether the held-out readings are of unseen group members only."""
+    """Return whether the hold-out readings are of unseen group members only."""
     return bool(term.group) and not columns.holdout.any()
 
 
 def _about_mean(columns: Columns, term: Term) -> Columns:
-    """Offsets of runs about the runs' mean, which an unseen run then has."""
+    """Return offsets relative to their mean, if the runs of the hold-out data are unseen; otherwise the columns."""
     if not _unseen(columns, term):
         return columns
     return Columns(columns.name, columns.train - 1 / columns.train.shape[1], columns.holdout)
 
 
 def _orthogonal(columns: Array) -> Array:
-    """An orthonormal basis of what columns span."""
+    """Return an orthonormal basis of the span of columns."""
     scale = np.sqrt(np.sum(columns**2, axis=0))
     if not scale.any():
         return np.zeros((len(columns), 0))

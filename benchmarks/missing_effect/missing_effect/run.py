@@ -1,8 +1,8 @@
-"""Runs an entry: each task in a process of its own, in a copied folder without the truth, on its own processor time.
+"""Run an entry: each task in its own process, in a copied folder without the truth, with a limit of processor time.
 
-Where the system lets a user make namespaces (Linux, `unshare`), the process has no network, an empty folder stands
-where the tasks are, and all that it started ends with it. Everywhere it has the audit hook of `child.py`. An answer
-says under which of both it was made.
+Where the user may create namespaces (Linux, `unshare`), the process has no network and sees an empty folder in place
+of the tasks, and its child processes end with it. On all systems it has the audit hook of `child.py`. Each answer
+records which isolation was used.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ HIDE = 'mount -t tmpfs none "$1" && shift && { "$@"; exit $?; }'
 
 
 class InputError(Exception):
-    """What was asked for cannot be done: for whoever typed it."""
+    """An error in a command's arguments or input files, reported to the user."""
 
 
 def entry_file(name: str) -> Path:
-    """An entry's file: a path, or the name of one that is shipped.
+    """Return the file of an entry, given its path or the name of a shipped one.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such entry.
     """
     for file in (Path(name), SHIPPED / f"{name}.py"):
         if file.suffix == ".py" and file.is_file():
@@ -59,10 +59,10 @@ def entry_file(name: str) -> Path:
 
 
 def task_folders(tasks: Path, size: int | None = None) -> list[Path]:
-    """The first tasks of a folder.
+    """Return the first `size` task folders in a folder; all if None.
 
     Raises:
-        InputError: it has none, or fewer.
+        InputError: there is none, or fewer than `size`.
     """
     folders = sorted(p.parent for p in tasks.glob("*/task.json"))
     if len(folders) < (size or 1):
@@ -81,20 +81,20 @@ def run(
     limit: float = LIMIT,
     trusted: bool = False,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Solve the tasks that have no answer yet, and say each one's name and answer.
+    """Solve the tasks that have no answer yet; yield the name and the answer of each.
 
     Args:
-        entry: a Python file with `solve`.
+        entry: a Python file with the function `solve`.
         tasks: folder of the tasks.
-        results: folder for answers: results/ENTRY/TASK.json.
-        size: how many tasks, the first ones; None for all.
-        limit: s of processor time a task.
-        trusted: all in this process, without isolation: quick, and for entries of one's own. What takes too long is
-            not ended, and counts as not answered nevertheless. The processor time of a start is measured once, and
-            counts for each task, as it would in a process of its own.
+        results: folder of the answers: results/ENTRY/TASK.json.
+        size: number of tasks, from the first; None: all.
+        limit: processor time per task, s.
+        trusted: run in this process without isolation: faster, for your own entries. A task beyond the limit is not
+            interrupted but counts as failed. The processor time of starting a process is measured once and added to
+            that of each task.
 
     Raises:
-        InputError: there are no such tasks; or, of a trusted entry, it lacks `solve` or a package.
+        InputError: there are no such tasks; or a trusted entry lacks `solve` or a package.
     """
     solves = _loaded(entry) if trusted else None
     begin = started(entry) if trusted else 0.0
@@ -113,7 +113,7 @@ def run(
 
 
 def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[str, Any]:
-    """One task's answer as plain data: sets, mean, sd; or `failed`, why. With `seconds` of processor, `isolation`."""
+    """Solve a task; return its answer (sets, mean, sd, or the reason `failed`) with `seconds` and `isolation`."""
     with tempfile.TemporaryDirectory() as folder_name:
         copy, answer = Path(folder_name) / folder.name, Path(folder_name) / "answer.json"
         copy.mkdir()
@@ -148,14 +148,14 @@ def _loaded(entry: Path) -> Callable[[Task], dict[str, Any]]:
         return runpy.run_path(str(entry))["solve"]
     except ImportError as error:
         raise InputError(
-            f"{entry.stem} needs what is not installed: {error} (README.md says what shipped entries need)"
+            f"{entry.stem} needs a package that is not installed: {error} (README.md lists those of shipped entries)"
         ) from None
     except KeyError:
         raise InputError(f"{entry} has no function solve(task)") from None
 
 
 def started(entry: Path) -> float:
-    """Seconds of processor that a process takes to start and to load an entry, without a task."""
+    """Return the processor time, s, of starting a process and loading an entry."""
     command = [sys.executable, "-m", "missing_effect.child", str(entry)]
     return _ended(command, LIMIT)[0]
 
@@ -163,7 +163,7 @@ def started(entry: Path) -> float:
 def solve_in_process(
     solves: Callable[[Task], dict[str, Any]], folder: Path, limit: float, begin: float = 0.0
 ) -> dict[str, Any]:
-    """Solve in this process, without isolation: `begin` seconds of processor are charged for a start."""
+    """Solve a task in this process, without isolation; `begin`, s, is added to its processor time."""
     start = time.process_time()
     try:
         answer = as_json(solves(Task.read(folder)))
@@ -172,14 +172,14 @@ def solve_in_process(
         answer, failed = {}, f"{type(error).__name__}: {error}"
     seconds = begin + time.process_time() - start
     if seconds > limit:
-        failed = f"took {seconds:.0f} s of processor, more than {limit:g}"
+        failed = f"took {seconds:.0f} s of processor time, more than {limit:g} s"
     record = {"failed": failed} if failed else answer
     return {**record, "seconds": round(seconds, 2), "isolation": "none"}
 
 
 @cache
 def can_hide() -> bool:
-    """Return whether this user may create a network and a file tree namespace."""
+    """Return whether this user may create network and mount namespaces."""
     if shutil.which("unshare") is None:
         return False
     with tempfile.TemporaryDirectory() as folder:
@@ -188,13 +188,13 @@ def can_hide() -> bool:
 
 
 def wrong(answer: dict[str, Any], folder: Path) -> str:
-    """Return what is wrong with an answer, in words; empty if nothing is."""
+    """Return why an answer is invalid; empty if it is valid."""
     task = json.loads((folder / "task.json").read_text("utf-8"))
     names = {c["name"] for c in task["candidates"]} | {OUTSIDE}
     rows = len((folder / "holdout.csv").read_text("utf-8").splitlines()) - 1
     for sets, probability in answer["sets"] or []:
         if strange := sorted(set(sets) - names):
-            return f"a set names {', '.join(strange)}, which is no candidate"
+            return f"a set contains {', '.join(strange)}, which is not a candidate"
         if not 0 <= probability <= 1:
             return f"a set has the probability {probability:g}"
     total = sum(p for _, p in answer["sets"] or [])
@@ -203,12 +203,12 @@ def wrong(answer: dict[str, Any], folder: Path) -> str:
     for name in ("mean", "sd"):
         values = np.asarray(answer[name], float)
         if values.shape != (rows,) or not np.isfinite(values).all():
-            return f"{name} must be {rows} finite numbers, and has shape {values.shape}"
+            return f"{name} must be {rows} finite numbers; it has the shape {values.shape}"
     return "" if min(answer["sd"]) > 0 else "sd must be positive"
 
 
 def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
-    """Seconds of processor that a command took, its exit status (negative: the signal), and its last words."""
+    """Run a command; return its processor time, s, exit status (negative: signal) and standard error."""
     path = os.pathsep.join([str(SHIPPED.parents[1]), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": path.rstrip(os.pathsep)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -238,6 +238,6 @@ def _why(status: int, stderr: str, limit: float) -> str:
     last = next((line for line in reversed(stderr.splitlines()) if line.strip()), "")
     number = -status if status < 0 else status - 128  # a shell adds 128 to its child's
     if number > 0:
-        times = f"{limit:g} s of processor, or {PATIENCE:g} times that on the clock"
-        return f"ended by signal {number}: {times}, were over"
+        times = f"{limit:g} s of processor time, or {PATIENCE:g} times that of elapsed time"
+        return f"ended by signal {number}: exceeded {times}"
     return last.strip() or f"ended with status {status}"

@@ -1,7 +1,7 @@
-"""How well an entry states probabilities and predicts: scores of each task, and their means with bootstrap intervals.
+"""Scores of an entry's probabilities and predictions for each task, and their means with bootstrap intervals.
 
-Sources: log score and Brier score, T. Gneiting & A. Raftery, J. Am. Stat. Assoc. 102 (2007) 359 (CRPS of a normal
-distribution there too, equation 21); bootstrap percentiles, B. Efron & R. Tibshirani (1993), chapter 13.
+Sources: log score, Brier score and CRPS of a normal distribution, T. Gneiting & A. Raftery, J. Am. Stat. Assoc. 102
+(2007) 359 (equation 21); bootstrap percentiles, B. Efron & R. Tibshirani (1993), chapter 13.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ ORACLE = "oracle"
 
 @dataclass(frozen=True)
 class Score:
-    """Of one entry on one task; None where the entry states no sets.
+    """Scores of one entry on one task; None if the entry states no sets.
 
     Attributes:
-        track: of the task.
-        clear: whether the readings decide for the truth by more than `CLEAR`.
-        log: ln of the probability of the true set or one that the readings do not tell from it, at least ln FLOOR.
-        log_exact: of the true set itself.
-        brier: Σ (p − 1[set is true])² over sets, equivalent ones together: 0 to 2.
-        alarm: of an empty task, whether something is said to be missing with `CLAIM`, "outside" included.
-        likely_alarm: the same with one half.
+        track: track of the task.
+        clear: whether the log Bayes factor of the truth exceeds `CLEAR`.
+        log: ln of the total probability of the true set and the sets equivalent to it, at least ln FLOOR.
+        log_exact: the same for the true set alone.
+        brier: Σ (p − 1[set is true])² over sets, with equivalent sets added up: 0 to 2.
+        alarm: false alarm of an empty task: a probability above `CLAIM` that anything ("outside" too) is missing.
+        likely_alarm: the same, with a probability above one half.
         top: probability of the most probable set, and whether it is true.
-        crps: of the readings held out, in standard deviations of their noise.
-        covered: share of them inside the stated 95 % interval.
-        seconds: of processor.
+        crps: mean CRPS of the hold-out readings, in standard deviations of their noise.
+        covered: fraction of hold-out readings inside the stated 95 % interval.
+        seconds: processor time, s.
         failed: why there is no answer.
-        fleet: whether the task is one of many devices; some of these are empty.
+        fleet: whether the task has many devices; some of these tasks are empty.
     """
 
     track: str
@@ -72,7 +72,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Summary:
-    """Means over tasks, each with its 95 % bootstrap interval (mean, low, high), NaN where nothing is stated."""
+    """Mean scores over tasks, each with its 95 % bootstrap interval (mean, low, high); NaN if nothing is stated."""
 
     log: tuple[float, float, float]
     log_exact: tuple[float, float, float]
@@ -85,7 +85,7 @@ class Summary:
 
 
 def scored(tasks: Path, results: Path, entry: str, size: int | None) -> dict[str, Score]:
-    """Scores of an entry, by task.
+    """Return the scores of an entry, by task.
 
     Raises:
         InputError: a task has no answer yet.
@@ -108,19 +108,19 @@ def scored(tasks: Path, results: Path, entry: str, size: int | None) -> dict[str
 
 
 def entries_in(results: Path, tasks: Path, size: int | None) -> list[str]:
-    """Entries with an answer to each of the tasks."""
+    """Return the entries that have an answer to each of the tasks."""
     names = {f.name for f in task_folders(tasks, size)}
     return sorted(p.name for p in results.glob("*/") if names <= {f.stem for f in p.glob("*.json")})
 
 
 def knowing(truth: dict[str, Any]) -> dict[str, Any]:
-    """The answer of who knows the truth: the true set, the true output without noise, the noise's size."""
+    """Return the oracle's answer: the true set, the true output without noise, and the noise's standard deviation."""
     sd = [truth["noise_sd"]] * len(truth["holdout"])
     return {"sets": [[truth["set"], 1.0]], "mean": truth["expected"], "sd": sd, "seconds": 0.0}
 
 
 def score(answer: dict[str, Any], truth: dict[str, Any], folder: Path) -> Score:
-    """Score one answer. A failed one predicts the mean of the training readings, and states no sets."""
+    """Score one answer. A failed answer counts as the mean of the training readings, without sets."""
     failed = answer.get("failed", "")
     y, noise = np.asarray(truth["holdout"]), truth["noise_sd"]
     if failed:
@@ -145,7 +145,7 @@ def score(answer: dict[str, Any], truth: dict[str, Any], folder: Path) -> Score:
 
 
 def _of_sets(stated: list[Any], truth: dict[str, Any]) -> dict[str, Any]:
-    """Scores of the stated sets. What "outside" stands for is no candidate: the rest of its set is what is named."""
+    """Return the scores of the stated sets; "outside" is removed from a set before it is compared with the truth."""
     probability: dict[frozenset[str], float] = {}
     something = 0.0
     for names, p in stated:
@@ -176,7 +176,7 @@ def _crps(z: np.ndarray) -> np.ndarray:
 
 
 def summary(scores: dict[str, Score]) -> Summary:
-    """Return means with intervals; tasks are resampled, alike for all entries of as many tasks."""
+    """Return mean scores with bootstrap intervals; entries with equally many tasks have the same resamples."""
     columns = {
         f.name: np.array(
             [math.nan if (v := getattr(s, f.name)) is None else float(v) for s in scores.values()]
@@ -199,7 +199,7 @@ def _interval(values: np.ndarray, pick: np.ndarray) -> tuple[float, float, float
 
 
 def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
-    """Return the calibration of the most probable sets in bands: count, mean stated, true share, its interval."""
+    """Return, by band of the top probability: number of tasks, mean probability, fraction true, 95 % interval."""
     tops = [s.top for s in scores.values() if s.top is not None]
     rows = []
     for low, high in pairwise(BANDS):
@@ -214,7 +214,7 @@ def calibration(scores: dict[str, Score]) -> list[dict[str, Any]]:
 
 
 def alien(tasks: Path, size: int | None) -> list[str]:
-    """List tasks that are not, byte for byte, those of the published edition."""
+    """Return the tasks that are not byte for byte those of the published edition."""
     editions, unknown = published(), []
     for folder in task_folders(tasks, size):
         digest = hashlib.sha256()
@@ -226,7 +226,7 @@ def alien(tasks: Path, size: int | None) -> list[str]:
 
 
 def by_track(scores: dict[str, Score], of: Callable[[Score], float | None]) -> dict[str, float]:
-    """Return a mean for each track."""
+    """Return the mean of a score for each track."""
     tracks: dict[str, list[float]] = {}
     for s in scores.values():
         if (value := of(s)) is not None:

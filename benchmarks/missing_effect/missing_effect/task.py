@@ -1,4 +1,4 @@
-"""A task as an entry sees it: readings to learn from, rows to predict, the model that is known, what may be missing."""
+"""A task as given to an entry: readings to fit, rows to predict, the known model, and the candidate effects."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ OUTSIDE = "outside"  # in a stated set: something is missing that no candidate d
 
 @dataclass(frozen=True)
 class Term:
-    """One term of a measurement equation: coefficients times columns.
+    """One term of a measurement equation: a sum of coefficients times columns.
 
     Attributes:
-        name: by which sets are stated.
-        words: the formula, for people.
-        formula: name of the function of `missing_effect.formulas` that makes its columns.
-        arguments: of that function, beside the data and the shapes.
-        unit: of its coefficients.
-        size: plausible size of a coefficient, in that unit: a standard deviation about zero, known to a factor of
-            three. Of a group's members: the standard deviation between them.
-        shapes: plausible range of each quantity that the term is not linear in, name → (low, high).
-        nuisance: whether it stands for a disturbance of the test, not for the instrument.
+        name: name of the term, used in the sets of an answer.
+        words: the formula, for readers.
+        formula: name of the function in `missing_effect.formulas` that computes the columns.
+        arguments: arguments of that function, besides the data and the shapes.
+        unit: unit of the coefficients.
+        size: plausible size of a coefficient, in that unit: standard deviation about zero, known to a factor of three;
+            for a group's members, the standard deviation between them.
+        shapes: plausible range of each nonlinear parameter of the term, name → (low, high).
+        nuisance: whether the term describes a disturbance of the test and not the instrument.
     """
 
     name: str
@@ -41,28 +41,28 @@ class Term:
     nuisance: bool = False
 
     def columns(self, data: pd.DataFrame, **shapes: float) -> np.ndarray:
-        """Return a term's columns on readings, (n, k), at the geometric middle of a shape's range by default."""
+        """Return the term's columns on readings, (n, k); shapes default to the geometric middle of their range."""
         middle = {n: (low * high) ** 0.5 for n, (low, high) in self.shapes.items()}
         return FORMULAS[self.formula](data, **self.arguments, **{**middle, **shapes})
 
     @property
     def group(self) -> str:
-        """Return the group whose members have a coefficient each; empty if there is none."""
+        """Return the group whose members have one coefficient each; empty if there is none."""
         return self.arguments["group"] if self.formula.startswith("each") else ""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What `solve` gets.
+    """The argument of `solve`.
 
     Attributes:
-        name: of the task.
-        unit: of the output.
-        units: of the columns.
-        train: readings, `output` among the columns.
-        holdout: later readings of the same instrument, without the output: `mean` and `sd` are asked for.
-        base: terms that the model has.
-        candidates: terms of which some, or none, are missing.
+        name: name of the task.
+        unit: unit of the output.
+        units: units of the columns, by name.
+        train: readings to fit, with the column `output`.
+        holdout: later readings of the same instrument, without output, for which `mean` and `sd` are predicted.
+        base: terms of the known model.
+        candidates: terms of which some, or none, are missing from the model.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Task:
         """Read a task from its folder.
 
         Raises:
-            FileNotFoundError: the folder is not one of a task.
+            FileNotFoundError: the folder contains no task.
         """
         json_data = json.loads((folder / "task.json").read_text("utf-8"))
         base, candidates = (

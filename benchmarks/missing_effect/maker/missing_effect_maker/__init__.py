@@ -1,4 +1,4 @@
-"""Makes tasks of the benchmark `missing_effect`, with their truth: simulators, plan of an edition, public records.
+"""Generator of the tasks of the benchmark `missing_effect`, with their truth, from simulators and public records.
 
-A package of its own, which an entry has no need of and may not import.
+A separate package, which entries do not need and must not import.
 """

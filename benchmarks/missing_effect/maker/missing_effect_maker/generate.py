@@ -1,4 +1,4 @@
-"""The tasks: which track, which instrument, what is hidden and how large; and what the readings can say of it."""
+"""Generation of tasks: track, instrument, hidden effects and their sizes, sets that the readings cannot distinguish."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GROUPED = 3.0
 
 
 class Case(NamedTuple):
-    """A task's place in the plan: its track and its number there."""
+    """A task in the plan: its track and its number there."""
 
     track: str
     number: int
@@ -37,7 +37,7 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class GeneratedTask:
-    """A task with its truth, which is plain data: what truth.json holds."""
+    """A task with its truth, the content of truth.json as plain data."""
 
     task: Task
     decimals: dict[str, int]
@@ -45,7 +45,7 @@ class GeneratedTask:
 
 
 def plan(edition: int = EDITION) -> list[Case]:
-    """List all tasks in order: tracks mixed so that each size has its share, and shuffled within it."""
+    """Return all tasks in order: tracks mixed so that each size has its share, and shuffled within a size."""
     ordered = [((n + 0.5) / count, t, n) for t, count in TRACKS.items() for n in range(count)]
     mixed = [Case(track, number) for _, track, number in sorted(ordered)]
     draws, cases = Draws(edition, 999), []
@@ -55,22 +55,22 @@ def plan(edition: int = EDITION) -> list[Case]:
 
 
 def sizes(edition: int = EDITION) -> tuple[int, ...]:
-    """List the sizes of an edition: each begins with the one before, and has each track's share.
+    """Return the sizes of an edition: each contains the smaller ones, and has its share of each track.
 
-    The published edition was fixed before there was the third, of which 20 are fleets.
+    The published edition was fixed before the third one, of which 20 tasks are fleets, existed.
     """
     return (10, 100, 600) if edition == EDITION else (10, 100, 200, 600)
 
 
 def generate(folder: Path, size: int, edition: int = EDITION) -> Iterator[tuple[str, str]]:
-    """Write tasks, and say each one's name and hash."""
+    """Write tasks; yield the name and the hash of each."""
     for place, case in enumerate(plan(edition)[:size]):
         task = make(f"task_{place:03d}", case, edition)
         yield task.task.name, write(task, folder / task.task.name)
 
 
 def make(name: str, case: Case, edition: int = EDITION) -> GeneratedTask:
-    """Make one task."""
+    """Generate one task."""
     draws = Draws(edition, list(TRACKS).index(case.track), case.number)
     of_fleet = case.track == "fleet" or (case.track == "empty" and case.number % 10 == 9)
     correlation = FREE
@@ -127,7 +127,7 @@ def make(name: str, case: Case, edition: int = EDITION) -> GeneratedTask:
 
 
 def write(task: GeneratedTask, folder: Path) -> str:
-    """Write a task's four files, and return their hash: SHA-256 of their bytes one after the other."""
+    """Write a task's four files; return the SHA-256 of their concatenated bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     digest = hashlib.sha256()
     for name, text in contents(task).items():
@@ -137,7 +137,7 @@ def write(task: GeneratedTask, folder: Path) -> str:
 
 
 def contents(generated: GeneratedTask) -> dict[str, bytes]:
-    """Return the files of a task."""
+    """Return the files of a task, by name."""
     task = generated.task
     return {
         "train.csv": _csv(task.train, generated.decimals),
@@ -148,7 +148,7 @@ def contents(generated: GeneratedTask) -> dict[str, bytes]:
 
 
 def _csv(frame: pd.DataFrame, decimals: dict[str, int]) -> bytes:
-    """Write numbers with fixed decimals; minus zero as zero."""
+    """Format a table with fixed decimals, minus zero as zero."""
     columns = []
     for name in frame:
         places = decimals[str(name)]
@@ -162,7 +162,7 @@ def _json(document: dict[str, Any]) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Round numbers to nine digits: the last ones may differ between machines."""
+    """Round numbers to nine digits, since the last ones may differ between machines."""
     if isinstance(value, float | np.floating):
         return float(f"{value:.9g}")
     if isinstance(value, dict):
@@ -184,7 +184,7 @@ def _hidden(world: World, case: Case, draws: Draws) -> dict[str, float]:
 
 
 def _held_out(world: World) -> Array:
-    """Mask the last run, or the last readings of every device."""
+    """Return the mask of the hold-out readings: the last run, or the last readings of each device."""
     if "device" in world.columns:
         return np.arange(len(world.columns["device"])) % READINGS >= READINGS - HOLDOUTS
     return world.columns["run"] == world.columns["run"].max()
@@ -196,13 +196,13 @@ def _rms(values: Array) -> float:
 
 @dataclass(frozen=True)
 class _Likelihood:
-    """The simulator's own likelihood of the training readings, the base's terms integrated out.
+    """The simulator's likelihood of the training readings, with the base terms integrated out.
 
     Attributes:
-        y: output in standard deviations of white noise, (n,).
-        base: columns of the base's terms times their plausible sizes, as `y`, (n, q).
-        factor: of the noise's covariance; its square root where it is diagonal.
-        rows: training readings of the record.
+        y: output in standard deviations of the white noise, (n,).
+        base: columns of the base terms times their plausible sizes, in the same unit, (n, q).
+        factor: Cholesky factor of the noise covariance; its square root if diagonal.
+        rows: indices of the training readings.
     """
 
     y: Array
@@ -227,10 +227,10 @@ class _Likelihood:
         return cho_solve(self.factor, columns)
 
     def gain(self, parts: Sequence[tuple[Array, float]]) -> float:
-        """Compute the log evidence, up to a constant, with these causes included.
+        """Return the log evidence, up to a constant, with some causes included.
 
         Args:
-            parts: what each adds, and the standard deviation of the number that multiplies it.
+            parts: contribution of each cause, and the standard deviation of the number that multiplies it.
         """
         added = [sd * part[self.rows, None] / self.sd for part, sd in parts]
         x = np.hstack([self.base, *added])
@@ -241,7 +241,7 @@ class _Likelihood:
         return float(0.5 * right @ right - np.log(np.diag(root)).sum())
 
     def decided(self, parts: dict[str, Array], sd: float) -> float | None:
-        """Return the truth's smallest log Bayes factor against itself without a cause; None of an empty task."""
+        """Return the smallest log Bayes factor of the truth over itself without one cause; None for an empty task."""
         if not parts:
             return None
         whole = self.gain([(p, 1.0) for p in parts.values()])
@@ -254,7 +254,7 @@ class _Likelihood:
 def _equivalent(
     world: World, hidden: dict[str, float], likelihood: _Likelihood, case: Case
 ) -> list[list[str]]:
-    """List sets that the readings cannot distinguish from the truth; if confounded, that with the rival."""
+    """Return the sets that the readings cannot distinguish from the truth; for a confounded task, the rival's set."""
     if case.track != "confounded":
         return []
     (true,) = hidden

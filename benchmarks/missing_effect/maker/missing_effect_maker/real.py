@@ -1,10 +1,10 @@
-"""Public records with a known answer: NIST's certified models with terms hidden, and a real record with effects added.
+"""Public records with a known answer: NIST's certified models with hidden terms, and a real record with added effects.
 
-The data are not part of this package: they are read from a folder that the user has, or a folder in it. Of NIST's,
-`NAME.dat` as NIST gives them or `name.csv` with columns, the response first; of a sensor at rest in a chamber,
-`imu_thermal_ramp.csv` with columns t_s, temperature and six channels. Every fifth reading is held out.
-Sources: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd (public domain); numbers of their
-models below are certified ones. The ramp: github.com/tofupilot/examples, templates/imu_thermal_calibration (MIT).
+The data are not part of this package: they are read from a folder of the user, or its subfolders. NIST's sets are
+`NAME.dat` as published, or `name.csv` with columns, the response first; the sensor at rest in a chamber is
+`imu_thermal_ramp.csv` with columns t_s, temperature and six channels. Every fifth reading is hold-out data.
+Sources: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd (public domain); the parameters of
+the models below are certified. The ramp: github.com/tofupilot/examples, templates/imu_thermal_calibration (MIT).
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ ADDED = {"gyro_x": (), "gyro_y": ("field",), "gyro_z": (), "acc_x": ("supply_squ
 
 
 class CertifiedSet(NamedTuple):
-    """A record: its model, and what of it is hidden.
+    """A record, its certified model, and the hidden part of that model.
 
     Attributes:
-        words: what it is.
-        curve: of the certified model, by the predictor.
-        parameters: of that model.
-        residual_sd: certified, of the response's unit.
-        base: terms that the task's model has.
-        candidates: the others.
-        hidden: names of those that the certified model has.
+        words: description of the record.
+        curve: the certified model, a function of the predictor.
+        parameters: certified parameters.
+        residual_sd: certified residual standard deviation, response unit.
+        base: terms of the task's model.
+        candidates: the other terms.
+        hidden: names of the candidates that the certified model contains.
     """
 
     words: str
@@ -57,10 +57,10 @@ class CertifiedSet(NamedTuple):
 
 
 def generate(folder: Path, tasks: Path) -> Iterator[str]:
-    """Write the real tasks whose data are in a folder, and say of each whether they were.
+    """Write the real tasks whose data are in a folder; yield a line on each, written or skipped.
 
     Raises:
-        InputError: a file's readings are not those that NIST certified.
+        InputError: readings of a file are not those that NIST certified.
     """
     for name, certified in nist().items():
         file = next((f for n in (f"{name.lower()}.csv", f"{name}.csv", f"{name}.dat")
@@ -80,7 +80,7 @@ def generate(folder: Path, tasks: Path) -> Iterator[str]:
 
 
 def nist() -> dict[str, CertifiedSet]:
-    """Return the data sets, by NIST's name."""
+    """Return the data sets by NIST's name."""
     sets = {
         "Pontius": _polynomial(
             "deflection of a load cell, whose certified model is quadratic", 2.05177424076185e-4,
@@ -120,7 +120,7 @@ def _term(
 def _polynomial(
     words: str, sd: float, b: Sequence[float], middle: float, half: float, highest: int = 4
 ) -> CertifiedSet:
-    """Known is the line; which powers beside it?"""
+    """Return a set whose base is a line and whose candidates are higher powers."""
 
     def term(order: int, size: float) -> Term:
         text = f"c·(x − {middle:g})^{order}"
@@ -134,7 +134,7 @@ def _polynomial(
 
 
 def _oscillation() -> CertifiedSet:
-    """Known is the year; which slower cycles beside it?"""
+    """Return the set whose base is the annual cycle and whose candidates are slower cycles."""
     b = (10.510749193, 3.0762128085, 0.53280138227, 44.3110887, -1.6231428586, 0.52554493756,
          26.88761444, 0.21232288488, 1.4966870418)  # fmt: skip
     sd = 2.2269642403
@@ -157,7 +157,7 @@ def _oscillation() -> CertifiedSet:
 
 
 def _peaks(sd: float, *b: float) -> CertifiedSet:
-    """Known are the decay and the first peak; which others beside them?"""
+    """Return a set whose base is the decay and the first peak, and whose candidates are further peaks."""
 
     def curve(x: Array) -> Array:
         first, second = (np.exp(-(((x - b[i]) / b[i + 1]) ** 2)) for i in (3, 6))
@@ -203,8 +203,8 @@ def _of_nist(name: str, certified: CertifiedSet, file: Path) -> GeneratedTask:
 
 
 def _of_ramp(file: Path, channel: str, added: Sequence[str]) -> GeneratedTask:
-    """A channel of the ramp as the noise of a task: what temperature does to it is known in form, and some quantity
-    that we made up acts on it beside, or none."""
+    """Return a task whose noise is a channel of the ramp: the form of its temperature dependence is known, and some
+    artificial quantities, or none, contribute to it."""
     record = pd.read_csv(file)
     missing = [c for c in ("t_s", "temperature", channel) if c not in record]
     if missing:

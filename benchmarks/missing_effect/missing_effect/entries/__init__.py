@@ -1,1 +1,1 @@
-"""Entries that are shipped: each one file with `solve(task)`, with the settings that its authors' documentation has."""
+"""Shipped entries, one file with `solve(task)` each, with the settings that the methods' documentation recommends."""

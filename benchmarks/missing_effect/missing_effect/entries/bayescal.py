@@ -1,17 +1,17 @@
-"""bayescal's search: the posterior over sets of candidates and noise laws, as `bayescal calibrate` makes it by default.
+"""bayescal's search: the posterior over sets of candidates and noise laws, as `bayescal calibrate` computes it.
 
-Terms become effects with the stated sizes as prior standard deviations and the stated ranges as shapes'; columns are
-made by the task's own formulas, at fifteen values of a shape, and interpolated between. What the search calls
-unknown(…) is "outside". Probabilities are those of the structures it lists, all noise laws together: its evidence of
-each, with the data sheet's prior (`missing_effect.prior`) in place of its own, which expects any number of effects.
-The data sheet's sizes begin at a third of the plausible one, normal priors at zero: a structure's evidence is taken
-times the posterior probability that its sizes lie in the range, by the prior one (I. Klugkist & H. Hoijtink, Comput.
-Stat. Data Anal. 51 (2007) 6367); the posterior is that of least squares. Predictions are the search's average.
+Terms become effects, with the stated sizes as prior standard deviations and the stated ranges as ranges of shapes.
+Their columns are computed by the task's formulas at fifteen values of a shape and interpolated. Unknown dependences
+count as "outside". Probabilities are those of the listed structures, summed over noise laws: the search's evidence with
+the data sheet's prior (`missing_effect.prior`) in place of its own, which allows any number of effects. The sizes in
+the data sheet start at a third of the plausible one, normal priors at zero: the evidence of a structure is multiplied
+by the posterior over the prior probability that its sizes are in the stated range (I. Klugkist & H. Hoijtink, Comput.
+Stat. Data Anal. 51 (2007) 6367); the posterior is that of least squares. Predictions are the search's model average.
 
-Of a fleet, thousands of readings, only the search is done, and a fit of what it finds: no checks of every step and no
-leaving out of each device in turn, which take `calibrate` five times as long. The noise law is held white unless
-neighbouring residuals correlate. A set's probability is then the product of what the search says of its findings, each
-of which has one member missing or none.
+For a fleet with its thousands of readings only the search is run, followed by a fit of its result; the checks of each
+step and leave-one-device-out would take `calibrate` five times as long. The noise law is white unless neighbouring
+residuals are correlated. The probability of a set is then the product of those of the search's findings, in each of
+which one member is missing or none.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def solve(task: Task) -> dict[str, Any]:
 def _restated(
     task: Task, regression: Regression, structures: Sequence[Any]
 ) -> dict[tuple[str, ...], float]:
-    """Sets by a search's evidences and the data sheet's prior."""
+    """Return the sets with probabilities from the search's evidences and the data sheet's prior."""
     whitened = Regression(task, regression.correlated())
     pair, count = prior.rivals(task), len(task.candidates)
     top = max(s.log_evidence for s in structures)
@@ -96,9 +96,9 @@ def _restated(
 
 
 def _of_range(regression: Regression, named: Collection[str]) -> float:
-    """Posterior by prior probability that the sizes of some candidates lie in the data sheet's range.
+    """Return the posterior over the prior probability that the sizes of some candidates are in the data sheet's range.
 
-    Of candidates with one coefficient, each by itself, at the shape that fits best.
+    Candidates with one coefficient are used, each independently, at the shape that fits best.
     """
     if not named:
         return 1.0
@@ -120,7 +120,7 @@ def _of_range(regression: Regression, named: Collection[str]) -> float:
 
 
 def _inside(mean: float, sd: float) -> float:
-    """Probability that a normal variate lies in the data sheet's range of sizes, of either sign."""
+    """Return the probability that a normal variate is in the data sheet's range of sizes, of either sign."""
     low, high = prior.SIZES
     ends = np.array([[-high, -low], [low, high]])
     return float(np.diff(ndtr((ends - mean) / sd), axis=1).sum())
@@ -133,7 +133,7 @@ def _of_fleet(
     columns: dict[str, tuple[np.ndarray, np.ndarray]],
     correlate: bool,
 ) -> tuple[dict[tuple[str, ...], float], bc.Calibration]:
-    """Sets with their probabilities, and a fit of the most probable one."""
+    """Return the sets with their probabilities, and a fit of the most probable one."""
     method = bc.LeastSquares(draws=200)
     first = bc.fit(model, train, method=method, strict=False)
     discovery = bc.discover(
@@ -144,9 +144,9 @@ def _of_fleet(
 
 
 def _sets(discovery: bc.Discovery) -> dict[tuple[str, ...], float]:
-    """Products over findings, of each of which one member is missing or none, and over all other effects.
+    """Return the probabilities of sets as products over findings (one member missing, or none) and all other effects.
 
-    Of these the sets that the data sheet has of fleets: at most two effects, nothing outside.
+    Only sets that the data sheet allows for fleets are included: at most two effects, nothing outside.
     """
     remaining = {c.effect: c.probability or 0.0 for c in discovery.candidates}
     choices = []
@@ -170,12 +170,12 @@ def _sets(discovery: bc.Discovery) -> dict[tuple[str, ...], float]:
 
 
 def _named(effects: Iterable[str]) -> tuple[str, ...]:
-    """A structure's effects as a set of names of the task."""
+    """Return a structure's effects as a set of names of the task."""
     return tuple(sorted({OUTSIDE if n.startswith(UNKNOWN) else n for n in effects}))
 
 
 def _instrument(task: Task, base: tuple[bc.Effect, ...], scatter: float) -> bc.Instrument:
-    """The task's instrument; its noise is not larger than what the base leaves, by prior guess."""
+    """Return the task's instrument; the scale of the noise prior is the residual scatter of the base."""
     names = [c for c in task.train if c != "output"]
     columns = [bc.Column(n, None if n in LABELS else _unit(n)) for n in names]
     return bc.Instrument(
@@ -203,7 +203,7 @@ def _readings(
     columns: dict[str, tuple[np.ndarray, np.ndarray]],
     at: int,
 ) -> bc.Measurements:
-    """One part of the task, 0 to fit and 1 to predict, with the terms' columns beside the recorded ones."""
+    """Return one part of the task, 0 to fit and 1 to predict, with the recorded columns and those of the terms."""
     frame = (task.train, task.holdout.assign(output=0.0))[at]
     arrays: dict[str, Any] = {str(n): frame[n].to_numpy() for n in frame}
     arrays |= {n: arrays[n].astype(str) for n in LABELS if n in arrays}
@@ -213,7 +213,7 @@ def _readings(
 
 
 def _effect(term: Term, task: Task, columns: dict[str, tuple[np.ndarray, np.ndarray]]) -> bc.Effect:
-    """A term as an effect; its columns are added to the others."""
+    """Return a term as an effect, and add its columns to `columns`."""
     prior = bc.Normal(0.0, term.size)
     if term.group:
         coefficient = bc.Coefficient(
@@ -261,7 +261,7 @@ def _plain(names: tuple[str, ...], r: Any) -> Any:
 
 
 def _between(names: tuple[str, ...], low: float, high: float, r: Any, value: Any) -> Any:
-    """Columns between those at the values of a shape, linearly in its logarithm."""
+    """Interpolate columns between the values of a shape, linearly in its logarithm."""
     at = jnp.log(value / low) / jnp.log(high / low) * (len(names) - 1)
     at = jnp.clip(at, 0.0, len(names) - 1.0)
     weights = jnp.maximum(0.0, 1.0 - jnp.abs(at - jnp.arange(len(names))))

@@ -1,4 +1,4 @@
-"""Stepwise forward selection by BIC, and the weights exp(−BIC/2) of the models met on the way.
+"""Stepwise forward selection by BIC; the visited models have weights exp(−BIC/2).
 
 Sources: G. Schwarz, Ann. Stat. 6 (1978) 461; weights, A. Raftery, Sociol. Methodol. 25 (1995) 111.
 """
@@ -19,10 +19,10 @@ def solve(task: Task) -> dict[str, Any]:
 
 
 def stepwise(task: Task, penalty: Callable[[int, int], float]) -> dict[str, Any]:
-    """Forward selection while the criterion falls.
+    """Select terms forward while the criterion decreases.
 
     Args:
-        more: penalty beside k·ln n, of the number of terms added and of the candidates.
+        penalty: penalty in addition to k·ln n, a function of the numbers of selected terms and of candidates.
     """
     problem = Regression(task)
     n, count = problem.y.size, len(problem.candidates)

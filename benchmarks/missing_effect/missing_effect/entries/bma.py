@@ -1,4 +1,4 @@
-"""Bayesian model averaging over all sets of candidates: Zellner's g-prior with g = n, uniform prior on how many.
+"""Bayesian model averaging over all sets of candidates: Zellner's g-prior with g = n, uniform prior on the set's size.
 
 Sources: F. Liang et al., J. Am. Stat. Assoc. 103 (2008) 410, equation 6; unit information prior, C. Fernández,
 E. Ley & M. Steel, J. Econometrics 100 (2001) 381; prior on the number, J. Scott & J. Berger, Ann. Stat. 38 (2010) 2587.
@@ -23,7 +23,7 @@ def solve(task: Task) -> dict[str, Any]:
 
 
 def averaged(problem: Regression) -> dict[str, Any]:
-    """Over all sets of candidates.
+    """Average over all sets of candidates.
 
     Raises:
         ValueError: there are too many candidates.

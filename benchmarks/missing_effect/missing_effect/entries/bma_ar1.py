@@ -1,6 +1,6 @@
-"""The same average over all sets, under first-order autoregressive noise.
+"""Bayesian model averaging over all sets, as in `bma.py`, with first-order autoregressive noise.
 
-Readings and columns are whitened by the correlation of neighbouring residuals beside all candidates: feasible
+Readings and columns are whitened by the correlation of neighbouring residuals after a fit of all candidates: feasible
 generalised least squares (D. Cochrane & G. Orcutt, JASA 44 (1949) 32; first readings kept: S. Prais & C. Winsten 1954).
 """
 

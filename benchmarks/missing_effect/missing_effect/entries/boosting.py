@@ -1,6 +1,6 @@
-"""Gradient boosting of what the base leaves, on all recorded columns: it predicts, and says nothing of causes.
+"""Gradient boosting of the base model's residuals on all recorded columns: a prediction only, without sets.
 
-scikit-learn's HistGradientBoostingRegressor as it comes; standard deviation from five-fold cross-validation.
+scikit-learn's HistGradientBoostingRegressor with its defaults; standard deviation from five-fold cross-validation.
 """
 
 from __future__ import annotations

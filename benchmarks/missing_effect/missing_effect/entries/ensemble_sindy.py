@@ -1,7 +1,7 @@
-"""Ensemble SINDy: pysindy's STLSQ on a hundred bootstrap samples; the share of samples is a set's probability.
+"""Ensemble SINDy: pysindy's STLSQ on 100 bootstrap samples; a set's probability is its fraction of the samples.
 
-Source: U. Fasel et al., Proc. R. Soc. A 478 (2022) 20210904; settings as of pysindy's EnsembleOptimizer, with 100
-models in place of 20 so that shares are known to a few hundredths.
+Source: U. Fasel et al., Proc. R. Soc. A 478 (2022) 20210904; settings of pysindy's EnsembleOptimizer, with 100 models
+in place of 20, so that the standard error of a fraction is a few hundredths.
 """
 
 from __future__ import annotations

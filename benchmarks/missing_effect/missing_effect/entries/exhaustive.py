@@ -1,12 +1,12 @@
-"""All sets of at most two candidates, counted out: sizes and shapes integrated on grids, under a grid of noise laws.
+"""All sets of at most two candidates: sizes and shapes are integrated on grids, under a grid of noise laws.
 
-Written from README and data sheet alone, as an outsider can. What the data sheet says is the prior: tracks in their
-stated shares, sizes between a third and three times the plausible one, at most two effects, five kinds of noise, or
-white noise and one thing outside that acts alone. A hypothesis is a noise law, a set, and a node of its shapes; given
-these everything is Gaussian. Base terms, with their stated sizes, are integrated out, and the noise's size (prior 1/σ);
-a candidate's coefficient by a mixture of normal distributions that tiles ± its range, several coefficients by zero-mean
-ones of several sizes. Student-t noise is Gaussian given the weights of its readings, which are those at the best fit of
-everything. Predictions are averaged over all hypotheses.
+Written from README and data sheet alone, as an outsider could. The data sheet gives the prior: the stated shares of
+tracks, sizes between a third and three times the plausible one, at most two effects, five kinds of noise, or white
+noise and a single thing outside. A hypothesis is a noise law, a set, and a node of its shapes; given these everything
+is Gaussian. Base terms are integrated out with their stated sizes, and so is the noise's standard deviation (prior
+1/σ). The prior of a single coefficient is a mixture of normal distributions that covers ± its range; that of several
+coefficients is a mixture of zero-mean normals of several sizes. Student-t noise is Gaussian given the weights of its
+readings, which are taken at the best fit of all terms. Predictions are averaged over all hypotheses.
 
 Sources: linear model with normal priors, D. Lindley & A. Smith, J. R. Stat. Soc. B 34 (1972) 1; weights of Student-t
 noise, K. Lange et al., JASA 84 (1989) 881.
@@ -42,7 +42,7 @@ SPREADS = np.array([0.4, 0.7, 1.2, 2.1])  # of several coefficients together
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Of one candidate: at each node of its shape, (nodes, n, k) and (nodes, m, k), for coefficients in its size."""
+    """Columns of one candidate times its plausible size, at each node of its shape: (nodes, n, k), (nodes, m, k)."""
 
     name: str
     train: Array
@@ -50,7 +50,7 @@ class Columns:
 
     @property
     def mixture(self) -> tuple[Array, Array]:
-        """Means and variances of its coefficients' prior, (j, k) each; components weigh alike."""
+        """Return means and variances of its coefficients' mixture prior, (j, k) each; components have equal weight."""
         k = self.train.shape[2]
         if k > 1:
             return np.zeros((SPREADS.size, k)), np.repeat(SPREADS[:, None] ** 2, k, axis=1)
@@ -60,9 +60,9 @@ class Columns:
 
 @dataclass(frozen=True)
 class Law:
-    """A kind of noise: covariance of the training readings (None: white), variance of later ones, both for σ = 1.
+    """A noise law: covariance of the training readings (None: white) and variance of later readings, both for σ = 1.
 
-    `beside` are columns on both parts that act with standard normal coefficients, and `named` what they stand for.
+    `beside` are further columns on both parts, with standard normal coefficients, and `named` the set they represent.
     """
 
     kind: str
@@ -76,7 +76,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A hypothesis without its prior: nodes by components of the mixture."""
+    """A hypothesis without its prior: nodes × components of the mixture."""
 
     law: Products
     chosen: tuple[Columns, ...]
@@ -87,7 +87,7 @@ class Weighed:
 
 
 class Products:
-    """Inner products of readings and columns under a noise law, base terms integrated out."""
+    """Inner products of readings and columns under a noise law, with base terms integrated out."""
 
     def __init__(self, law: Law, y: Array, base: tuple[Array, Array], terms: Sequence[Columns]):
         self.law, self.n = law, y.size
@@ -111,7 +111,7 @@ class Products:
         self.squares = float(base_xy[:, 0] @ base_xy[:, 0] - self._inner[:, 0] @ self._inner[:, 0])
 
     def _columns(self, chosen: Sequence[Columns]) -> Array:
-        """Return positions of a set's columns at all nodes together, (nodes, k)."""
+        """Return the indices of a set's columns at all combinations of nodes, (nodes, k)."""
         rows = np.zeros((1, 0), int)
         for c in chosen:
             nodes, _, k = c.train.shape
@@ -120,7 +120,7 @@ class Products:
         return rows
 
     def weigh(self, chosen: tuple[Columns, ...]) -> Weighed:
-        """Compute the log evidence of a set; of none, that of the base alone."""
+        """Compute the log evidence of a set; for the empty set, that of the base alone."""
         at = self._columns(chosen)
         cross, inner = self._own.T[at], self._inner.T[at]  # (nodes, k, n)
         gram = cross @ cross.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
@@ -141,7 +141,7 @@ class Products:
         return Weighed(self, chosen, evidence, solution, precision, noise)
 
     def predict(self, w: Weighed, node: int, mean: Array, spread: Array) -> tuple[Array, Array]:
-        """Mean and variance of later readings, given the mean and covariance of a set's coefficients."""
+        """Return mean and variance of later readings, given mean and covariance of a set's coefficients."""
         at, later = self._columns(w.chosen)[node], self._base[1]
         places = np.unravel_index(node, [c.train.shape[0] for c in w.chosen]) if w.chosen else ()
         predictions = [c.later[i] for c, i in zip(w.chosen, places, strict=True)]
@@ -176,7 +176,7 @@ def solve(task: Task) -> dict[str, Any]:
 def _weighed(
     laws: Sequence[Products], terms: Sequence[Columns], count: int, pair: tuple[str, ...]
 ) -> Iterator[tuple[float, Weighed]]:
-    """Prior and evidence of noise laws with sets: pairs only under laws that are not far behind."""
+    """Yield prior and evidence of noise laws with sets; pairs only under laws whose evidence is near the highest."""
     fleet = any(p.law.named for p in laws)
     weighed = []
     for p in laws:  # the best candidate alone, and with each other
@@ -199,7 +199,7 @@ def _weighed(
 
 
 def _answer(weighed: Sequence[tuple[float, Weighed]], scale: float, extra: float) -> dict[str, Any]:
-    """Probabilities of sets, and the average over all hypotheses that have some."""
+    """Return the probabilities of sets, and the prediction averaged over all probable hypotheses."""
     total = [np.log(max(weight, 1e-300)) + w.evidence for weight, w in weighed]
     top = max(t.max() for t in total)
     weights = [np.exp(t - top) for t in total]
@@ -224,7 +224,7 @@ def _answer(weighed: Sequence[tuple[float, Weighed]], scale: float, extra: float
 
 
 def _together(mixtures: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Means and variances of coefficients of several candidates: every combination of their components."""
+    """Return means and variances of several candidates' coefficients, for all combinations of their components."""
     mean, variance = np.zeros((1, 0)), np.zeros((1, 0))
     for m, v in mixtures:
         again = len(m)
@@ -236,7 +236,7 @@ def _together(mixtures: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def _base(task: Task, output: Array) -> tuple[float, tuple[Array, Array], float]:
-    """About the noise's standard deviation; the base's columns in it, times their sizes; variance that is new later."""
+    """Return an estimate of the noise σ, the base's columns times sizes over σ, and the variance of unseen offsets."""
     train = np.hstack([t.size * t.columns(task.train) for t in task.base])
     later = np.hstack([t.size * t.columns(task.holdout) for t in task.base])
     middle = [t.size * t.columns(task.train) for t in task.candidates if not t.group]
@@ -246,19 +246,19 @@ def _base(task: Task, output: Array) -> tuple[float, tuple[Array, Array], float]
 
 
 def _without(columns: Array, y: Array) -> Array:
-    """Return the least squares residuals of readings."""
+    """Return the least-squares residuals of readings."""
     x = columns / np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
     return y - x @ np.linalg.solve(x.T @ x + 1e-9 * np.eye(x.shape[1]), x.T @ y)
 
 
 def _residuals(y: Array, base: tuple[Array, Array], terms: Sequence[Columns]) -> Array:
-    """Return residuals after base and all candidates, each at three nodes of its shape."""
+    """Return the residuals of a fit of base and all candidates, each at three nodes of its shape."""
     some = [c.train[i] for c in terms for i in sorted({0, len(c.train) // 2, len(c.train) - 1})]
     return _without(np.hstack([base[0], *some]), y)
 
 
 def _term(term: Term, task: Task, scale: float) -> Columns:
-    """A candidate's columns, for coefficients in its plausible size and readings in the noise's."""
+    """Return a candidate's columns, times its plausible size and in units of the noise's standard deviation."""
     train, later = (
         np.array([t.columns(f, **s) for s in grid(t, NODES)]) * t.size / scale
         for t, f in ((term, task.train), (term, task.holdout))
@@ -267,14 +267,14 @@ def _term(term: Term, task: Task, scale: float) -> Columns:
 
 
 def _group_laws(groups: Sequence[Columns]) -> Iterator[Law]:
-    """Return columns besides the base for a candidate per device, at some standard deviations between devices."""
+    """Yield laws with columns per device for a candidate of devices, at several standard deviations between devices."""
     for c in groups:
         for s in np.geomspace(1 / 3, 3, 7):
             yield Law("white", 1 / 7, beside=(s * c.train[0], s * c.later[0]), named=(c.name,))
 
 
 def _coloured(task: Task, residuals: Array) -> Iterator[Law]:
-    """Kinds of noise, a fifth of the weight each, by their parameters and what base and candidates leave."""
+    """Yield the coloured noise laws, with equal total weight for each of the five kinds; parameters on grids."""
     (time, run), (later, _) = map(_times, (task.train, task.holdout))
     lags, same, n = np.abs(time[:, None] - time), run[:, None] == run, time.size
 
@@ -305,7 +305,7 @@ def _coloured(task: Task, residuals: Array) -> Iterator[Law]:
 
 
 def _times(data: pd.DataFrame) -> tuple[Array, Array]:
-    """Times from the begin of a run, in steps; and labels of runs."""
+    """Return times from the start of a run, in steps, and labels of runs."""
     run = data["run"].to_numpy() if "run" in data else np.zeros(len(data))
     time = data["time"].to_numpy(float) if "time" in data else np.arange(len(data), dtype=float)
     since = np.concatenate([time[run == r] - time[run == r][0] for r in dict.fromkeys(run)])
@@ -313,7 +313,7 @@ def _times(data: pd.DataFrame) -> tuple[Array, Array]:
 
 
 def _student(residuals: Array) -> Law:
-    """Student-t noise, Gaussian by the weights of readings at the best fit of everything."""
+    """Return Student-t noise as Gaussian noise with the weights of the readings at the best fit of all terms."""
     scale = float(np.std(residuals)) / 2**0.5
     for _ in range(30):
         weights = (DEGREES + 1) / (DEGREES + (residuals / scale) ** 2)
@@ -326,7 +326,7 @@ def _student(residuals: Array) -> Law:
 
 
 def _waves(task: Task) -> Columns:
-    """cos and sin of a reading's number, at all frequencies up to half a cycle a reading."""
+    """Return cosines and sines of the reading's number, at all frequencies up to half a cycle per reading."""
     n, m = len(task.train), len(task.holdout)
     turn = np.pi * np.arange(FINE, FINE * n)[:, None] / (FINE * n)
     at = np.arange(n + m)
@@ -335,20 +335,20 @@ def _waves(task: Task) -> Columns:
 
 
 def _strongest(waves: Columns, residuals: Array, count: int) -> list[int]:
-    """Highest peaks of residuals' power over frequency."""
+    """Return the indices of the highest peaks of the residuals' periodogram."""
     power = np.sum((waves.train.transpose(0, 2, 1) @ residuals) ** 2, axis=1)
     peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])) + 1
     return [int(i) for i in peaks[np.argsort(-power[peaks])][:count]]
 
 
 def _wave(waves: Columns, chosen: Sequence[int], weight: float, size: float) -> Law:
-    """White noise beside tones of these frequencies."""
+    """Return white noise with tones of these frequencies."""
     nuisances = size * np.hstack(waves.train[chosen]), size * np.hstack(waves.later[chosen])
     return Law("coloured", weight, beside=nuisances)
 
 
 def _outside(task: Task) -> Iterator[list[Columns]]:
-    """Kinds of what no candidate describes, at plausible places: each as strong as the noise, on average."""
+    """Yield the kinds of disturbance that no candidate describes, at plausible places, scaled to unit rms."""
     yield [_waves(task)]
     n = len(task.train)
     after = np.arange(n + len(task.holdout)) - np.arange(2, n - 2, 2)[:, None]
@@ -370,7 +370,7 @@ def _resonance(x: Array) -> Array:
 
 
 def _even(train: Array, later: Array) -> Columns:
-    """Columns with a mean square of one on the training readings."""
+    """Return columns scaled to a mean square of one on the training readings."""
     train, later = (a.reshape(*a.shape[:2], -1).astype(float) for a in (train, later))
     size = np.sqrt(np.mean(train**2, axis=1, keepdims=True)) + 1e-6
     return Columns(OUTSIDE, train / size, later / size)

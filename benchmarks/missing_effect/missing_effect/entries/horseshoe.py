@@ -65,18 +65,18 @@ def solve(task: Task) -> dict[str, Any]:
 
 
 def _widest(owner: np.ndarray) -> int:
-    """The candidate of the most columns."""
+    """Return the candidate with the most columns."""
     return int(np.argmax(np.bincount(owner)))
 
 
 def _drawn(
     gram: np.ndarray, right: np.ndarray, square: float, free: int, owner: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Draws of `sigma`, (draws,), and of the candidates' coefficients' standard deviations `size`, (draws, D).
+    """Return draws of `sigma`, (draws,), and of `size`, the coefficients' sd of each candidate, (draws, D).
 
     Args:
-        gram, right, square: X'X, X'y and y'y, all that the likelihood needs of the readings.
-        free: readings less the base's parameters.
+        gram, right, square: X'X, X'y and y'y, the sufficient statistics of the likelihood.
+        free: number of readings minus that of the base's parameters.
         owner: candidate of each column.
     """
     sampler = _sampler(tuple(owner.tolist()))
@@ -109,13 +109,13 @@ def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
 
 
 def gained(gram: jax.Array, right: jax.Array, sd: jax.Array, mask: np.ndarray) -> jax.Array:
-    """Log evidence of coefficients with a normal prior against none, by the block of the widest candidate.
+    """Return the log evidence of coefficients with a normal prior over none, by the block of the widest candidate.
 
     Args:
         gram: X'X, (p, p), diagonal in that block.
         right: X'y over the noise's standard deviation, (p,).
-        each: prior standard deviations of the coefficients over the noise's, (p,).
-        own: columns of that block, (p,).
+        sd: prior standard deviations of the coefficients over the noise's, (p,).
+        mask: columns of that block, (p,).
     """
     inside = 1.0 + sd[mask] ** 2 * jnp.diag(gram)[mask]
     across = sd[mask][:, None] * gram[mask][:, ~mask] * sd[~mask]

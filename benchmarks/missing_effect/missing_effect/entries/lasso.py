@@ -1,4 +1,4 @@
-"""LASSO with its penalty by cross-validation, scikit-learn's LassoCV with cv=5: what is not zero is said to be missing.
+"""LASSO, penalty by cross-validation (scikit-learn's LassoCV with cv=5): nonzero coefficients make up the set.
 
 Source: R. Tibshirani, J. R. Stat. Soc. B 58 (1996) 267; scikit-learn's user guide, section 1.1.3.
 """

@@ -1,7 +1,7 @@
-"""Stepwise forward selection by mBIC, BIC with the prior of about four terms among all candidates: 2k·ln(p/4 − 1) more.
+"""Stepwise forward selection by mBIC: BIC plus 2k·ln(p/4 − 1), a prior of about four terms among p candidates.
 
-Source: M. Bogdan, J. Ghosh & R. Doerge, Genetics 167 (2004) 989. With eight candidates or fewer, where that would be
-negative, nothing is added.
+Source: M. Bogdan, J. Ghosh & R. Doerge, Genetics 167 (2004) 989. With eight candidates or fewer, for which the penalty
+would be negative or zero, it is zero.
 """
 
 from __future__ import annotations

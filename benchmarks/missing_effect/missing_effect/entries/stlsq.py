@@ -1,4 +1,4 @@
-"""Sequentially thresholded least squares, pysindy's STLSQ as it comes (threshold 0.1, alpha 0.05), on scaled columns.
+"""Sequentially thresholded least squares: pysindy's STLSQ (defaults: threshold 0.1, alpha 0.05) on scaled columns.
 
 Columns and output have standard deviation 1, so that the threshold is a tenth of the residuals' scatter.
 Source: S. Brunton, J. Proctor & J. Kutz, PNAS 113 (2016) 3932; pysindy's documentation.
@@ -24,12 +24,12 @@ def solve(task: Task) -> dict[str, Any]:
 
 
 def scaled(problem: Regression) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns (n, p) and output (n, 1) of standard deviation 1, and the candidate that each column is of."""
+    """Return columns (n, p) and output (n, 1) scaled to a standard deviation of 1, and the candidate of each column."""
     x = np.hstack(problem.projected)
     owner = np.repeat(np.arange(len(problem.projected)), [c.shape[1] for c in problem.projected])
     return x / np.maximum(x.std(axis=0), 1e-300), problem.left[:, None] / problem.left.std(), owner
 
 
 def chosen_by(coefficients: np.ndarray, owner: np.ndarray) -> tuple[int, ...]:
-    """Candidates with a coefficient that is not zero."""
+    """Return the candidates with a nonzero coefficient."""
     return tuple(sorted({int(i) for i in owner[np.ravel(coefficients) != 0]}))

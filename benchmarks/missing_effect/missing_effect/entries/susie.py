@@ -2,8 +2,8 @@
 
 Source: G. Wang, A. Sarkar, P. Carbonetto & M. Stephens, J. R. Stat. Soc. B 82 (2020) 1273, algorithm 1, with the
 settings of the authors' R package susieR: at most ten effects, columns and output scaled to unit variance, prior and
-residual variances by empirical Bayes, an effect whose prior variance is likeliest at zero taken out. There is no Python
-package of theirs. Of a candidate of several columns each is a column of its own.
+residual variances by empirical Bayes, effects removed whose most likely prior variance is zero. The authors have no
+Python package. Each column of a candidate with several columns is treated as a separate variable.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def solve(task: Task) -> dict[str, Any]:
 def _with(
     sets: dict[frozenset[int], float], choice: dict[int, float]
 ) -> dict[frozenset[int], float]:
-    """Sets with one candidate more, chosen independently."""
+    """Return the sets with one more candidate, chosen independently."""
     by_set: dict[frozenset[int], float] = {}
     for s, p in sets.items():
         for i, q in choice.items():
@@ -50,7 +50,7 @@ def _with(
 
 
 def single_effects(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
-    """Probabilities of the columns for each effect that is there.
+    """Return the probabilities of the columns for each effect with a nonzero prior variance.
 
     Args:
         x: columns, (n, p).
@@ -91,7 +91,7 @@ def _log_bayes_factors(size: np.ndarray, variance: np.ndarray, prior: float) -> 
 
 
 def _prior_variance(size: np.ndarray, variance: np.ndarray) -> float:
-    """The likeliest; zero where that is."""
+    """Return the most likely prior variance; it may be zero."""
 
     def lost(log_prior: float) -> float:
         gain = _log_bayes_factors(size, variance, np.exp(log_prior))

@@ -1,1 +1,1 @@
-"""The worlds that tasks are made of: random numbers, noise, instruments. An entry may not import it."""
+"""Simulators of the tasks: random numbers, noise, instruments. Entries must not import them."""

@@ -1,4 +1,4 @@
-"""Bodies that take heat from another."""
+"""Thermal bodies heated by another body."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 
 
 def body(driven_by: Array, step: float, tau: float) -> Array:
-    """Temperature of a body that follows another with time constant tau, along the last axis; at rest at first.
+    """Return the temperature of a body that follows another with time constant tau, along the last axis.
 
     Args:
-        step: between values, in the unit of tau.
+        step: time between values, in the unit of tau.
     """
     decay = np.exp(-step / tau)
     first = driven_by[..., :1]

@@ -1,4 +1,4 @@
-"""Laws of noise, each with its covariance, and what acts on a record that no candidate describes."""
+"""Noise laws with their covariances, and disturbances of a record that no candidate describes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 
 
 class Noise(NamedTuple):
-    """Noise of a record: values, and covariance, both for a white standard deviation of 1.
+    """Noise of a record: values and covariance, relative to a white standard deviation of 1.
 
     Attributes:
-        law: its name.
+        law: name of the law.
         values: (n,).
-        covariance: (n, n); (n,) where it is diagonal.
+        covariance: (n, n); (n,) if diagonal.
     """
 
     law: str
@@ -29,7 +29,7 @@ def white(draws: Draws, count: int) -> Noise:
 
 
 def student(draws: Draws, count: int) -> Noise:
-    """Student-t of four degrees of freedom, scaled to a standard deviation of 1; its covariance says no more."""
+    """Draw Student-t noise of four degrees of freedom and unit standard deviation; its covariance is white noise's."""
     first, second = draws.uniform(count), draws.uniform(count)
     chi_squared = -2 * np.log(first * second)  # of four degrees of freedom
     return Noise(
@@ -38,7 +38,7 @@ def student(draws: Draws, count: int) -> Noise:
 
 
 def correlated(draws: Draws, count: int) -> Noise:
-    """White and Ornstein–Uhlenbeck noise of like size, correlated over 5 to 30 readings."""
+    """Draw white plus Ornstein–Uhlenbeck noise of similar size, correlated over 5 to 30 readings."""
     size, tau = draws.between(0.5, 1.0), draws.ratio(5.0, 30.0)
     slow = size * _ornstein_uhlenbeck(draws, count, tau)
     spacing = _spacing(count)
@@ -47,7 +47,7 @@ def correlated(draws: Draws, count: int) -> Noise:
 
 
 def walk(draws: Draws, count: int) -> Noise:
-    """White noise and a random walk, which steps by 0.03 to 0.15 from reading to reading."""
+    """Draw white noise plus a random walk with steps of standard deviation 0.03 to 0.15 per reading."""
     step = draws.ratio(0.03, 0.15)
     at = np.arange(1, count + 1)
     covariance = np.eye(count) + step**2 * np.minimum(at[:, None], at[None, :])
@@ -55,7 +55,7 @@ def walk(draws: Draws, count: int) -> Noise:
 
 
 def flicker(draws: Draws, count: int) -> Noise:
-    """White noise and 1/f noise, by a ladder of Ornstein–Uhlenbeck processes an octave apart."""
+    """Draw white noise plus 1/f noise, a sum of Ornstein–Uhlenbeck processes an octave apart."""
     size, spacing = draws.between(0.15, 0.35), _spacing(count)
     values, covariance = draws.normal(count), np.eye(count)
     for octave in range(1, 9):
@@ -65,7 +65,7 @@ def flicker(draws: Draws, count: int) -> Noise:
 
 
 def tones(draws: Draws, count: int) -> Noise:
-    """White noise and one or two tones, of 4 to 25 readings a turn, as of a pump or an aliased supply."""
+    """Draw white noise plus one or two tones with periods of 4 to 25 readings, as of a pump or an aliased supply."""
     values, covariance, at = draws.normal(count), np.eye(count), np.arange(count)
     for _ in range(draws.one_of((1, 2))):
         size, turn, phase = draws.between(0.4, 1.2), draws.ratio(4.0, 25.0), draws.between(0, 1)
@@ -78,26 +78,26 @@ NOT_WHITE = (correlated, student, walk, flicker, tones)
 
 
 def smooth(draws: Draws, time: Array, temperature: Array) -> Array:
-    """A resonance that the temperature passes through."""
+    """Draw the response to a resonance that the temperature passes through."""
     middle = draws.between(0.25, 0.75)
     at = (temperature - temperature.min()) / np.ptp(temperature) - middle
     return at / (0.006 + at**2)
 
 
 def step(draws: Draws, time: Array, temperature: Array) -> Array:
-    """A mount slips, and stays."""
+    """Draw a step at a random time: a mount slips."""
     at = np.quantile(time, draws.between(0.2, 0.6))
     return np.where(time > at, 1.0, -1.0)
 
 
 def tone(draws: Draws, time: Array, temperature: Array) -> Array:
-    """A slow pick-up: four to twelve turns in the record."""
+    """Draw a slow sinusoidal pick-up with four to twelve periods in the record."""
     turns, phase = draws.between(4.0, 12.0), draws.between(0.0, 1.0)
     return np.sin(2 * np.pi * (turns * (time - time[0]) / np.ptp(time) + phase))
 
 
 def shock(draws: Draws, time: Array, temperature: Array) -> Array:
-    """A blow, after which the mount creeps back within a twentieth of the record's readings."""
+    """Draw a shock, after which the mount creeps back within a twentieth of the record's readings."""
     since = np.arange(time.size) / time.size - draws.between(0.1, 0.6)
     return np.where(since > 0, np.exp(-np.maximum(since, 0.0) / 0.05), 0.0)
 
@@ -106,7 +106,7 @@ OUTSIDE: tuple[Callable[[Draws, Array, Array], Array], ...] = (smooth, step, ton
 
 
 def _ornstein_uhlenbeck(draws: Draws, count: int, tau: float) -> Array:
-    """Simulate unit variance noise, correlated over tau readings."""
+    """Draw Ornstein–Uhlenbeck noise of unit variance, correlated over tau readings."""
     decay = np.exp(-1.0 / tau)
     kicks = draws.normal(count)
     kicks[1:] *= np.sqrt(1.0 - decay**2)

@@ -1,12 +1,12 @@
-"""Six instruments and a batch of devices, simulated by their physics, and the models with which they are calibrated.
+"""Physical simulators of six instruments and a batch of devices, and the models with which they are calibrated.
 
-A world is made ten times a reading and averaged: a chamber that follows its set points, bodies that follow the chamber,
-slow courses of the laboratory's air and supply. What a candidate means is in `formulas.py`; what happens is here, and
-is never that formula: a quadratic is an exponential's, a lag is of two bodies one behind the other, hysteresis is of
-joints that stick, ageing is logarithmic, angles are turned and not expanded. Sizes are ours: a term of plausible size
-adds about as much to a reading as its noise does.
+A test is simulated in ten steps per reading and averaged: a chamber that follows its set points, bodies that follow the
+chamber, slow variations of the laboratory's air and supply. `formulas.py` has the formulas of the candidates; the laws
+here always differ from them: a quadratic is an exponential minus its tangent, a lag has two bodies in series,
+hysteresis is that of stick-slip joints, ageing is logarithmic, and rotations are exact. Sizes are assumed: a term of
+plausible size contributes about as much to a reading as the noise.
 Sources: MEMS gyroscopes, IEEE 1431; accelerometers on tables and centrifuges, IEEE 1293 and 836; tides, M2 of
-12.4206 h; plays that stick and slip, A. Y. Ishlinskii (1944).
+12.4206 h; stick-slip operators, A. Y. Ishlinskii (1944).
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ TIDE = 12.4206 * 3600.0  # s
 
 @dataclass
 class World:
-    """One test as it truly was, and what was noted down of it.
+    """True quantities of one test, and its record.
 
     Attributes:
-        unit: of the output.
-        noise: standard deviation of a reading's white noise, that unit.
-        decimals: of each recorded column; the last is a fiftieth of its scatter, or less.
-        columns: recorded, (n,) each.
-        units: of the columns.
-        known: what the base model's terms make of the output, (n,).
-        hidden: what each candidate's cause would add at its plausible size, (n,).
-        base, candidates: the model.
-        environment: names of candidates that follow a recorded quantity of the laboratory.
+        unit: unit of the output.
+        noise: standard deviation of the white noise of a reading, that unit.
+        decimals: decimals of each recorded column; the last is at most a fiftieth of its scatter.
+        columns: recorded columns, (n,) each.
+        units: units of the columns.
+        known: contribution of the base model's terms to the output, (n,).
+        hidden: contribution of each candidate's cause at its plausible size, (n,).
+        base, candidates: terms of the model.
+        environment: names of candidates that depend on a recorded quantity of the laboratory.
     """
 
     unit: str
@@ -60,7 +60,7 @@ class World:
     def knows(
         self, name: str, truth: Any, formula: str, unit: str, words: str, **fields: Any
     ) -> None:
-        """A term of the base model, and what it makes of the output."""
+        """Add a term to the base model, and its true contribution to the output."""
         size = fields.pop("size", VAST * self.noise)
         nuisance = fields.pop("nuisance", False)
         self.base.append(Term(name, words, formula, fields, unit, size, {}, nuisance))
@@ -69,7 +69,7 @@ class World:
     def may_lack(
         self, name: str, adds: Array, formula: str, unit: str, words: str, **fields: Any
     ) -> None:
-        """A candidate, and what its cause adds at `size`."""
+        """Add a candidate, and the true contribution of its cause at `size`."""
         size, shapes = fields.pop("size"), fields.pop("shapes", {})
         self.candidates.append(Term(name, words, formula, fields, unit, size, shapes))
         self.hidden[name] = size * adds
@@ -77,13 +77,13 @@ class World:
 
 @dataclass
 class Chamber:
-    """Runs in a stepped chamber: (runs, readings·FINE) of each quantity.
+    """Runs in a stepped chamber; each quantity has the shape (runs, readings·FINE).
 
     Attributes:
-        time: s, from the begin of the test.
-        since: s, from the begin of the run.
-        air: °C.
-        step: s between moments.
+        time: time since the start of the test, s.
+        since: time since the start of the run, s.
+        air: air temperature, °C.
+        step: time step, s.
     """
 
     time: Array
@@ -101,10 +101,10 @@ class Chamber:
         runs: int = 5,
         slow: float = 3.0,
     ) -> Chamber:
-        """Runs that go through these temperatures, each in an order of its own, `each` readings at one.
+        """Simulate runs through these temperatures, in a different order each, with `each_count` readings at each.
 
         Args:
-            interval: between readings, s.
+            interval: time between readings, s.
             slow: time constant of the chamber, in intervals.
         """
         step = interval / FINE
@@ -118,34 +118,34 @@ class Chamber:
         return cls(time, since, body(set_points, step, slow * interval), step)
 
     def behind(self, tau: float) -> Array:
-        """Return the lag of a body behind the air by two time constants, one a seventh of the other: °C."""
+        """Return the temperature, °C, behind two bodies in series, of time constants 0.86·tau and 0.14·tau."""
         return body(body(self.air, self.step, 0.86 * tau), self.step, 0.14 * tau)
 
     def cold(self, tau: float) -> Array:
-        """Return the decay of the cold start: electronics, and more slowly their case."""
+        """Return the decay after a cold start: that of the electronics, and a slower one of their case."""
         return 0.85 * np.exp(-self.since / tau) + 0.15 * np.exp(-self.since / (3.0 * tau))
 
     def aged(self) -> Array:
-        """Ageing, logarithmic in time: 0 at the begin, 1 at the end of the test."""
+        """Return ageing that is logarithmic in time: 0 at the start, 1 at the end of the test."""
         return np.log(1.0 + 0.5 * self.time / self.time.max()) / np.log(1.5)
 
     def read(self, values: Array) -> Array:
-        """Average over each reading, in the order in which they were taken."""
+        """Average a quantity over each reading, in test order."""
         return np.broadcast_to(values, self.time.shape).reshape(-1, FINE).mean(axis=1)
 
 
 def softening(change: Array, over: float) -> Array:
-    """An exponential less its tangent: about change², and more where it is warm."""
+    """Return an exponential minus its tangent: about change², more at high temperature."""
     return 2.0 * over**2 * (np.expm1(change / over) - change / over)
 
 
 def saturating(change: Array, over: float) -> Array:
-    """Return the remainder of a line after a tanh compensation: about change³, and less far out."""
+    """Return the residual of a line after a tanh compensation: about change³, less at large changes."""
     return 3.0 * over**3 * (change / over - np.tanh(change / over))
 
 
 def sticking(path: Array, widths: tuple[float, ...]) -> Array:
-    """Mean strain of joints that stick and slip (plays), each between −1 and 1, along the last axis."""
+    """Return the mean strain of stick-slip joints (play operators), between −1 and 1, along the last axis."""
     total = np.zeros(path.shape)
     for width in widths:
         seat = path[..., 0].copy()
@@ -156,7 +156,7 @@ def sticking(path: Array, widths: tuple[float, ...]) -> Array:
 
 
 def new_world(unit: str, noise: float, draws: Draws, chamber: Chamber, decimals: int) -> World:
-    """A world with what all have: run, time and temperature, an offset, its line in temperature, and runs apart."""
+    """Return a test with the terms that all have: an offset, a line in temperature, and offsets of runs."""
     world = World(unit, noise)
     runs = len(chamber.time)
     label = np.repeat(np.arange(1, runs + 1), chamber.time.shape[1] // FINE)
@@ -182,7 +182,7 @@ def new_world(unit: str, noise: float, draws: Draws, chamber: Chamber, decimals:
 def laboratory(
     world: World, draws: Draws, rho: float, **quantities: tuple[str, float, float]
 ) -> None:
-    """Two recorded quantities of the laboratory with a candidate each, and how alike they run: their correlation.
+    """Add two recorded quantities of the laboratory, of correlation `rho`, with a candidate each.
 
     Args:
         quantities: name → unit, usual value, scatter.
@@ -206,7 +206,7 @@ def laboratory(
 
 
 def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
-    """Candidates that follow the chamber's temperature and the time."""
+    """Add candidates that depend on the chamber's temperature and on time."""
     noise, unit, air = world.noise, world.unit, chamber.air - 40.0
     step, half = chamber.step * FINE, float(np.ptp(chamber.air)) / 2
     tau, warm = step * draws.ratio(2.5, 15.0), step * draws.ratio(5.0, 25.0)
@@ -235,7 +235,7 @@ def thermal(world: World, draws: Draws, chamber: Chamber, *which: str) -> None:
 
 
 def mems_gyro(draws: Draws, rho: float) -> World:
-    """A rate gyroscope in a stepped chamber on a rate table."""
+    """Simulate a rate gyroscope in a stepped chamber on a rate table."""
     chamber = Chamber.of(draws, (10.0, 25.0, 40.0, 55.0, 70.0), 10, 60.0)
     world = new_world("deg/s", 0.02, draws, chamber, 5)
     count = len(world.columns["time"])
@@ -266,7 +266,7 @@ def mems_gyro(draws: Draws, rho: float) -> World:
 
 
 def tilt_accelerometer(draws: Draws, rho: float) -> World:
-    """An accelerometer on a tilted table that turns: the input is g·sin γ·sin θ."""
+    """Simulate an accelerometer on a tilted, turning table, with the input g·sin γ·sin θ."""
     chamber = Chamber.of(draws, (15.0, 30.0, 45.0, 60.0), 12, 300.0)
     world = new_world("ug", 0.5, draws, chamber, 3)
     count = len(world.columns["time"])
@@ -333,7 +333,7 @@ def warm_scale(
     behind: float,
     size: float,
 ) -> None:
-    """A scale factor that may depend on the temperature of a body `behind` seconds late, about a temperature in °C."""
+    """Add a scale factor that may depend on the temperature of a body, about `about` °C, time constant `behind` s."""
     world.may_lack(
         "scale.temperature",
         input_g * (chamber.read(chamber.behind(behind)) - about),
@@ -348,7 +348,7 @@ def warm_scale(
 
 
 def two_thermometers(draws: Draws, rho: float) -> World:
-    """A vibrating-beam accelerometer, ±1 g, with thermometers at its head and at its circuit."""
+    """Simulate a vibrating-beam accelerometer at ±1 g, with thermometers in its head and at its circuit."""
     chamber = Chamber.of(draws, (0.0, 20.0, 40.0, 60.0, 80.0), 10, 60.0)
     world = new_world("ug", 20.0, draws, chamber, 1)
     count = len(world.columns["time"])
@@ -384,7 +384,7 @@ def two_thermometers(draws: Draws, rho: float) -> World:
 
 
 def centrifuge(draws: Draws, rho: float) -> World:
-    """An accelerometer on an arm whose speed goes from plateau to plateau: nonlinearity, radius, tangent."""
+    """Simulate an accelerometer on a centrifuge with speed plateaus: nonlinearity, radius, tangential acceleration."""
     chamber = Chamber.of(draws, (20.0, 30.0, 40.0), 16, 10.0)
     world = new_world("mg", 0.3, draws, chamber, 4)
     shape = chamber.time.shape
@@ -417,7 +417,7 @@ def centrifuge(draws: Draws, rho: float) -> World:
 
 
 def inclinometer(draws: Draws, rho: float) -> World:
-    """A level that is turned about its axis: its zero against the placement angle."""
+    """Simulate a level rotated about its axis: its zero against the placement angle."""
     chamber = Chamber.of(draws, (15.0, 25.0, 35.0), 18, 60.0)
     world = new_world("arcsec", 1.0, draws, chamber, 3)
     shape = chamber.time.shape
@@ -460,7 +460,7 @@ def inclinometer(draws: Draws, rho: float) -> World:
 
 
 def still_sensor(draws: Draws, rho: float) -> World:
-    """Any sensor at rest, ramped in temperature: here a barometer's or a strain gauge's zero."""
+    """Simulate any sensor at rest on temperature ramps, such as the zero of a barometer or a strain gauge."""
     chamber = Chamber.of(draws, (-10.0, 10.0, 30.0, 50.0, 70.0, 85.0), 8, 30.0, slow=6.0)
     world = new_world("uV", 1.5, draws, chamber, 3)
     thermal(world, draws, chamber, "quadratic", "cubic", "lag", "hysteresis", "warm_up", "drift")
@@ -495,7 +495,7 @@ DEVICES, READINGS, HOLDOUTS = 100, 60, 12
 
 
 def fleet(draws: Draws, rho: float) -> World:
-    """A batch of gyroscopes in one chamber, one run each: an offset and a tempco of its own for every device."""
+    """Simulate a batch of gyroscopes in one chamber, one run each, with an offset and a tempco for each device."""
     chamber = Chamber.of(draws, (10.0, 25.0, 40.0, 55.0, 70.0), READINGS // 5, 60.0, runs=1)
     noise, unit = 0.02, "deg/s"
     world = World(unit, noise)
