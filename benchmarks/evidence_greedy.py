@@ -68,7 +68,7 @@ def lines() -> Iterator[tuple[str, str, str]]:
     clear = [(t, o) for t, o in pairs if t["hidden"] and o["oracle"] > CLEAR]
     empty = [(t, o) for t, o in pairs if not t["hidden"]]
     clear_words = "the hidden effect (log Bayes factor above 15) and no other"
-    for words, rows in ((clear_words, clear), ("nothing hidden: nothing added", empty)):
+    for words, rows in ((clear_words, clear), ("nothing hidden: no effect added", empty)):
         right = [[found["final"] == pair[0]["hidden"] for found in pair] for pair in rows]
         theirs, ours = (proportion(sum(flags), len(rows)) for flags in zip(*right, strict=True))
         page = "[hidden effects](hidden_effects.md)"

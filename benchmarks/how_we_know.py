@@ -15,11 +15,10 @@ from benchmarks.spoilt_records import measurement as spoilt
 from benchmarks.wrong_model import coverage as foreign
 
 ABOUT = """
-What was tried, on whose numbers, and what came of it; brackets hold exact 95 % binomial intervals. What follows
-from it for your own result: [limitations](limits.md). Not tried: a laboratory of our own (every
-campaign with a known truth is simulated; records of others come without their truth), instruments with an error
-that nobody wrote into a simulator, more than a few thousand campaigns (a rate below one in a thousand is not
-known), whether you read the result as it is meant.
+All tests, the data they use, and their results; brackets are exact 95 % binomial intervals. Consequences for your own
+results: [limitations](limits.md). Not tested: a laboratory of our own (all campaigns with a known truth are simulated;
+records of others have no known truth), instruments with an error that is in no simulator, more than a few thousand
+campaigns (rates below one in a thousand are not known), whether you interpret the result as intended.
 """
 Line = tuple[str, str, str]
 
@@ -35,7 +34,7 @@ def lines() -> Iterator[Line]:
     yield "posteriordb: means against reference draws", within, page
     yield from _coverage()
     page = "[public records](records_of_others.md)"
-    yield "public records of eleven sensors", "each beside what is customary", page
+    yield "public records of eleven sensors", "each beside customary methods", page
     yield from _ordinary()
     yield from _hidden()
     yield from evidence_greedy.lines()
@@ -43,7 +42,7 @@ def lines() -> Iterator[Line]:
     all_rows = [row for rows in foreign.results().values() for row in rows]
     for words, say in foreign.CLAIMS[:2]:
         page = "[model misspecification](wrong_model.md)"
-        words = f"{len(all_rows)} campaigns whose physics is foreign to the catalogue, {words}"
+        words = f"{len(all_rows)} campaigns with laws outside the catalogue, {words}"
         yield words, say(all_rows), page
     yield from _released()
 
@@ -62,14 +61,14 @@ def _coverage() -> Iterator[Line]:
 def _ordinary() -> Iterator[Line]:
     rows, page = ordinary.whole("ordinary_test"), "[simulated chamber tests](ordinary_test.md)"
     good, strange = ordinary.whole("good_records"), ordinary.strange(ordinary.whole("no_family"))
-    words = f"{len(rows)} chamber tests: what is hidden and clear is named"
+    words = f"{len(rows)} chamber tests: hidden, clear effects are named"
     yield words, ordinary.named(rows), page
-    yield "the same: something named that is not there", ordinary.wrong_name(rows), page
-    words = "the same: intervals of 95 %, profiles that differ"
+    yield "the same: a wrong name", ordinary.wrong_name(rows), page
+    words = "the same: 95 % intervals, different profiles"
     yield words, ordinary.inside(rows, repeats=False), page
     yield "the same, one profile repeated", ordinary.inside(rows, repeats=True), page
-    yield f"{len(good)} records with nothing wrong: shut", ordinary.shut(good), page
-    words = "what nothing in the catalogue describes: a wrong name"
+    yield f"{len(good)} records without faults: not reliable", ordinary.shut(good), page
+    words = "effects outside the catalogue: a wrong name"
     yield words, ordinary.wrong_name(strange), page
 
 
@@ -87,20 +86,21 @@ def _spoilt() -> Iterator[Line]:
     for banks, words in ((spoilt.SPOILT, known), (spoilt.SIXTY, before)):
         count = spoilt.verdicts([row for rows in spoilt.results(banks).values() for row in rows])
         three = "; ".join(f"{v} {proportion(count[v], count.total())}" for v in spoilt.VERDICTS[:3])
-        words = f"{count.total():,} files spoilt as laboratories have them, of kinds {words}"
+        words = f"{count.total():,} files with faults of laboratories, of kinds {words}"
         yield words, three, "[corrupted records](gauntlet.md)"
 
 
 def _released() -> Iterator[Line]:
     """Yield the campaigns measured again for a release, and the number with an unchanged outcome."""
     release = read("release")
+    version = release["version"]
     for name, row in release["banks"].items():
-        words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows anew by version {release['version']}"
-        yield words, f"as before {proportion(row['same'], row['anew'])}", ""
+        words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows repeated by version {version}"
+        yield words, f"unchanged {proportion(row['same'], row['anew'])}", ""
 
 
 def render() -> pages.Texts:
     """Render the page from the stored results."""
     days = [r["day"] for b in (*bank.results().values(), *spoilt.results().values()) for r in b]
-    table = pages.table(["tried", "came out", "more"], lines())
+    table = pages.table(["test", "result", "details"], lines())
     return pages.page("how_we_know", "Validation", "render", days, ABOUT, table)

@@ -25,11 +25,11 @@ PACKAGES = tuple(ROOT / "benchmarks" / p for p in ("missing_effect", "missing_ef
 OUTPUT = ROOT / "benchmarks" / "output" / "missing_effect"
 
 ABOUT = """
-An open benchmark, `benchmarks/missing_effect/`: a package of its own, which needs numpy, pandas and scipy and
-nothing of bayescal, and which anybody may enter. A task is an instrument, its known model, its readings, and 7 to
-10 candidate effects of which some, or none, are missing; asked for are the probability of each set of them, and a
-prediction of readings held out. Its README says how to enter; its data sheet how tasks are made, what the scores
-mean, and what the benchmark lacks, above all that its authors are those of two of the entries.
+An open benchmark, `benchmarks/missing_effect/`: a separate package, which needs numpy, pandas and scipy but not
+bayescal, and which is open to all entries. A task is an instrument, its known model, its readings, and 7 to 10
+candidate effects of which some, or none, are missing; an entry states the probability of each set of them, and predicts
+hold-out readings. Its README describes how to enter; its data sheet how tasks are made, the scores, and the
+benchmark's limitations, above all that its authors wrote two of the entries.
 
     pip install ./benchmarks/missing_effect ./benchmarks/missing_effect/maker
     python -m missing_effect generate tasks --size 10
@@ -37,14 +37,14 @@ mean, and what the benchmark lacks, above all that its authors are those of two 
     python -m missing_effect leaderboard --tasks tasks
 
 Below are {tasks} tasks of an edition whose number, {edition}, was drawn at random once, after the last change of
-any entry; {fleets} are of a hundred devices each. Every entry had 60 s of processor a task, start-up included. *Log
-score*: mean log probability of the true set, 0 at best. *False alarms*: tasks with nothing missing to which
-something missing was given more than 0.95. *CRPS*: of the readings held out, in standard deviations of their noise.
-`oracle` knows the truth. *exhaustive* (all sets of at most two effects on grids) and *bayescal* take the data sheet
-as their prior. All entries were finished on the published edition. 48 of these tasks were then scored once
-(bayescal −0.230, exhaustive −0.164); after that bayescal's entry took one more sentence of the data sheet, and two
-fleets that it had left unanswered were solved once more. Twelve tasks of public records (NIST's, and channels of a
-chamber ramp) are in the last column.
+any entry; {fleets} have a hundred devices each. Every entry had 60 s of processor time per task, start-up included.
+*Log score*: mean log probability of the true set, 0 at best. *False alarms*: tasks without a missing effect for which
+one was stated with probability above 0.95. *CRPS*: of the hold-out readings, in standard deviations of their noise.
+`oracle` knows the truth. *exhaustive* (all sets of at most two effects on grids) and *bayescal* use the data sheet
+as prior. All entries were finished on the published edition. 48 of these tasks were then scored once
+(bayescal −0.230, exhaustive −0.164); after that bayescal's entry used one more sentence of the data sheet, and two
+fleets without an answer were solved again. Twelve tasks of public records (NIST's, and channels of a chamber ramp) are
+in the last column.
 """
 
 

@@ -30,7 +30,7 @@ def page(name: str, title: str, again: str, days: Iterable[str], *parts: str) ->
     """
     ends = sorted(days)
     when = " to ".join(dict.fromkeys((ends[0], ends[-1]))) if ends else "not yet"
-    head = f"# {title}\n\n*Measured: {when}. Again: `python -m benchmarks {again}`.*"
+    head = f"# {title}\n\n*Measured: {when}. Repeat: `python -m benchmarks {again}`.*"
     text = "\n\n".join([head, *(part.strip() for part in parts)])
     return {DOCS / f"{name}.md": text + "\n"}
 
@@ -86,4 +86,4 @@ def stated_and_true(pairs: Iterable[tuple[float, bool]], low: float, high: float
     stated = np.array([p for p, _ in inside])
     draws = (np.random.default_rng(0).random((4000, stated.size)) < stated).sum(axis=1)
     least, most = np.quantile(draws, [0.025, 0.975])
-    return f"{sum(t for _, t in inside)}/{stated.size}, due {least:.0f} to {most:.0f}"
+    return f"{sum(t for _, t in inside)}/{stated.size}, expected {least:.0f} to {most:.0f}"

@@ -193,7 +193,7 @@ def main() -> None:
 def render() -> pages.Texts:
     """Render the page from the stored results."""
     rows: Mapping[str, dict[str, Any]] = read("real_records")["rows"]
-    head = ["record", "found beside a line", "error held out", "line", "cubic", "cubic + lag"]
+    head = ["record", "found besides a line", "hold-out error", "line", "cubic", "cubic + lag"]
     body = []
     for title, row in rows.items():
         others = (row["peers"].get(n) for n in ("line", "cubic", "cubic + lag"))
@@ -204,10 +204,10 @@ def render() -> pages.Texts:
         body.append([name, names, *errors, f"{100 * row['inside']:.0f} %", reliable])
     about = """
 Public records of sensors that others have built and measured, calibrated as their owners would. Errors: root mean
-square of the readings held out, every second of twenty blocks (on the ramp: of five minutes), in the record's unit.
-*Within 2 u*: of these readings. *Reliable*: what the command says by its exit status, from the fitted readings
-alone. The chamber ramp is an inertial unit at rest for 71 minutes between −18 and 74 °C (repository
-tofupilot/examples, MIT licence; the record labels the rates deg/s, they are read as rad/s here). Load cell (P.
+square of the hold-out readings, every second of twenty blocks (on the ramp: of five minutes), in the record's unit.
+*Within 2 u*: of these readings. *Reliable*: by the exit status of the command, from the fitted readings alone. The
+chamber ramp is an inertial unit at rest for 71 minutes between −18 and 74 °C (repository tofupilot/examples, MIT
+licence; the record labels the rates deg/s, they are read as rad/s here). Load cell (P.
 Pontius), ozone monitor (J. Norris), ultrasonic block (D. Chwirut), dilatometer (T. Hahn) and electron microscope
 (R. Kirby): [NIST's Statistical Reference Datasets](https://www.itl.nist.gov/div898/strd/), measured and in the
 public domain.

@@ -4,7 +4,7 @@
 
 The blocks of a page are processed in order, in one folder: a `python` block is run, or written to a file if it has a
 `title`; each line of a `sh` block is a bayescal command, which must exit with 0 or with the status in a comment; a
-`text` block is the output of the block before it, with "…" for omitted lines. Indented and `console` blocks are not run.
+`text` block is the output of the block before it, "…" for omitted lines. Indented and `console` blocks are not run.
 """
 
 from __future__ import annotations

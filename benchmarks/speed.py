@@ -274,7 +274,7 @@ def render() -> pages.Texts:
     )
     about = """
 Answers are compared before their times: within a tenth of a standard deviation. `calibrate` also checks the line
-and weighs every candidate effect; `fit` also finds the noise, draws, names and judges, where a peer is told the
-noise. *Effective draws*: as the verdict of each fit states them.
+and evaluates every candidate; `fit` also estimates the noise, draws, and judges convergence; a peer is given the
+noise. *Effective draws*: as stated in the verdict of each fit.
 """
     return pages.page("speed", "Speed", "speed", [r["day"] for r in rows], about, table)

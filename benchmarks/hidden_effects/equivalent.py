@@ -18,17 +18,17 @@ ALL = (*ALL, "magnetometer_triad")
 SEED = 1
 HEAD = """# Collinear effects
 
-Rendered by `python -m benchmarks equivalent`, of one campaign (seed {seed}) of each instrument's simulator as it is.
+Rendered by `python -m benchmarks equivalent`, from one campaign (seed {seed}) of each instrument's simulator.
 
-An effect's columns, whitened by the noise floor and in plausible sizes, are projected on those of the first model,
-and of one or two other effects. Where these leave less than a hundredth of its squares, and less than half a nat
-(½·log(1 + K), K the information in units of its prior), the readings cannot tell it from what spans it. What cannot be
-told from coefficients of the first model, *in* the table, is in every model with its prior, and these coefficients are
-as uncertain as that leaves them; what cannot be told from effects that are found enters with them. `bayescal calibrate`
-says every set before what it finds, and those of its model in the verdict or among the notes.
+An effect's columns, whitened by the noise floor and scaled to plausible sizes, are projected on those of the first
+model and of one or two other effects. If the residuals are less than a hundredth of its sum of squares, and less than
+half a nat (½·log(1 + K), K the information in units of its prior), the readings cannot distinguish it from these. An
+effect collinear with coefficients of the first model, *in* the table, is in every model with its prior, which increases
+the uncertainty of these coefficients; one collinear with effects that are found is included with them. `bayescal
+calibrate` lists all sets before its findings, and those of its model in the verdict or the notes.
 
-*Test that tells*: of the experiments that the instrument lists, the one that leaves most of the first effect, in nats
-at its plausible size; more than half a one.
+*Separating test*: of the experiments that the instrument lists, the one that leaves most of the first effect, in nats
+at its plausible size; at least half a nat.
 
 """
 
@@ -37,7 +37,7 @@ def main() -> None:
     """Write the page."""
     rows = [row for name in ALL for row in _rows(name)]
     listed = {name for name, *_ in rows}
-    head = ["instrument", "effect", "cannot be told from", "test that tells", "nats"]
+    head = ["instrument", "effect", "collinear with", "separating test", "nats"]
     none = ", ".join(f"`{name}`" for name in ALL if name not in listed)
     body = HEAD.format(seed=SEED) + table(head, rows)
     (DOCS / "equivalent_effects.md").write_text(f"{body}\nNone: {none}.\n", "utf-8")

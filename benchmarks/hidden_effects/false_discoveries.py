@@ -144,7 +144,10 @@ def _added(rows: Rows, how: str, field: str = "added") -> str:
 
 CLAIMS: tuple[Claim, ...] = (
     *((how, partial(_added, how=how)) for how in SPOILT),
-    ("wandering noise, taken for white", partial(_added, how="wandering noise", field="if_white")),
+    (
+        "wandering noise, searched as white",
+        partial(_added, how="wandering noise", field="if_white"),
+    ),
 )
 
 

@@ -193,7 +193,7 @@ def _missing(rows: Rows, low: float, high: float) -> str:
 
 SHORT: tuple[Claim, ...] = (
     (
-        "one effect hidden (log Bayes factor above 15): in the final model, or in a set beside what is",
+        "one effect hidden (log Bayes factor above 15): in the final model, or equivalent to its effects",
         lambda rows: share(hidden_in(r) in found_effects(r) for r in clear(rows)),
     ),
     (
@@ -209,14 +209,14 @@ SHORT: tuple[Claim, ...] = (
         lambda rows: share(map(_names_outside, _outside(rows))),
     ),
     (
-        "nothing hidden: something added",
+        "nothing hidden: an effect added",
         lambda rows: share(bool(r["final"]) for r in of_kind(rows, "empty")),
     ),
 )
 CLAIMS: tuple[Claim, ...] = (
     *SHORT,
     (
-        "one effect hidden, clear: something else in the final model",
+        "one effect hidden, clear: another effect in the final model",
         lambda rows: share(bool(set(r["final"]) - {hidden_in(r)}) for r in clear(rows)),
     ),
     (
@@ -226,7 +226,7 @@ CLAIMS: tuple[Claim, ...] = (
         ),
     ),
     (
-        "four hidden on a long record: each in the final model or in a set",
+        "four hidden on a long record: each in the final model or equivalent",
         lambda rows: share(set(r["hidden"]) <= found_effects(r) for r in of_kind(rows, "several")),
     ),
     *(
@@ -236,7 +236,7 @@ CLAIMS: tuple[Claim, ...] = (
         )
         for shape in bank.OUTSIDE
     ),
-    ("error of a second campaign over the true model's, median", _held_out),
+    ("hold-out error over the true model's, median", _held_out),
     *(
         (
             f"drawn from the search's prior: {what}, stated {low:g} to {high:g}, true",
@@ -251,10 +251,10 @@ CLAIMS: tuple[Claim, ...] = (
 )
 ABOUT = """
 Campaigns simulated by each instrument's own physics, hidden effects of a third to three times the plausible size,
-searched as `calibrate` does. *Log Bayes factor*: of the true structure against the baseline, under white noise.
-*Final*: the structure chosen. *Drawn from the search's prior*: each candidate in or out by its odds: statements
-should be true as often as they say; *complete*: no named effect is missing, nor a curve that adds over a fifth of the
-noise; *due*: the central 95 % of what right statements give. Brackets: exact 95 % binomial intervals.
+searched as by `calibrate`. *Log Bayes factor*: of the true structure over the baseline, under white noise.
+*Final*: the chosen structure. *Drawn from the search's prior*: each candidate included by its odds, so that stated
+probabilities should be calibrated; *complete*: no named effect is missing, nor a curve above a fifth of the noise;
+*expected*: the central 95 % for calibrated statements. Brackets: exact 95 % binomial intervals.
 """
 
 
@@ -270,7 +270,7 @@ def render() -> pages.Texts:
     days = [r["day"] for group_rows in (*groups.values(), *spoilt.values()) for r in group_rows]
     tables = (
         pages.claims_table(groups, CLAIMS),
-        "Nothing hidden, and noise, rows or priors that are not as the model takes them: something added "
+        "Nothing hidden, and noise, rows or priors that violate the model: an effect added "
         "(`python -m benchmarks false_discoveries`).",
         pages.claims_table(spoilt, false_discoveries.CLAIMS),
     )

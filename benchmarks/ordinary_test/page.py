@@ -17,17 +17,16 @@ CLEAR = 15.0  # nats, from which what is hidden must be said
 WORSE = 1.05  # hold-out error over the true model's, up to which it is as good
 RIGHT = {"column": "fan_speed", "resonance": "temperature", "step": "jump", "elapsed": "elapsed"}
 ABOUT = """
-Three to five runs through a chamber, a thermometer on the package, and a body behind it: a die of one time, two
-stages, a slab through which heat diffuses, or an electronics that lags beside a sensor that does not. Chamber,
-package, body and self-heating are integrated numerically; no formula is shared with the catalogue. In each campaign
-a random subset of run offsets, warm-up, a quadratic and the supply's voltage is hidden, from hardly visible to
-obvious; `mems_gyro` or `still_sensor` reads the file. *Clear*: the exact log evidence of all true columns is 15
-above that without the family's. *Coefficients*: of effects in the final model, by the averaged posterior.
-*Something named that is not there*: a family in the final model, or a set, of which nothing is true; an unknown
-function or a noise law is no name.
+Three to five runs in a chamber, a thermometer on the package, and a body behind it: a die of one time constant, two
+stages, a slab with heat diffusion, or electronics that lag beside a sensor that does not. Chamber, package, body and
+self-heating are integrated numerically; no formula is shared with the catalogue. In each campaign a random subset of
+run offsets, warm-up, a quadratic and the supply voltage is hidden, from hardly detectable to obvious; `mems_gyro` or
+`still_sensor` reads the file. *Clear*: the exact log evidence of all true columns exceeds that without the family's by
+15. *Coefficients*: of effects in the final model, by the averaged posterior. *A wrong name*: a family in the final
+model, or a set, without any true cause; an unknown function or a noise law is not a name.
 """
-STRANGE = "What no family describes, hidden in the same test: a column, a resonance, a step, a swing after power-on."
-GOOD = "Records without a fault, of six instruments, in chambers that step, ramp and hold."
+STRANGE = "Effects outside all families, in the same test: a column, resonance, step, oscillation after power-on."
+GOOD = "Records without faults, of six instruments, in chambers that step, ramp and hold."
 
 
 def lost(row: dict[str, Any], least: float = CLEAR) -> list[str]:
@@ -87,19 +86,19 @@ def _seconds(rows: Rows) -> str:
 CLAIMS: tuple[Claim, ...] = (
     ("a hidden family, clear: in the model or in a set", named),
     *((f"the same, {family}", partial(named, family=family)) for family in naming.HIDDEN),
-    ("something named that is not there", wrong_name),
+    ("a wrong name", wrong_name),
     ("a description in the final model", lambda rows: share(map(bool, map(described, rows)))),
     ("status 1", shut),
-    ("coefficients inside their 95 % interval, profiles differ", partial(inside, repeats=False)),
+    ("coefficients inside their 95 % interval, different profiles", partial(inside, repeats=False)),
     ("the same, one profile repeated", partial(inside, repeats=True)),
     *(
         (
-            f"hold-out error over the true model's, {words}: median; within {WORSE:g}; nine of ten below",
+            f"hold-out error over the true model's, {words}: median; within {WORSE:g}; 90 % quantile",
             partial(_held_out, kind=kind),
         )
         for kind, words in (("same", "same kind of profile"), ("other", "another kind"))
     ),
-    ("processor, 1,600 readings, s", _seconds),
+    ("processor time, 1,600 readings, s", _seconds),
 )
 
 
@@ -125,7 +124,7 @@ GOOD_CLAIMS: tuple[Claim, ...] = (
     ("status 1", shut),
     *(
         (
-            f"a thermometer doubted in a {where}",
+            f"a thermometer questioned in a {where}",
             lambda rows, w=key: share(w in r["doubted"] for r in rows),
         )
         for where, key in (("failed check", "reason"), ("flag", "flags"), ("note", "notes"))

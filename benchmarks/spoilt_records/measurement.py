@@ -30,14 +30,13 @@ FURTHER = kinds_of(Path(__file__).with_name("covariates.toml"))
 # Seeds, and records of each instrument, drawn at random.
 FURTHER_SEEDS, FURTHER_RECORDS = (range(101, 106), 20)
 ABOUT = f"""
-Each record is a simulated campaign, in three of five with an effect hidden in it, spoilt as files from a laboratory
-are, written to a CSV file, read by `bc.read` and searched by `bc.calibrate` (least squares, at most three effects).
-A second campaign, which the search does not see, judges the result. *Right*: every true coefficient that the final
-model holds lies within {AWAY:g} posterior standard deviations, and the error of the second campaign is at most
-{WORSE:g} times what it should be: the error of the true structure fitted to the record before it was spoilt, and
-the model's own stated standard uncertainty (at most {MAX_SD:g} times that one's), in squares. *Said*: refused, or the
-verdict fails, or a flag or an effect that was added names the cause. *Wrong*: neither, or an error that is no
-refusal. Cells: right/said/wrong.
+Each record is a simulated campaign, three of five with a hidden effect, with a fault that files from a laboratory have,
+written to a CSV file, read by `bc.read` and searched by `bc.calibrate` (least squares, at most three effects).
+A second campaign, which the search does not use, tests the result. *Right*: every true coefficient in the final model
+is within {AWAY:g} posterior standard deviations, and the error of the second campaign is at most {WORSE:g} times the
+root sum of squares of two: the error of the true structure, fitted to the record before the fault, and the model's own
+standard uncertainty (at most {MAX_SD:g} times that structure's). *Said*: refused, or the verdict fails, or a flag or an
+added effect names the cause. *Wrong*: neither, or an error that is not a refusal. Cells: right/said/wrong.
 """
 
 
@@ -106,7 +105,7 @@ def render() -> pages.Texts:
     groups, further = results(), results(SIXTY)
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]
-    totals = pages.claims_table(groups, [("all that are spoilt", _total)], "records")
+    totals = pages.claims_table(groups, [("all with faults", _total)], "records")
     text = "Sixty more kinds: faults of thermometer, clock, hold-out and logger; a random sample."
     sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
     together = {"all instruments": [row for rows in groups.values() for row in rows]}

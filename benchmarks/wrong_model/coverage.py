@@ -217,17 +217,17 @@ CLAIMS: tuple[Claim, ...] = (
     ("verdict fails", lambda rows: share(not row["open"] for row in rows)),
     *(
         (f"{what}, stated {low:g} to {high:g}, true", partial(say, low=low, high=high))
-        for what, say in (("an effect is there", _effects), ("complete", _complete))
+        for what, say in (("an effect is present", _effects), ("complete", _complete))
         for low, high in BANDS
     ),
-    ("an effect is there, stated 0.95 to 1, verdict holds, true", _named_where_open),
+    ("an effect is present, stated 0.95 to 1, verdict holds, true", _named_where_open),
 )
 ABOUT = """
-Campaigns of three instruments whose laws are none of the catalogue's (a lag of two stages, saturating gradients, a
-hysteresis that turns over degrees); in half, *no formula*: peaks, ripples, kinks and saws in temperature, play, memory,
-creep. None to two effects are hidden, at 0.05 to 5 plausible sizes: many are too small to be seen. *Another profile*
-goes beyond the range by a fifth. *Due*: the central 95 % of what right statements give. *Complete*: nothing that can be
-seen is missing that adds more than a fifth of the noise, rms, to what the baseline holds.
+Campaigns of three instruments whose laws are not in the catalogue (a lag of two stages, saturating gradients, a
+hysteresis that reverses gradually); in half, *no formula*: peaks, ripples, kinks and sawteeth in temperature, play,
+memory, creep. Zero to two effects are hidden, at 0.05 to 5 plausible sizes: many are too small to detect. *Another
+profile* exceeds the range by a fifth. *Expected*: the central 95 % for calibrated statements. *Complete*: no detectable
+effect is missing whose part outside the baseline's span is above a fifth of the noise, rms.
 """
 
 
