@@ -1,1 +1,1 @@
-"""Many devices of one type: reading files, fitting (locally or on Dask), searching for effects, and results."""
+"""Calibration of many devices of one type: files, fits (in this process or on Dask), searches for effects, results."""

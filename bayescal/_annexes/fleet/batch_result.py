@@ -1,4 +1,4 @@
-"""Results of a batch: for each device its unknowns, their covariance and a verdict, as arrays and a table."""
+"""Results of a batch of devices: unknowns, covariance and failed checks of each device, and statistics of all."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ TABLE_COLUMNS = SCHEMA.names[:7]  # of `BatchResult.table`
 
 
 def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "") -> list[str]:
-    """Format names with their reasons, one line per distinct reason, at most ten; count the names not listed."""
+    """Format reasons, by name, as lines: one for each of the ten most frequent reasons, and a count of other names.
+
+    `prefix` precedes the names in a line, `suffix` follows the count.
+    """
     by_reason: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         key = reason.replace(repr(name), "").replace(f"device {name}", "")
@@ -54,16 +57,16 @@ def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "
     return [*lines, f"  … and {n_more} more{suffix}"] if n_more > 0 else lines
 
 
-# Heads of printed tables.
-HEADS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
-HEADS |= {"typical sd": "standard uncertainty (median)"}
-EFFECT_HEADS = {"devices": "found, by device", "possible": "it or a rival found"}
-EFFECT_HEADS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
-EFFECT_HEADS |= {"share": "expected share", "low": "95 % interval if any: from", "high": "to"}
+# Column headers of printed tables.
+HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
+HEADERS |= {"typical sd": "standard uncertainty (median)"}
+EFFECT_HEADERS = {"devices": "devices found in", "possible": "devices possibly found in"}
+EFFECT_HEADERS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
+EFFECT_HEADERS |= {"share": "expected share", "low": "95 % interval if any: from", "high": "to"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:
-    """Format a table with `digits` significant digits and the column headers `headers`."""
+    """Format a table with `digits` significant digits; `headers` are column headers, by name of the column."""
 
     def format_cell(v: Any) -> str:
         return "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
@@ -75,7 +78,7 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
-NO_SEARCH = "no device was searched for missing effects (--find, in Python find=True)"
+NO_SEARCH = "no device was searched for missing effects: --find (in Python find=True) searches"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +86,14 @@ class DeviceResult:
     """Result of the fit of one device of a batch.
 
     Attributes:
-        device: its name.
-        reason: why its fit is unreliable: an error message or its failed checks; empty for a reliable fit.
-        names, units: of its q unknowns; empty if the device was rejected.
+        device: name of the device.
+        reason: error message or failed checks because of which the fit is unreliable; empty for a reliable fit.
+        names, units: names and units of the q unknowns; empty if the device was rejected.
         mean: posterior mean of each unknown (q,), in `units`.
-        covariance: posterior covariance (q, q); NaN for fixed parameters (standard deviations, by least squares).
+        covariance: posterior covariance (q, q); NaN where it is not estimated (σ of the noise, by least squares).
         readings: number of readings fitted; NaN if not known.
-        t0: reference temperature, °C; NaN if the model has none.
-        structure: effects missing from its model, if it was searched for them; not saved.
+        t0: reference temperature T0, °C; NaN if the model has none.
+        structure: result of the search for missing effects; None without a search. Not saved.
     """
 
     device: str = ""
@@ -105,17 +108,17 @@ class DeviceResult:
 
     @property
     def ok(self) -> bool:
-        """Return whether the fit is reliable; its model may still lack effects."""
+        """Return whether the fit is reliable; the model may nevertheless lack effects."""
         return not self.reason
 
     @property
     def sd(self) -> np.ndarray:
-        """Return standard uncertainties, (q,); NaN for fixed parameters."""
+        """Return the standard uncertainty of each unknown (q,); NaN where it is not estimated."""
         variance = np.diag(self.covariance)
         return np.sqrt(np.where(variance >= 0, variance, np.nan))
 
     def __getitem__(self, name: str) -> tuple[float, float]:
-        """Return mean and standard uncertainty of the unknown `name`; raise InputError if there is none."""
+        """Return mean and standard uncertainty of the unknown `name`; raise InputError if it does not exist."""
         if name not in self.names:
             others = ", ".join(self.names) or "none"
             raise bc.InputError(f"device {self.device!r} has no unknown {name!r}; it has: {others}")
@@ -160,25 +163,25 @@ def _split_by_device(rows: pa.Table) -> tuple[DeviceResult, ...]:
 
 
 def require_parquet(path: Path) -> Path:
-    """Return the path of a file to save a batch to; raise InputError if its suffix is not .parquet."""
+    """Return the path of a file in which to save a batch; raise InputError if its suffix is not .parquet."""
     if path.suffix != ".parquet":
-        raise bc.InputError(f"{path.name!r}: a batch is saved as Parquet: give a name in .parquet")
+        raise bc.InputError(f"{path.name!r} must end in .parquet: a batch is saved as Parquet")
     return path
 
 
 @ws.renamed(doubted="unreliable")
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Fits of many devices: `result["A17"]` or `result[3]` of one device, `table()` of all.
+    """Results of the fits of many devices; `result["A17"]` or `result[3]` is the result of one device.
 
     Attributes:
-        results: one per device, in input order.
-        about: instrument, effects, method, seed and notes.
-        odd: outlying device → one message per outlying quantity.
+        results: result of each device, in input order.
+        about: instrument, effects, noise law, method, seed, reference constants, and settings other than the defaults.
+        odd: name of an outlying device → messages, one per outlying quantity.
         checked: number of devices searched for missing effects (`find`).
         missing: unreadable file → error message.
         left_out: entry of a folder of readings that was not read → reason.
-        effects: one row per effect found by `find`: devices with it and its share of the fleet; else without rows.
+        effects: table of the effects found by `find`: number of devices with each, and its share of the fleet.
     """
 
     results: tuple[DeviceResult, ...]
@@ -200,7 +203,7 @@ class BatchResult:
 
     @property
     def ok(self) -> np.ndarray:
-        """Return whether each device's fit is reliable, (devices,); its model may still lack effects."""
+        """Return whether the fit of each device is reliable, (devices,); its model may nevertheless lack effects."""
         return np.array([fit.ok for fit in self.results], dtype=bool)
 
     def __len__(self) -> int:
@@ -236,24 +239,25 @@ class BatchResult:
         return {fit.device: fit.reason for fit in self if not fit.ok}
 
     def coefficients(self) -> pd.DataFrame:
-        """Return one row per coefficient, over the devices with a reliable fit.
+        """Return statistics of each coefficient over the devices with a reliable fit, one row per coefficient.
 
         Columns: median and experimental standard deviation of the estimates; standard deviation in the population,
-        without the estimates' uncertainties (restricted likelihood); median standard uncertainty, unit, devices.
+        without the estimates' uncertainties (restricted likelihood); median standard uncertainty; unit; device count.
         """
 
-        def row(name: str, unit: str, g: pd.DataFrame) -> list[Any]:
-            mean, sd, population = g["mean"].to_numpy(), g["sd"].to_numpy(), np.nan
-            if len(g) > 1 and np.isfinite(sd).all():
-                population = np.sqrt(estimate_population(mean, sd**2)[1])
-            return [name, np.median(mean), g["mean"].std(), population, np.median(sd), unit, len(g)]
+        def summarise(name: str, unit: str, fits: pd.DataFrame) -> list[Any]:
+            mean, sd, population_sd = fits["mean"].to_numpy(), fits["sd"].to_numpy(), np.nan
+            if len(fits) > 1 and np.isfinite(sd).all():
+                population_sd = np.sqrt(estimate_population(mean, sd**2)[1])
+            moments = np.median(mean), fits["mean"].std(), population_sd, np.median(sd)
+            return [name, *moments, unit, len(fits)]
 
         by_unknown = self.table().query("ok").groupby(["coefficient", "unit"], sort=False)
-        rows = [row(name, unit, g) for (name, unit), g in by_unknown]  # pyright: ignore
+        rows = [summarise(name, unit, fits) for (name, unit), fits in by_unknown]  # pyright: ignore
         return pd.DataFrame(rows, columns=COEFFICIENTS)
 
     def data(self) -> dict[str, Any]:
-        """Return the batch's summary, without single devices' results, as JSON data."""
+        """Return a summary of the batch as JSON data, without the results of single devices."""
         fields = ("checked", "odd", "missing", "left_out", "about")
         return ws.as_json(
             {
@@ -268,13 +272,13 @@ class BatchResult:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the table to Parquet, with each unknown's row of the covariance, for `load_batch`.
+        """Write the results to a Parquet file, which `load_batch` reads; return its path.
 
         Args:
-            path: file name ending in .parquet; the batch's summary, `data()`, is in its metadata.
+            path: file name ending in .parquet. Rows are those of `table()`, with covariances; the metadata is `data()`.
 
         Raises:
-            InputError: another suffix, or the file cannot be written.
+            InputError: the suffix is not .parquet, or the file cannot be written.
         """
         path = require_parquet(Path(path))
         metadata = {"bayescal": json.dumps(self.data(), allow_nan=False)}
@@ -287,33 +291,33 @@ class BatchResult:
         return f"<pre>{ws.html_text(self)}</pre>"
 
     def __str__(self) -> str:
-        odd = {name: "; ".join(messages) for name, messages in self.odd.items()}
-        fitted = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
-        lines = [fitted, *format_reasons(self.unreliable)]
+        notes = {name: "; ".join(messages) for name, messages in self.odd.items()}
+        head = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
+        lines = [head, *format_reasons(self.unreliable)]
         lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
-        chance = f"family-wise error rate {FAMILY_WISE_ERROR:.0%}"
-        lines += [f"{len(odd)} of {len(self)} devices are outliers ({chance}):"] * bool(odd)
-        lines += format_reasons(odd, suffix=", all in `odd`")
+        error_rate = f"family-wise error rate {FAMILY_WISE_ERROR:.0%}"
+        lines += [f"{len(notes)} of {len(self)} devices are outliers ({error_rate}):"] * bool(notes)
+        lines += format_reasons(notes, suffix=", all in `odd`")
         lines += format_reasons(self.missing, "no results of ", " files")
         lines += format_reasons(self.left_out, "not read: ", ", not read either")
-        lines += [format_table(self.coefficients(), 4, HEADS)] * bool(self.fitted)
+        lines += [format_table(self.coefficients(), 4, HEADERS)] * bool(self.fitted)
         if len(effects := self.effects.head(MAX_PRINTED_ROWS)):
             table = effects.assign(**{"in fleet": effects["in fleet"].map(ws.probability)})
-            lines += ["effects added to the model given:", format_table(table, 3, EFFECT_HEADS)]
-            rare = ", ".join(effects.query("devices > 0 and `in fleet` < 0.5")["effect"])
-            lines += [f"found in single devices, improbable in the fleet: {rare}"] * bool(rare)
+            lines += ["effects missing from the model:", format_table(table, 3, EFFECT_HEADERS)]
+            names = ", ".join(effects.query("devices > 0 and `in fleet` < 0.5")["effect"])
+            lines += [f"found in single devices, improbable in the fleet: {names}"] * bool(names)
         return "\n".join(lines)
 
 
 def load_batch(path: str | Path) -> BatchResult:
-    """Read a saved batch.
+    """Read a batch saved by `BatchResult.save`.
 
     Raises:
         InputError: the file does not exist, is damaged, or is not a batch of this version.
     """
     path = Path(path)
     if not path.is_file():
-        raise bc.InputError(f"There is no file {path}: give a batch saved by bayescal")
+        raise bc.InputError(f"{path} does not exist: give the file of a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
         metadata = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])

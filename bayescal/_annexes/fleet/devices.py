@@ -1,4 +1,4 @@
-"""Readings of many devices of one type, one `Measurements` per device, split from files by device.
+"""Readings of many devices of one type, read from files and split into one `Measurements` per device.
 
 A file is checked and converted as a whole; a device's columns are slices of the file's. An error in the rows of one
 device rejects that device only.
@@ -27,7 +27,7 @@ DEVICE = "device"
 class Devices:
     """Readings of many devices of one type.
 
-    `devices["A17"]` is the `Measurements` of one device; iteration yields those of each.
+    `devices["A17"]` is the `Measurements` of one device; iteration yields those of each accepted device.
 
     Attributes:
         names: names of all devices, including rejected ones, in order of appearance.
@@ -46,14 +46,15 @@ class Devices:
         """Return the readings of one device; raise InputError if it does not exist or was rejected."""
         if name in self.measurements:
             return self.measurements[name]
-        unknown = f"not among the {len(self)} devices: {', '.join(self.names[:5])} …"
+        names = ", ".join(self.names[:5]) + " …" * (len(self) > 5)
+        unknown = f"no readings; the {len(self)} devices are: {names}"
         raise bc.InputError(f"device {name!r}: {self.refused.get(name, unknown)}")
 
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
 
     def select(self, names: Sequence[str]) -> Devices:
-        """Select devices by name."""
+        """Return the devices of these names, in the order of the names."""
         accepted = {n: self.measurements[n] for n in names if n in self.measurements}
         refused = {n: self.refused[n] for n in names if n in self.refused}
         return Devices(tuple(names), accepted, refused)
@@ -64,16 +65,16 @@ class Devices:
 
     @classmethod
     def of_files(cls, by_file: Mapping[Path, Devices]) -> Devices:
-        """Combine the devices of several files; reject a device that is in more than one, as ambiguous."""
+        """Combine the devices of several files; reject a device that is in more than one of them."""
         measurements, refused = dict[str, bc.Measurements](), dict[str, str]()
         first_files = dict[str, Path]()
         for file, devices in by_file.items():
             measurements |= devices.measurements
             refused = devices.refused | refused
             for name in devices.names:
-                if (first := first_files.setdefault(name, file)) != file:
+                if (other := first_files.setdefault(name, file)) != file:
                     refused[name] = (
-                        f"device {name!r} is in several files, {first.name!r} and {file.name!r}: combine its readings "
+                        f"device {name!r} is in several files, {other.name!r} and {file.name!r}: combine its readings "
                         "in one file"
                     )
         accepted = {name: m for name, m in measurements.items() if name not in refused}
@@ -83,7 +84,7 @@ class Devices:
     def of_measurements(
         cls, readings: Sequence[bc.Measurements] | Mapping[str, bc.Measurements]
     ) -> Devices:
-        """Build devices from measurements, named by key, by the label in column `device`, or by number from 1.
+        """Build devices named by the keys of a mapping, unique labels in the column `device`, or numbers from 1.
 
         Raises:
             InputError: there are no measurements, or an entry is of another type.
@@ -99,12 +100,12 @@ class Devices:
             if len({*names}) < len(names):
                 names = [str(i + 1) for i in range(len(entries))]
         by_name = dict(zip(names, entries, strict=True))
-        refused = {n: error for n, d in by_name.items() if (error := _non_finite_error(d))}
+        refused = {n: error for n, d in by_name.items() if (error := _find_non_finite_value(d))}
         accepted = {name: device for name, device in by_name.items() if name not in refused}
         return cls(tuple(by_name), accepted, refused)
 
 
-def _non_finite_error(device: bc.Measurements) -> str:
+def _find_non_finite_value(device: bc.Measurements) -> str:
     """Return an error message for the first value that is not finite; "" if there is none."""
     for column in device.columns:
         is_numeric = device.unit(column) is not None and column != "temperature_point"
@@ -114,10 +115,10 @@ def _non_finite_error(device: bc.Measurements) -> str:
 
 
 def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
-    """List the files of readings among paths and, recursively, in folders; list also the entries that are not read.
+    """List files of readings: the given files, and those in the given folders and their subfolders.
 
     Returns:
-        The files; and relative path → reason of each entry of a folder that is not read.
+        The files; and relative path → reason for each entry of a folder that is not read.
 
     Raises:
         InputError: there is no file of readings.
@@ -138,9 +139,9 @@ def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             elif entry.is_file() and suffix in ws.SUFFIXES:
                 files.append(entry)
             elif entry.is_file():
-                left_out[name] = f"the format {suffix or 'without suffix'} is not supported"
+                left_out[name] = f"the suffix {suffix!r} is not supported"
             elif entry.is_symlink() or not entry.is_dir() or is_unreadable:
-                left_out[name] = "a link, not a file, or a folder that cannot be read"
+                left_out[name] = "a link to a folder, or neither a file nor a readable folder"
     if not files:
         reasons = "".join(f"; {name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise bc.InputError(
@@ -162,11 +163,11 @@ def split_devices(
         paths: CSV, Parquet or NetCDF files. Rows of different devices may be mixed; those of one are in time order.
         instrument: instrument type of the devices.
         needs: additional columns that a model's effects use; a device without numbers in them is rejected.
-        how: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero, date_order, ignore, as in
-            `read`; columns={"device": "serial"} splits by the column `serial`.
+        how: options of `read`: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero,
+            date_order, ignore; columns={"device": "serial"} splits by the column `serial`.
 
     Returns:
-        The devices. A device with an unusable cell, a single temperature, decreasing time, or readings in several files
+        The devices. A device with an unusable cell, equal temperatures, decreasing time, or readings in several files
         is in `refused` with its error message; the others are not affected.
 
     Raises:
@@ -179,12 +180,9 @@ def split_devices(
 
 
 def read_devices(
-    path: Path,
-    instrument: bc.Instrument,
-    options: ws.ReadOptions,
-    needs: Sequence[str] = (),
+    path: Path, instrument: bc.Instrument, options: ws.ReadOptions, needs: Sequence[str] = ()
 ) -> Devices:
-    """Read the devices of one file, or the selected channels of a log; without a column `device` it is one device.
+    """Read the devices of one file, or of a log's selected channels; a file without a column `device` is one device.
 
     Raises:
         InputError: as in `split_devices`.
@@ -193,7 +191,7 @@ def read_devices(
     problems, options = ws.Objections(), options.of_file(table)
     ws.unused_options([table], options, problems)
     problems.refuse()
-    columns = (*instrument.columns, *_additional_columns(table, instrument, options, needs))
+    columns = (*instrument.columns, *_find_additional_columns(table, instrument, options, needs))
     output = ws.output_name(instrument)
     expects = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
     file = ws.MatchedFile(table, expects, options, problems)
@@ -212,7 +210,7 @@ def read_devices(
     for first, end in itertools.pairwise([*begin, len(rows)]):
         name = names[codes[rows[first]]]
         device = {n: column[first:end] for n, column in values.items()}
-        if error := _device_error(device, name, {"temperature"} <= needed & device.keys()):
+        if error := _find_device_error(device, name, {"temperature"} <= needed & device.keys()):
             refused[name] = error
         else:
             source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
@@ -220,7 +218,7 @@ def read_devices(
     return Devices(names, by_name, refused)
 
 
-def _additional_columns(
+def _find_additional_columns(
     table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
 ) -> tuple[bc.Column, ...]:
     """Return the columns, in base units, that effects need but the instrument does not declare."""
@@ -252,14 +250,14 @@ def _convert_usable(
         errors: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
-                in_row = replace(problem, rows=(index,), places=(subtable.place(index),))
-                errors[int(codes[rows[index]])] = str(in_row)
+                row_problem = replace(problem, rows=(index,), places=(subtable.place(index),))
+                errors[int(codes[rows[index]])] = str(row_problem)
         refused |= {names[code]: error for code, error in errors.items()}
         rows = rows[~np.isin(codes[rows], list(errors))]
     return {}, {}, rows, refused
 
 
-def _device_error(columns: dict[str, np.ndarray], name: str, needs_temperatures: bool) -> str:
+def _find_device_error(columns: dict[str, np.ndarray], name: str, needs_temperatures: bool) -> str:
     """Return an error message if a device's time decreases, or all its temperatures are equal; "" otherwise."""
     file = f"device {name}"
     problems = [*find_single_temperature(columns, file)] if needs_temperatures else []

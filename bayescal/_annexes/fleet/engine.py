@@ -28,9 +28,8 @@ MAX_TASK_RETRIES = 2  # of a failed task; tasks of a worker that died do not cou
 POLL_INTERVAL_S = 2.0  # between checks of the deadline and of the workers
 REPORT_INTERVAL_S = 9.0  # between progress messages
 WORKER_TIMEOUT_S = 200.0  # without a worker, after which a run is abandoned
-MAX_TASK_SIZE = (
-    "4GB"  # that a scheduler accepts without a warning: twice the maximum size of a file
-)
+# Size of a task that a scheduler accepts without a warning: twice the maximum size of a file.
+MAX_TASK_SIZE = "4GB"
 NOT_PROCESSED = "not processed ({}): give more time"
 
 
@@ -38,9 +37,9 @@ NOT_PROCESSED = "not processed ({}): give more time"
 def open_cluster(
     workers: int | None, scheduler: str | None = None, files: Sequence[Path] = ()
 ) -> Iterator[Client]:
-    """Open a client of `workers` local processes, or of the cluster at the address `scheduler`; close it on exit.
+    """Open a client of a local Dask cluster, or of the cluster with the address `scheduler`; close it on exit.
 
-    `files`, the user's Python files, are uploaded to the workers.
+    `workers` is the number of local processes, by default one per core; `files`, the user's code, go to the workers.
 
     Raises:
         InputError: Dask is not installed, or no scheduler answers at the address.
@@ -96,32 +95,32 @@ Outcome = tuple[Any, str]  # a task's value, and its error message (empty on suc
 def run_tasks(
     client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple], noun: str
 ) -> list[Outcome]:
-    """Run a function on each task's arguments, with this process's settings; return the outcomes in order.
+    """Run a function with each task's arguments under this process's settings; return the outcomes in order.
 
-    The number of completed `noun` (plural) is reported. Tasks that do not complete before the deadline fail with that
-    reason.
+    Progress lines count the completed tasks, called `noun` (plural). The outcome of a task that is not completed before
+    the deadline is an error message.
     """
     outcomes = dict[int, Outcome]()
     start = last_report = time.monotonic()
-    for index, outcome in _completed(client, function, tasks):
+    for index, outcome in _iterate_outcomes(client, function, tasks):
         outcomes[index] = outcome
         now, fraction = time.monotonic(), len(outcomes) / len(tasks)
         if now > last_report + REPORT_INTERVAL_S and fraction < 1:
             last_report, seconds = now, (now - start) * (1 / fraction - 1)
-            done = f"{len(outcomes):,} of {len(tasks):,} {noun}"
-            ws.tell(f"{done}, about {seconds:,.0f} s left", fraction)
+            progress = f"{len(outcomes):,} of {len(tasks):,} {noun}"
+            ws.tell(f"{progress}, about {seconds:,.0f} s left", fraction)
     return [outcomes[index] for index in range(len(tasks))]
 
 
-def _completed(
+def _iterate_outcomes(
     client: Client | None, function: Callable[..., Any], tasks: Sequence[tuple]
 ) -> Iterator[tuple[int, Outcome]]:
-    """Yield each task's index and outcome as it completes."""
-    end, settings = ws.deadline.current(), ws.settings()
+    """Yield the index and the outcome of each task when it completes."""
+    deadline, settings = ws.deadline.current(), ws.settings()
     if client is None:
         for index, task in enumerate(tasks):
-            if index and end.over:
-                yield index, (None, NOT_PROCESSED.format(end.why))
+            if index and deadline.over:
+                yield index, (None, NOT_PROCESSED.format(deadline.why))
             else:
                 yield index, run_guarded(function, task, settings)
         return
@@ -135,27 +134,27 @@ def _completed(
             for index, task in enumerate(tasks)
         }
     last_active = now = time.monotonic()  # last time with a worker, s
-    while futures and not end.over and now <= last_active + WORKER_TIMEOUT_S:
-        done, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
+    while futures and not deadline.over and now <= last_active + WORKER_TIMEOUT_S:
+        completed, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)
         now = time.monotonic()
-        last_active = now if done or client.nthreads() else last_active
-        for future in done:
+        last_active = now if completed or client.nthreads() else last_active
+        for future in completed:
             index = futures.pop(future)
             try:
                 yield index, future.result()
             except Exception as error:  # any error of a cluster that abandons a task
                 reason = f"the task was abandoned: {str(error) or type(error).__name__}"
                 yield index, (None, reason)
-            end.defer_interrupt()
+            deadline.defer_interrupt()
     no_worker = "the cluster has no worker left: start workers"
-    reason = NOT_PROCESSED.format(end.why) if end.over else no_worker
+    reason = NOT_PROCESSED.format(deadline.why) if deadline.over else no_worker
     for future, index in futures.items():
         future.cancel()
         yield index, (None, reason)
 
 
 def run_guarded(function: Callable[..., Any], task: tuple, settings: bc.Settings) -> Outcome:
-    """Run a task under settings; an error in its readings or files is its error message."""
+    """Run a function for a task under settings; return its value, or the message of an error in readings or files."""
     try:
         with bc.use_settings(settings):
             return function(*task), ""

@@ -1,11 +1,11 @@
-"""Search for each device's structure separately, and estimation of the share of the fleet that has each effect.
+"""Search for the structure of each device, and estimation of the share of the fleet that has each effect.
 
-The search is that of `calibrate`, without the checks and pictures of each step.
+The search is that of `calibrate`, without the checks and figures of each step.
 
-Jointly, devices distinguish alternative effects that a single device cannot. The model is hierarchical: the fleet has
+Several devices can distinguish alternative effects that one device cannot. The model is hierarchical: the fleet has
 an effect or not; if it has, the share of devices with it has a uniform prior; given the shares, devices are
 independent, each with the evidences of its structures. Shares and structures are sampled in turn (Gibbs sampling: S.
-Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a single device, the probabilities are its search's.
+Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a fleet of one, they agree with the device's search.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ MAX_EFFECTS_PER_DEVICE = 3  # added by the search
 
 @dataclass(frozen=True)
 class DeviceStructure:
-    """Log evidences of one device's structures, prior probabilities of its effects, and the effects found missing."""
+    """Result of one device's search: log evidences of its structures, effects' prior probabilities, effects found."""
 
     # effect → prior probability that a device has it; without effects that the readings cannot show
     prior: Mapping[str, float]
     # set of effects → natural logarithm of the evidence, summed over noise laws, up to a constant
     log_evidence: Mapping[tuple[str, ...], float]
-    # effects, families: of the median-probability structure, by form and by family of forms
+    # effects, families: effects of the median-probability structure: their forms, and the families of these forms
     effects: tuple[str, ...] = ()
     families: frozenset[str] = frozenset()
-    possible: frozenset[str] = frozenset()  # in sets of which one is missing with probability 0.95
+    possible: frozenset[str] = frozenset()  # in sets of effects of which one is missing, P > 0.95
 
 
 def search_device(
@@ -53,7 +53,7 @@ def search_device(
     candidates: tuple[bc.Effect, ...],
     reference: Mapping[str, Any],
 ) -> tuple[DeviceStructure, bc.Model, Mapping[str, float]]:
-    """Search a device's structures; return the median-probability one, its model, and its φ by name at the mode.
+    """Search one device's structures; return the result, the median-probability model, and φ by name at its mode.
 
     Raises:
         BayescalError: the readings lack a column that the model needs.
@@ -65,8 +65,8 @@ def search_device(
         model, readings, constants, effects=candidates, widen_noise=True
     )
     structures = replace(structures, near_best_only=True)
-    if stopped := ws.explore(ws.Library(structures), MAX_EFFECTS_PER_DEVICE):
-        raise ws.deadline.TimeIsUp(stopped)
+    if stop_reason := ws.explore(ws.Library(structures), MAX_EFFECTS_PER_DEVICE):
+        raise ws.deadline.TimeIsUp(stop_reason)
     posterior = ws.Posterior.from_structures(structures)
     chosen = posterior.median_structure
     evaluated = structures.evaluate(chosen)
@@ -77,7 +77,7 @@ def search_device(
     prior = {name: float(expit(family_odds)) for name, family_odds in log_odds.items()}
     structure = DeviceStructure(
         prior,
-        _log_evidences(posterior, log_odds),
+        _sum_log_evidences(posterior, log_odds),
         tuple(sorted(chosen.effects)),
         frozenset(posterior.space.families(chosen.effects)),
         frozenset(name for finding in posterior.findings for name in finding.effects),
@@ -85,7 +85,7 @@ def search_device(
     return structure, evaluated.model, evaluated.phi
 
 
-def _log_evidences(
+def _sum_log_evidences(
     posterior: ws.Posterior, log_odds: Mapping[str, float]
 ) -> dict[tuple[str, ...], float]:
     """Return the log evidence of each set of effects, summed over their forms, relative to the largest."""
@@ -94,9 +94,9 @@ def _log_evidences(
         effects = tuple(sorted(posterior.space.families(structure.effects)))
         log_evidence = log_posterior - sum(log_odds[name] for name in effects)
         sums[effects] = float(np.logaddexp(sums.get(effects, -np.inf), log_evidence))
-    best = max(sums.values())
+    peak = max(sums.values())
     best_sets = sorted(sums, key=lambda effects: -sums[effects])[:MAX_STRUCTURES_PER_DEVICE]
-    return {e: round(sums[e] - best, 6) for e in best_sets if sums[e] > best - MAX_DEFICIT_NATS}
+    return {e: round(sums[e] - peak, 6) for e in best_sets if sums[e] > peak - MAX_DEFICIT_NATS}
 
 
 BURN_IN, SIZE = 200, 1000  # numbers of Gibbs samples: discarded, and averaged
@@ -109,13 +109,13 @@ def estimate_shares(
     """Estimate the share of the fleet that has each effect, from all devices jointly.
 
     Args:
-        devices: evidences of each device.
+        devices: search result of each device.
         seed: seed of the random numbers.
         size: number of Gibbs samples, without burn-in.
 
     Returns:
-        By effect: probability that any device has it (`in fleet`), posterior mean of the number of devices with it
-        (`expected`) and of their `share`, and the share's 95 % interval if any device has it (`low`, `high`).
+        Table by effect: probability that any device has it (`in fleet`), posterior mean of the number of devices with
+        it (`expected`) and of their `share`, and the share's 95 % interval if any device has it (`low`, `high`).
     """
     names = sorted({name for device in devices for name in device.prior})
     if not names:
@@ -170,9 +170,10 @@ def build_common_model(
     table: pd.DataFrame,
     candidates: Sequence[bc.Effect],
 ) -> bc.Model:
-    """Add the effects that any device has, except placeholders, to the model, so that one model fits all devices.
+    """Add the effects that the fleet probably has to the model, so that one model fits all devices.
 
-    `table` is that of `tabulate_effects`; `candidates` are user-defined effects.
+    Of a family, the form that most devices have is added; placeholders are not added. `table` is the result of
+    `tabulate_effects`; `candidates` are user-defined effects.
     """
     in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     by_name = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
@@ -187,7 +188,7 @@ def build_common_model(
 
 
 def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
-    """Return one row per effect, the most frequent first.
+    """Tabulate the effects found in a fleet, one row per effect, the most frequent first.
 
     Columns: effect; number of devices whose structure has it; number where it is one of several indistinguishable
     effects, one of which is missing. From all devices jointly: probability that any has it, expected number with it,

@@ -1,6 +1,6 @@
-"""Fitting of many devices of one type, `fit_batch`, in this process or on a cluster.
+"""Fits of many devices of one type (`fit_batch`), in this process or on a Dask cluster.
 
-A task reads one file, or fits one batch of devices.
+A task of the cluster reads one file, or fits one batch of devices.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] |
 
 
 def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
-    """Search and fit one batch of devices."""
+    """Fit one batch of devices, each after a search for missing effects if requested; return the results in order."""
     results = {name: DeviceResult(reason=error) for name, error in devices.refused.items()}
     measurements, starts = dict(devices.measurements), dict[str, Mapping[str, float]]()
     models, structures = dict.fromkeys(measurements, request.model), {}
     for name in [*measurements] if request.find else ():
         try:
             arguments = measurements[name], request.candidates, request.reference
-            found = search_device(request.model, *arguments)
-            structures[name], models[name], starts[name] = found
+            result = search_device(request.model, *arguments)
+            structures[name], models[name], starts[name] = result
         except (bc.BayescalError, ws.deadline.TimeIsUp) as error:
             results[name] = DeviceResult(reason=str(error))
             del measurements[name]
@@ -63,7 +63,7 @@ def read_files(
     tasks = [(path, model.instrument, options, needs) for path in files]
     outcomes = [*zip(files, run_tasks(client, read_devices, tasks, "files"), strict=True)]
     errors = {path.name: error for path, (_, error) in outcomes if error}
-    return Devices.of_files({path: found for path, (found, error) in outcomes if not error}), errors
+    return Devices.of_files({path: read for path, (read, error) in outcomes if not error}), errors
 
 
 def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
@@ -106,38 +106,38 @@ def fit_batch(
     find: bool = False,
     effects: Sequence[bc.Effect] = (),
 ) -> BatchResult:
-    """Fit one model to each of many devices of one type, in a few compiled programs.
+    """Fit one model to each of many devices of one type; find outlying devices.
 
         result = bc.fit_batch(mems_gyro.INSTRUMENT.baseline(), "lot.parquet")
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
         bc.fit_batch(model, "fleet/", out="fleet.parquet", client=distributed.Client("tcp://10.0.0.5:8786"))
 
-    Estimates, uncertainties and failed checks are those of `fit` with the same method and seed. A device with unusable
-    readings or an unreliable fit gets a reason, and does not affect the others.
+    Estimates, uncertainties and failed checks are those of `fit` with the same method and seed. The result of a device
+    with unusable readings or an unreliable fit states the reason; the other devices are not affected.
 
     Files are read and devices are fitted in this process, or by the workers of a Dask `client` with the same results. A
     file that cannot be read is listed in `missing`; a device that is in several files is rejected.
 
     Args:
-        model: to fit. An instrument that adapts to its readings (unit, plausible sizes) adapts to the first device.
+        model: model to fit. An instrument that adapts to readings (unit, plausible sizes) adapts to the first device.
         readings: `split_devices(…)`; paths of files with a column `device` and of folders of files; or one
             Measurements per device, named by the keys of a mapping.
-        method: default `LeastSquares()`. `Marginal()` samples without chains: a device that needs them gets a reason.
-        seed: of the random numbers, or a NumPy generator to draw it from.
-        reference: constants of the bases, in place of each device's own.
-        time_limit: seconds after which the remaining devices are rejected with that reason, as on Ctrl-C.
-        client: of a Dask cluster whose workers have the files under the same paths.
+        method: method of inference, default `LeastSquares()`. `Marginal()` runs no chains: the fit of a device that
+            needs them is unreliable.
+        seed: seed of the random numbers, or a NumPy generator to draw it from.
+        reference: reference constants of basis functions; default: those of each device's readings.
+        time_limit: time limit, s; devices not fitted by then, or before Ctrl-C, are rejected with that reason.
+        client: client of a Dask cluster whose workers find the files under the same paths.
         out: file to save the result to, as in `BatchResult.save`.
         columns: options for reading files: arguments of `split_devices`, such as {"units": {"rate": "rad/s"}}.
         find: whether to search each device for missing effects (about a second per device).
         effects: user-defined candidate effects for that search.
 
     Raises:
-        InputError: no usable device, a missing path, or a result that cannot be written.
+        InputError: no device is usable, a path does not exist, or the result cannot be written.
     """
-    out = (
-        None if out is None else batch_result.require_parquet(Path(out))
-    )  # before anything is fitted
+    # An invalid name of the file is refused before the fits.
+    out = None if out is None else batch_result.require_parquet(Path(out))
     method = method or bc.LeastSquares()
     if isinstance(method, bc.Marginal):  # without chains, which take minutes per device
         method = replace(method, chains=False)
@@ -159,18 +159,15 @@ def fit_batch(
         model = tailor_to_fleet(model, devices)
         options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
         request = Request(model, *options)
-        result = _fit(client, request, devices, missing)
+        result = _fit_and_compare(client, request, devices, missing)
     result = replace(result, missing=missing, left_out=left_out)
     if out is not None:
         result.save(out)
     return result
 
 
-def _fit(
-    client: Client | None,
-    request: Request,
-    devices: Devices,
-    missing: dict[str, str],
+def _fit_and_compare(
+    client: Client | None, request: Request, devices: Devices, missing: dict[str, str]
 ) -> BatchResult:
     """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
     model, reference = request.model, request.reference
@@ -193,7 +190,7 @@ def _fit(
     structures = [fit.structure for fit in results if fit.structure is not None]
     effects = tabulate_effects(structures, request.seed)
     common_model = build_common_model(model, structures, effects, request.candidates)
-    if shapes := _median_shapes(common_model, model, results):
+    if shapes := _compute_median_shapes(common_model, model, results):
         common_model = common_model.fix(shapes)
     t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
     t0_differs = "T0" not in reference and t0.dropna().nunique() > 1
@@ -207,10 +204,10 @@ def _fit(
     return replace(result, odd=outliers, checked=len(structures), effects=effects)
 
 
-def _median_shapes(
+def _compute_median_shapes(
     common_model: bc.Model, model: bc.Model, results: Sequence[DeviceResult]
 ) -> dict[str, float]:
-    """Return the median shape parameters of each added effect over the devices that have the effect."""
+    """Return the medians of the shape parameters of effects added to `model`, over the devices that have the effect."""
     added_effects = (e for e in common_model.effects if e.name not in model.names)
     names = [e.shape_name(s) for e in added_effects for s in e.shapes]
     means = {n: [fit[n][0] for fit in results if fit.ok and n in fit.names] for n in names}

@@ -13,7 +13,7 @@ several maxima, if a coefficient is far from its prior mean (the noise may absor
 are so far from zero that digits are lost, or if a unit may be wrong.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
-Devices with the same number of readings form one record, whose arrays have a leading axis.
+Devices with the same number of readings are fitted as one record, whose arrays have a leading axis over devices.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ NOISE_NAME = "noise.white"
 
 @dataclass(frozen=True)
 class Request:
-    """The model to fit to every device, and the options of its fit and search."""
+    """Model to fit to every device, and the options of the fits and searches."""
 
-    model: bc.Model  # to fit
-    method: ws.Method  # fitting method
+    model: bc.Model
+    method: ws.Method  # method of inference
     seed: int  # of the random numbers
-    reference: Reference  # constants of the bases, in place of each device's own
+    reference: Reference  # given constants; the others are those of each device's readings
     find: bool  # whether to search each device for missing effects
     candidates: tuple[bc.Effect, ...]  # user-defined effects for that search
 
-    def reference_for(self, readings: bc.Measurements) -> Reference:
-        """Return the reference constants of a device's basis functions, computed from its readings unless given."""
+    def choose_reference(self, readings: bc.Measurements) -> Reference:
+        """Return the reference constants of a device: the given ones, the others computed from its readings."""
         constants = reference_of(readings)
         return constants | {n: v for n, v in self.reference.items() if n in constants}
 
@@ -67,7 +67,7 @@ def fit_devices(
     request: Request,
     starts: Mapping[str, Mapping[str, float]],
 ) -> dict[str, DeviceResult]:
-    """Fit each device with its model, from `starts`, regular devices jointly; reject those after the deadline."""
+    """Fit each device with its model, regular devices jointly; reject devices not fitted before the deadline."""
     results, deadline = dict[str, DeviceResult](), ws.deadline.current()
     with suppress(ws.deadline.TimeIsUp):
         for group_results in _fit_regular_devices(models, devices, request):
@@ -87,7 +87,7 @@ def fit_device(
     model: bc.Model, readings: bc.Measurements, request: Request, start: Mapping[str, float]
 ) -> DeviceResult:
     """Fit one device by `fit`; return its posterior moments and failed checks."""
-    reference = request.reference_for(readings)
+    reference = request.choose_reference(readings)
     options: dict[str, Any] = {"seed": request.seed, "reference": reference, "start": start}
     try:
         fitted = bc.fit(model, readings, request.method, strict=False, **options)
@@ -97,12 +97,12 @@ def fit_device(
     covariance = np.atleast_2d(np.cov(draws.T))
     is_constant = np.ptp(draws, axis=0) == 0
     covariance[is_constant], covariance[:, is_constant] = np.nan, np.nan
-    reason, t0 = " ".join(map(str, _failed_checks(fitted))), fitted.reference.get("T0", np.nan)
+    reason, t0 = " ".join(map(str, _list_failed_checks(fitted))), fitted.reference.get("T0", np.nan)
     moments = unknowns.names, unknowns.units, draws.mean(axis=0), covariance
     return DeviceResult("", reason, *moments, len(readings), float(t0))  # pyright: ignore
 
 
-def _failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
+def _list_failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
     """Return the failed checks of a single device's fit."""
     if not fitted.verdict.ok:
         return fitted.verdict.reasons
@@ -118,7 +118,7 @@ def _failed_checks(fitted: bc.Calibration) -> Sequence[Any]:
 def _fit_regular_devices(
     models: Mapping[str, bc.Model], devices: Mapping[str, bc.Measurements], request: Request
 ) -> Iterator[dict[str, DeviceResult]]:
-    """Fit the regular devices jointly if all have the same model, linear in its coefficients; yield each group."""
+    """Fit the regular devices jointly, if all have one model that is affine; yield results, by name, of each group."""
     distinct_models = {id(model): model for model in models.values()}
     if not isinstance(request.method, bc.LeastSquares) or len(distinct_models) != 1:
         return
@@ -133,13 +133,13 @@ def _fit_regular_devices(
         group = [devices[name] for name in names]
         if model.with_nuisances(group[0]) is not model:
             continue
-        references = [request.reference_for(device) for device in group]
+        references = [request.choose_reference(device) for device in group]
         frames = [build_frame(d, r) for d, r in zip(group, references, strict=True)]
         problem = _bind_jointly(model, group[0], frames)
         if problem is None:
             continue
         with np.errstate(all="ignore"):  # in devices that are not regular
-            is_regular, x, covariance, sd = _solve(problem, *_linearise(problem))
+            is_regular, x, covariance, sd = _fit_jointly(problem, *_linearise(problem))
         if NOISE_NAME not in dict(model.fixed):
             x = np.column_stack([x, sd])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
@@ -199,15 +199,15 @@ def _linearise(
     return problem.record.y - linearised.mean, linearised.jacobian
 
 
-def _solve(
+def _fit_jointly(
     problem: ws.Problem, y: Float[np.ndarray, "b n"], jacobian: Float[np.ndarray, "b n p"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Solve b devices; return a mask of the regular ones (b,), coefficients (b, p), covariances (b, p, p) and σ (b,).
+    """Fit b devices; return a mask of the regular ones (b,), coefficients (b, p), covariances (b, p, p) and σ (b,).
 
     Args:
         problem: joint problem of the devices.
         y: residuals of the outputs at the prior means.
-        jacobian: with respect to the coefficients.
+        jacobian: Jacobian of the outputs with respect to the coefficients.
     """
     n, p = jacobian.shape[1:]
     scale = problem.sizes.evaluate(problem.fixed_values)
@@ -225,7 +225,7 @@ def _solve(
     if NOISE_NAME in problem.fixed_values:
         variance, is_unique = np.full(len(y), problem.fixed_values[NOISE_NAME] ** 2), True
     else:
-        variance, is_unique = _noise_variance(n - p, rss, d2 * w**2, d2)
+        variance, is_unique = _estimate_noise_variance(n - p, rss, d2 * w**2, d2)
     shrinkage, sd = variance[:, None] / (variance[:, None] + d2), np.sqrt(variance)
     z = (z0 - vt.mT @ (shrinkage * w)[:, :, None])[:, :, 0]
     covariance = scale[:, None] * (vt.mT * shrinkage[:, None] @ vt) * scale
@@ -245,7 +245,7 @@ def _solve(
     return is_regular, x, covariance, sd
 
 
-def _noise_variance(
+def _estimate_noise_variance(
     dof: int,
     rss: Float[np.ndarray, "b"],
     c2: Float[np.ndarray, "b p"],
@@ -254,7 +254,7 @@ def _noise_variance(
     """Return the restricted-likelihood estimate of σ², and whether iterations from below and from above agree.
 
     σ² is the residual sum of squares over the effective degrees of freedom, iterated as in `LeastSquares` from two
-    starts: noise explains none of the readings, or all.
+    starting values: without, and with full, shrinkage of the coefficients to their prior means.
 
     Args:
         dof: number of readings less number of coefficients.

@@ -1,4 +1,4 @@
-"""Outlying devices of a fleet: their reference temperature, a coefficient or the noise differs from the others'.
+"""Detection of outlying devices, whose reference temperature, a coefficient or noise differs from the others'.
 
 All devices are fitted with one model at one reference temperature. Each quantity of a device is compared with its
 predictive distribution given the other devices: for a value x of standard uncertainty √v in a normal population,
@@ -6,10 +6,10 @@ predictive distribution given the other devices: for a value x of standard uncer
     (x − μ)/√(τ² + v + Var μ)  ~  t of ν degrees of freedom,     ν = (τ² + v)²/(1/Σw² + v²/r),     w = 1/(τ² + v)
 
 with μ and τ² estimated from the inliers by restricted likelihood, Var τ² = 2/Σw², and r the degrees of freedom of v.
-The inliers are found by forward search: starting from the middle half, which no outlier moves, devices within the
-limits are added until the set is stable. For an inlier, μ and τ² are leave-one-out estimates (τ² by a Newton step).
-A device that lacks an effect of the others has a coefficient near zero where theirs is not; one with a further effect,
-the reverse. A noise σ of r degrees of freedom is compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
+The inliers are found by forward search: starting from the middle half, which outliers do not affect, devices within
+the limits are added until the set is stable. For an inlier, μ and τ² are leave-one-out estimates (τ² by a Newton step).
+A device that lacks, or alone has, an effect differs in the effect's coefficient, which is near zero without the effect.
+A noise σ of r degrees of freedom is compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
 
 The family-wise false-alarm rate is 1 %: over all devices and quantities, one fleet in 100 without outliers has one.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); F. E. Satterthwaite, Biometrics
@@ -38,7 +38,7 @@ T0_SD_DEGC = 1.0  # standard deviation of reference temperatures that count as e
 def find_outlying_devices(
     results: Iterable[DeviceResult], t0: pd.Series, noise_names: Collection[str]
 ) -> dict[str, list[str]]:
-    """Find the outlying devices; return device → one message per outlying quantity.
+    """Find the outlying devices; return name of the device → messages, one per outlying quantity.
 
     Args:
         results: fits with one model at one reference temperature.
@@ -51,7 +51,7 @@ def find_outlying_devices(
     alpha = FAMILY_WISE_ERROR / max(1, len(reliable) * (len(names) + 1))
     outliers: dict[str, list[str]] = {}
     t0 = t0.loc[[*reliable]].dropna()
-    p, t0_mean = predictive_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
+    p, t0_mean = compute_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
     for device, temperature in t0.loc[p < alpha].items():
         text = f"measured near {ws.number(temperature)} °C, the others near {ws.number(t0_mean)} °C"
         outliers[str(device)] = [f"{text}: its values are not compared"]
@@ -64,7 +64,7 @@ def find_outlying_devices(
         if name in noise_names:
             power, mean = 2 / 3, np.abs(mean)
             variance, dof = np.median(mean) ** (2 * power) * 2 / (9 * residual_dof), np.inf
-        p, centre = predictive_p_values(mean**power if power < 1 else mean, variance, dof, alpha)
+        p, centre = compute_p_values(mean**power if power < 1 else mean, variance, dof, alpha)
         inlier_mean = ws.number(abs(centre) ** (1 / power) if power < 1 else centre)
         for i in np.flatnonzero(p < alpha).tolist():
             unit = ws.unit_label(fits[i].units[fits[i].names.index(name)])
@@ -73,7 +73,7 @@ def find_outlying_devices(
     return outliers
 
 
-def predictive_p_values(
+def compute_p_values(
     values: Float[np.ndarray, "n"],
     variance: Float[np.ndarray, "n"],
     dof: Float[np.ndarray, "n"] | float,
@@ -85,7 +85,7 @@ def predictive_p_values(
         values: one per device.
         variance: variance of each value.
         dof: degrees of freedom of each variance.
-        alpha: significance level, p-value below which a value is an outlier.
+        alpha: significance level: a value with a lower p-value is an outlier.
     """
     p, mean = np.ones(len(values)), float("nan")
     if len(values) < MIN_DEVICES:

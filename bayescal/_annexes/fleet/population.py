@@ -14,19 +14,19 @@ from scipy.optimize import brentq
 def estimate_population(
     values: Float[np.ndarray, "n"], variance: Float[np.ndarray, "n"]
 ) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Return μ, τ² and the weights 1/(τ² + v) of values with variances v."""
+    """Return the estimates of μ and τ², and the weights 1/(τ² + v) of values with variances v."""
 
-    def weighted_mean(tau2: float) -> tuple[float, np.ndarray]:
+    def average(tau2: float) -> tuple[float, np.ndarray]:
         weights = 1 / (tau2 + variance)
         return float(weights @ values / weights.sum()), weights
 
     def score(tau2: float) -> float:  # derivative of 2·log likelihood with respect to τ²
-        mean, weights = weighted_mean(tau2)
+        mean, weights = average(tau2)
         squares = weights**2 @ (values - mean) ** 2
         return float(squares - weights.sum() + weights @ weights / weights.sum())
 
     upper = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
     lower = 1e-12 * upper
     tau2 = 0.0 if score(lower) <= 0 else float(brentq(score, lower, upper))  # pyright: ignore
-    mean, weights = weighted_mean(tau2)
+    mean, weights = average(tau2)
     return mean, tau2, weights
