@@ -78,7 +78,7 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
-NO_SEARCH = "no device was searched for missing effects: --find (in Python find=True) searches"
+NO_SEARCH = "no device was searched for missing effects (option --find, or find=True)"
 
 
 @dataclass(frozen=True, eq=False)
