@@ -115,7 +115,10 @@ def bent(instrument: str, order: int = 3, powers: int = 3) -> bc.VectorCorrectio
     terms[:, 30:33] /= AT[instrument] ** 2
     scale = np.where(made.terms == 0, 1.0, terms / made.terms).ravel()
     return replace(
-        made, terms=terms, covariance=made.covariance * np.outer(scale, scale), reach=AT[instrument]
+        made,
+        terms=terms,
+        covariance=made.covariance * np.outer(scale, scale),
+        max_input=AT[instrument],
     )
 
 
@@ -137,7 +140,7 @@ def expected(c: bc.VectorCorrection, force: Any, warm: Any, beside: Any = None) 
 def over_the_calibration(c: bc.VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
     assert c.low is not None and c.high is not None
     warm = np.random.default_rng(2).permutation(np.linspace(c.low, c.high, len(SPHERE)))
-    return c.reach * SPHERE, warm
+    return c.max_input * SPHERE, warm
 
 
 @pytest.mark.parametrize(("order", "powers"), [(2, 1), (3, 3)])

@@ -1,1 +1,1 @@
-"""Three-axis sensors: poses and moves, body frame, corrections of a triad, and their files for other programs."""
+"""Calibration of three-axis sensors: logs, poses and moves, corrections, and files for other programs."""

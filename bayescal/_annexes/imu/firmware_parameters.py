@@ -103,14 +103,14 @@ def fit_cubic(offsets: RestOffsets, reference: float, low: float, high: float) -
     coefficients[: len(fitted.coef)] = fitted.coef
     residuals = offset - np.polynomial.Polynomial(coefficients.astype(float))(d)
     rms, largest = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
-    stored = tuple(map(float, coefficients))
-    return ThermalPolynomial(stored, reference, low, high, rms, largest, offsets)
+    values = tuple(map(float, coefficients))
+    return ThermalPolynomial(values, reference, low, high, rms, largest, offsets)
 
 
 AXES = "xyz"
 ARDUPILOT_REFERENCE, ARDUPILOT_SCALE = 35.0, 1e6  # TEMP_REFERENCE, °C; SCALE_FACTOR
 TYPE_INT32, TYPE_REAL32 = 6, 9  # MAV_PARAM_TYPE_INT32, MAV_PARAM_TYPE_REAL32 (MAVLink, common.xml)
-_NAME = re.compile(r"(gyro|acc)_([xyz])(?:_(\d))?")
+_AXIS_NAME = re.compile(r"(gyro|acc)_([xyz])(?:_(\d))?")
 
 
 class Axis(NamedTuple):
@@ -138,7 +138,7 @@ Values = dict[str, float | int]
 
 
 class Autopilot(NamedTuple):
-    """Parameters of one autopilot firmware: their names, limits and file format."""
+    """Definition of the thermal parameters of an autopilot: names, limits and file format."""
 
     title: str  # name of the firmware
     max_sensors: int  # of one kind, with parameters
@@ -150,7 +150,7 @@ class Autopilot(NamedTuple):
     header: tuple[str, ...]  # comment lines of a parameter file
     instructions: str  # for the user, after loading the file
 
-    def text(self, comments: Iterable[str], values: Values) -> str:
+    def format_file(self, comments: Iterable[str], values: Values) -> str:
         """Format a parameter file, with comments at its beginning."""
         lines = [f"# {line}".rstrip() for line in (*comments, *self.header)]
         return "\n".join([*lines, *(self.format_line(n, v) for n, v in values.items()), ""])
@@ -235,14 +235,14 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
         raise bc.InputError(
             f"{axis}: firmware corrects by temperature, but the calibration has no column 'temperature'"
         )
-    program, no_stimulus = compensator.program, np.zeros(len(calibration.readings))
+    program, zero_input = compensator.program, np.zeros(len(calibration.readings))
     (expected,) = program.graph.evaluate(
-        (program.equation.expected,), {**inputs, ws.STIMULUS: no_stimulus}
+        (program.equation.expected,), {**inputs, ws.STIMULUS: zero_input}
     )
-    expected = np.broadcast_to(expected, no_stimulus.shape)
+    expected = np.broadcast_to(expected, zero_input.shape)
     _, sd, slope = program.run(expected, inputs)
     sd = sd / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
-    noise_variance = compensator.in_use.noise_variance(no_stimulus, inputs)
+    noise_variance = compensator.in_use.noise_variance(zero_input, inputs)
     try:
         factor = ws.convert(1.0, calibration.unit, axis.unit, local_gravity=local_gravity)
     except bc.InputError:
@@ -267,8 +267,8 @@ class FirmwareParameters:
     Attributes:
         format: "px4-params" or "ardupilot-params".
         values: parameter → value, as in the file.
-        axes: name of the axis, such as "gyro_x" → polynomial of its offset.
-        sources: axis → identity of the calibration.
+        axes: name of an axis, such as "gyro_x" → polynomial of its offset.
+        sources: name of an axis → identity of its calibration (SHA-256).
         notes: notes on use, one sentence each.
     """
 
@@ -300,7 +300,7 @@ class FirmwareParameters:
             *(f"{name}: calibration {identity}" for name, identity in self.sources.items()),
             *(ws.ascii_text(ws.one_line(x)) for x in str(self).replace("─", "-").splitlines()),
         ]
-        return autopilot.text(comments, self.values)
+        return autopilot.format_file(comments, self.values)
 
     def write(self, path: str | Path) -> Path:
         """Write the parameter file atomically; raise InputError if it cannot be written."""
@@ -320,14 +320,14 @@ def firmware_parameters(
     calibration; the result and its file state the approximation error. The module's docstring has formulas and sources.
 
     Args:
-        calibrations: axis ("gyro_x", "acc_z", or "gyro_x_1" of a second sensor) → calibration; others stay raw.
+        calibrations: axis ("gyro_x", "acc_z", or "gyro_x_1" of a second sensor) → its calibration.
         format: "px4-params" or "ardupilot-params".
-        devices: for PX4, sensor ("gyro", "acc_1") → its device_id; known for a calibration of a PX4 log.
-        local_gravity: m/s², as when the readings were read.
+        devices: sensor ("gyro", "acc_1") → its device_id for PX4; default: that in the calibration's PX4 log.
+        local_gravity: local gravity that was given when the readings were read, m/s².
 
     Raises:
-        InputError: an unknown format, axis or sensor; a calibration of another quantity or of several
-            devices; axes of a sensor without a common temperature range; for PX4, no device_id.
+        InputError: an unknown format, axis or sensor; a calibration of another quantity or of several devices; axes of
+            a sensor without a common temperature range; a sensor without device_id for PX4.
         ModelError: an effect that cannot be evaluated outside Python.
     """
     if format not in AUTOPILOTS:
@@ -341,11 +341,11 @@ def firmware_parameters(
     }
     by_axis = dict(sorted(compensators.items()))
     offsets = {a: evaluate_offsets(c, a, local_gravity) for a, c in by_axis.items()}
-    device_ids = _device_ids(by_axis, devices or {})
+    device_ids = _find_device_ids(by_axis, devices or {})
     polynomials, values = dict[Axis, ThermalPolynomial](), Values()
     for key in dict.fromkeys(map(autopilot.range_key, offsets)):
         group = {a: r for a, r in offsets.items() if autopilot.range_key(a) == key}
-        low, high = _common_range(group)
+        low, high = _find_common_range(group)
         reference = float(autopilot.reference(low, high))
         group_polynomials = {a: fit_cubic(r, reference, low, high) for a, r in group.items()}
         polynomials |= group_polynomials
@@ -362,11 +362,11 @@ def find_axis(calibration: bc.Calibration) -> str | None:
     labels = readings.groups("axis")[0] if readings.has("axis") else ()
     names = set(labels) or {source.output for source in readings.sources}
     name = next(iter(names), "")
-    return name if len(names) == 1 and _NAME.fullmatch(name) else None
+    return name if len(names) == 1 and _AXIS_NAME.fullmatch(name) else None
 
 
 def _parse_axis(name: str, autopilot: Autopilot) -> Axis:
-    match = _NAME.fullmatch(name)
+    match = _AXIS_NAME.fullmatch(name)
     if match is None or int(match[3] or 0) >= autopilot.max_sensors:
         raise bc.InputError(
             f"{name!r} is not an axis of {autopilot.title}: choose gyro_x, gyro_y, gyro_z, acc_x, acc_y, acc_z, or "
@@ -375,21 +375,21 @@ def _parse_axis(name: str, autopilot: Autopilot) -> Axis:
     return Axis(match[1], match[2], int(match[3] or 0))
 
 
-def _common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
-    """Return the temperature range in which all axes of a sensor were calibrated, °C."""
+def _find_common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
+    """Return the temperature range in which all of these axes were calibrated, °C."""
     low, high = max(r.low for r in axes.values()), min(r.high for r in axes.values())
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in axes.items())
         raise bc.InputError(
-            f"these axes have no common temperature range: {ranges}: calibrate them over one, or omit an axis"
+            f"these axes have no common temperature range: {ranges}: calibrate them over one range, or omit an axis"
         )
     return low, high
 
 
-def _device_ids(
+def _find_device_ids(
     by_axis: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]
 ) -> dict[str, int]:
-    """Return the device_id of each sensor: the stated one, otherwise the one in the sensor's log."""
+    """Return the device_id of each sensor: the stated one, otherwise the one in the calibration's log."""
     device_ids = dict[str, int]()
     for a, c in by_axis.items():
         readings = c.calibration.readings
@@ -420,14 +420,14 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
     for a, p in polynomials.items():
         if p.low - p.offsets.low > 1e-3 or p.offsets.high - p.high > 1e-3:
             notes.append(
-                f"{a} was calibrated from {p.offsets.low:.1f} to {p.offsets.high:.1f} °C, its sensor only from "
-                f"{p.low:.1f} to {p.high:.1f} °C."
+                f"{a} was calibrated from {p.offsets.low:.1f} to {p.offsets.high:.1f} °C, all axes of its sensor only "
+                f"from {p.low:.1f} to {p.high:.1f} °C."
             )
         if p.offsets.has_scale:
-            notes.append(f"{a}: the calibrated scale factor is omitted: no parameter holds it.")
-        if why_not := compensators[a].why_not:
-            notes.append(f"{a}: {ws.NOT_RELIABLE}{why_not}")
-    return [*notes, "Outside these ranges the correction keeps its value at the nearest end."]
+            notes.append(f"{a}: the calibrated scale factor is omitted: it has no parameter.")
+        if reason := compensators[a].why_not:
+            notes.append(f"{a}: {ws.NOT_RELIABLE}{reason}")
+    return [*notes, "Outside its range, a correction keeps its value at the nearest limit."]
 
 
 def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
@@ -438,7 +438,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
         return cmd.write_corrections([compensator for _, compensator in loaded])
     if cmd.format_ == "ardupilot-params":
         cmd.refuse_unused("device_id")
-    compensators = _by_axis(loaded, cmd)
+    compensators = _sort_by_axis(loaded, cmd)
     devices = dict[str, int]()
     for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
         if not value.isdecimal():
@@ -450,10 +450,10 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     return ws.Answer(text.removesuffix("\n"), why=ws.describe_reliability(compensators))
 
 
-def _by_axis(
+def _sort_by_axis(
     loaded: Sequence[tuple[Path, bc.Compensator]], cmd: ws.ExportCommand
 ) -> dict[str, bc.Compensator]:
-    """Return the compensator of each axis; the axis is stated in the calibration's readings or by --axis."""
+    """Return the compensator of each axis; the axis is named in the calibration's readings or by --axis."""
     compensators = dict[str, bc.Compensator]()
     candidates = [(find_axis(c.calibration), p, c) for p, c in loaded]
     pairs = ws.parse_pairs(cmd.axis, "--axis").items()
@@ -465,7 +465,7 @@ def _by_axis(
             )
         if name in compensators:
             raise bc.InputError(
-                f"{path} and another file calibrate {name}: give only one, or name its axis (--axis gyro_y={path})"
+                f"{path} and another file calibrate {name}: give one of them, or name the axis (--axis gyro_y={path})"
             )
         compensators[name] = compensator
     return compensators

@@ -1,4 +1,4 @@
-"""Registration of the three-axis annex: commands, corrections, export formats, entries of results.
+"""Registration of the three-axis annex: commands, corrections, export formats, result entries.
 
 Heavy modules are imported on use.
 """
@@ -43,23 +43,23 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     out: Path | None = ws.Shared.folder
     name: str | None = ws.opt("Prefix of all names in C; default: the instrument's name.")
 
-    def calibrate(self, model: bc.Model, readings: bc.Measurements, uncalibrated: int = 1) -> Triad:
-        """Search for the effects of a triad and compute its correction; print both unless JSON is asked for.
+    def calibrate(self, model: bc.Model, readings: bc.Measurements, n_triads: int = 1) -> Triad:
+        """Search for the effects of a triad and compute its correction; print both unless JSON is requested.
 
         Args:
             model: initial model of the search.
             readings: readings of poses or moves.
-            uncalibrated: number of triads of the unit not yet calibrated, which share the remaining time.
+            n_triads: number of triads that are yet to be calibrated and share the remaining time, this one included.
         """
-        undetermined = bc.undetermined(model, readings)
-        if undetermined.add:
-            ws.print_notes([str(undetermined)])
+        unidentified = bc.undetermined(model, readings)
+        if unidentified.add:
+            ws.print_notes([str(unidentified)])
         # Chains would explore the priors of unidentified directions for minutes. With no more readings than
         # coefficients the noise is not estimated, and importance sampling would explore its prior.
         has_no_dof = len(readings) <= sum(len(e.coefficients) for e in model.effects)
-        method = bc.LeastSquares() if has_no_dof else bc.Marginal(chains=not undetermined.add)
+        method = bc.LeastSquares() if has_no_dof else bc.Marginal(chains=not unidentified.add)
         max_effects = 0 if self.baseline or has_no_dof else MAX_EFFECTS_ADDED
-        with ws.deadline.sooner(1 / uncalibrated):
+        with ws.deadline.sooner(1 / n_triads):
             options = {"method": method, "seed": self.seed, "max_effects": max_effects}
             trail = bc.calibrate(model, readings, **options)
         triad = Triad(trail, bc.vector_correction(trail.calibration), readings)
@@ -69,12 +69,12 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         return triad
 
     def finish(self, triads: Mapping[str, Triad], folder: Path | None) -> ws.Answer:
-        """Write the results and pictures of triads, by subfolder, to a folder if given; return the command's answer."""
+        """Write the results and figures of triads, by subfolder, to `folder`, if any; return the command's answer."""
         is_drawn = True
         if folder is not None:
             with ws.whole_folder(folder) as staging:
-                _write(triads, staging, self.name)
-            is_drawn = _draw(triads, folder)
+                _write_results(triads, staging, self.name)
+            is_drawn = _draw_results(triads, folder)
             for subfolder in dict.fromkeys((*triads, "")) if not self.json_ else ():
                 names = (*ws.files_of(folder / subfolder), ws.MANIFEST)
                 print(f"written: {folder / subfolder}/{', '.join(names)}")
@@ -124,14 +124,14 @@ class ImuCommand(TriadOptions, ws.Command):
             (accs, forces), (gyros, rates) = self.read_logs()
             poses = bc.poses(forces, accs, shortest=self.shortest)
             ws.print_notes(poses.flags)
-            acc = self.calibrate(accs.for_readings(poses).baseline(), poses, uncalibrated=2)
+            acc = self.calibrate(accs.for_readings(poses).baseline(), poses, n_triads=2)
             moves = bc.moves(rates, gyros, forces, acc.correction, shortest=self.shortest)
             ws.print_notes(moves.flags)
             gyro = self.calibrate(dict(gyros.structures)["moves"](), moves)
             return self.finish({"accelerometer": acc, "gyroscope": gyro}, folder)
 
     def read_logs(self) -> list[tuple[bc.Instrument, bc.Measurements]]:
-        """Read each triad's columns of the log; raise InputError with the errors of both."""
+        """Read the columns of each triad from the log; raise one InputError with the errors of both triads."""
         logs, problems = [], ws.Objections()
         for sensors, name in INSTRUMENT_NAMES.items():
             instrument, options = ws.instrument_named(name), self.read_options()
@@ -145,7 +145,7 @@ class ImuCommand(TriadOptions, ws.Command):
                 logs.append((instrument, bc.read(self.files, instrument, **options)))
             except bc.InputError as error:
                 unit = instrument.unit
-                predicate = f"has no three columns with common names for {sensors} in a unit convertible to {unit}"
+                predicate = f"has no three columns with common names of {sensors} and a unit convertible to {unit}"
                 remedy = (
                     f"Name them ({ws.option(f'--{sensors}', 'X,Y,Z')}), or use a log that has them"
                 )
@@ -158,8 +158,8 @@ class ImuCommand(TriadOptions, ws.Command):
         return logs
 
 
-def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
-    """Write the search, the corrections and the readings of each triad to a staging folder, without pictures."""
+def _write_results(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
+    """Write the search, the corrections and the readings of each triad to a staging folder, without figures."""
     first, *others = (triad.correction for triad in triads.values())
     names = ws.names_in_unit(name, [first, *others])
     for (subfolder, triad), sensor in zip(triads.items(), names, strict=True):
@@ -171,8 +171,8 @@ def _write(triads: Mapping[str, Triad], folder: Path, name: str | None) -> None:
         bc.export_vector(first, folder / file, others=others, name=name)
 
 
-def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
-    """Draw pictures and a report of each triad, and one report of all; return whether all were drawn."""
+def _draw_results(triads: Mapping[str, Triad], folder: Path) -> bool:
+    """Draw the figures and a report of each triad, and one report of all triads; return whether all were drawn."""
     trails = {subfolder: triad.trail for subfolder, triad in triads.items()}
     outcomes = [ws.draw_safely(ws.draw_search, trails, folder)]
 
@@ -186,7 +186,7 @@ def _draw(triads: Mapping[str, Triad], folder: Path) -> bool:
 
 
 def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
-    """Return result.json's entry `vector`: the three-axis correction with its u; None if there is one output."""
+    """Return result.json's entry `vector`: the three-axis correction with uncertainties, or None for one output."""
     if calibration.model.instrument.vector is None:
         return {"vector": None}
 
@@ -200,7 +200,7 @@ def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) 
 
 
 def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
-    """Tabulate the terms of a three-axis correction, each ± u, from result.json; no table for one output."""
+    """Tabulate a three-axis correction's terms ± standard uncertainty, from result.json; no table for one output."""
     if not (vector := data.get("vector")):
         return []
     from bayescal._annexes.imu.vector_correction import term_rows, terms_table

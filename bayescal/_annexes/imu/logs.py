@@ -1,4 +1,4 @@
-"""Readers of inertial-sensor logs, ArduPilot's and PX4's: sensors with channels, each with its own sampling times.
+"""Readers of ArduPilot's and PX4's logs of inertial sensors, each of which has channels and its own sampling times.
 
 ArduPilot's .bin (DataFlash), by pymavlink's DFReader: the messages IMU, with the temperature T. Fields and units:
 ardupilot, libraries/AP_InertialSensor/LogStructure.h (TimeUS in µs since start, I the instance, GyrX…Z in rad/s,
@@ -31,7 +31,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Sensor:
-    """Channels of one sensor that are sampled together."""
+    """Channels of one sensor, which are sampled simultaneously, and its temperature."""
 
     time: np.ndarray  # of the samples, s, (n,)
     # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,) and their unit
@@ -59,15 +59,15 @@ def align_channels(
     """Align channels on one time base; return columns with temperature and labels, and notes on the conversion.
 
     Rows are the samples of the chosen sensor with the lowest sampling rate. Other sensors contribute the sample nearest
-    in time, which preserves their noise; a temperature with other sampling times is interpolated. All channels are
-    taken if none of `chosen` is in the log.
+    in time, which preserves their noise; a temperature with other sampling times is interpolated. `chosen` are names of
+    channels, or of their columns; all channels are read if none of them is in the log.
 
     Raises:
         InputError: the log has no channels.
     """
     sensor_by_channel = {name: sensor for sensor in sensors for name in sensor.channels}
     if not sensor_by_channel:
-        raise bc.InputError(f"{file!r} is a log without messages of a supported sensor")
+        raise bc.InputError(f"the log {file!r} has no messages of a supported sensor")
     headers = {f"{n} [{sensor.channels[n][1]}]": n for n, sensor in sensor_by_channel.items()}
     names = dict.fromkeys(headers.get(name, name) for name in chosen)
     names = [name for name in names if name in sensor_by_channel] or list(sensor_by_channel)
@@ -89,7 +89,7 @@ def align_channels(
     elif base.temperature is not None:
         columns["temperature [degC]"] = base.temperature[rows]
     if omitted := len(base.time) - len(time):
-        notes.append(f"{file}: {omitted} samples omitted: not all channels were logged")
+        notes.append(f"{file}: {omitted} samples omitted, when not all channels were logged")
     for name in names:
         sensor = sensor_by_channel[name]
         midpoints = 0.5 * (sensor.time[1:] + sensor.time[:-1])
@@ -111,10 +111,10 @@ MESSAGE_HEADER = b"\xa3\x95"  # first bytes of each DataFlash message
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Read the sensors of a DataFlash log, and notes on it; raises ValueError and any exception of pymavlink."""
+    """Return the sensors of a DataFlash log, and notes on it; raise ValueError, or any exception of pymavlink."""
     from pymavlink.DFReader import DFReader_binary
 
-    class WithoutClock(DFReader_binary):
+    class ClocklessReader(DFReader_binary):
         def init_clock(self) -> None:
             """Skip the search for the time of day, which reads a log without GPS to its end; TimeUS suffices."""
 
@@ -122,11 +122,11 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
         if file.read(2) != MESSAGE_HEADER:
             raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
     sensors = []
-    with WithoutClock(str(path)) as log:
+    with ClocklessReader(str(path)) as log:
         messages = _read_messages(log, "IMU")
         while log.recv_match(type=["PARM"], strict=True) is not None:
             pass  # the reader stores the parameters
-        corrected = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
+        corrected_imus = [n for n in range(1, 4) if log.params.get(f"INS_TCAL{n}_ENABLE") == 1]
     for i in np.unique(messages["I"]):
         samples = messages[messages["I"] == i]
         channels = build_channels("gyro", RATE_UNIT, (samples[f"Gyr{a}"] for a in "XYZ"), int(i))
@@ -135,12 +135,12 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
     return sensors, [
         f"INS_TCAL{n}_ENABLE was 1: IMU {n} was logged with its temperature correction on: effects found are residual "
         "effects after that correction"
-        for n in corrected
+        for n in corrected_imus
     ]
 
 
 def _read_messages(log: Any, name: str) -> np.ndarray:
-    """Read all messages of a kind at once, as a structured array (n,); raise KeyError if the log describes none."""
+    """Return all messages of a kind as a structured array (n,); raise KeyError if the log does not define the kind."""
     kind = log.name_to_id[name]
     layout = log.formats[kind]
     offsets = np.asarray(log.offsets[kind], np.int64)
@@ -164,14 +164,14 @@ TOPICS = {
 
 
 def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Read the sensors of a ULog, and notes on it; raises any exception of pyulog."""
+    """Return the sensors of a ULog, and notes on it; raise any exception of pyulog."""
     from pyulog import ULog
 
     with path.open("rb") as file:
         log = ULog(file, list(TOPICS))
     topics = sorted(log.data_list, key=lambda d: (list(TOPICS).index(d.name), d.multi_id))
     sensors = {
-        f"{topic.name} {topic.multi_id}": _topic_sensor(topic)
+        f"{topic.name} {topic.multi_id}": _build_sensor(topic)
         for topic in topics
         if len(topic.data["timestamp"])
     }
@@ -181,7 +181,7 @@ def read_ulog(path: Path) -> tuple[list[Sensor], list[str]]:
     return [_add_temperature(name, sensors, notes) for name in sensors], notes
 
 
-def _topic_sensor(topic: Any) -> Sensor:
+def _build_sensor(topic: Any) -> Sensor:
     """Build a sensor from an instance of a topic, with the topic's temperature if it has one."""
     kind, unit = TOPICS[topic.name]
     temperature = np.asarray(topic.data.get("temperature", np.nan), float)
@@ -218,12 +218,12 @@ LOG_FORMATS = {
 
 
 def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
-    """Open the chosen channels of a log; all channels if none of `chosen` is in it.
+    """Read the chosen channels of a log as a table, or all channels if none of `chosen` is in the log.
 
     Raises:
         InputError: the package that reads the format is not installed, or the file is not in its suffix's format.
     """
-    title, package, read = LOG_FORMATS[path.suffix.lower()]
+    title, package, read_log = LOG_FORMATS[path.suffix.lower()]
     try:
         importlib.import_module(package)
     except ModuleNotFoundError:
@@ -231,7 +231,7 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
         raise ws.unusable(file, reason, "pip install 'bayescal[logs]'") from None
     printed = io.StringIO()  # libraries print; standard output is the command's own
     with ws.as_format(file, title), redirect_stdout(printed), redirect_stderr(printed):
-        sensors, notes = read(path)
+        sensors, notes = read_log(path)
     lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
     columns, column_notes = align_channels(sensors, chosen, file)

@@ -15,13 +15,13 @@ M₀ and b₀ are iterated by Gauss–Newton steps with step halving to the leas
 error is of second order in the uncertainty. Consecutive moves share a pose, and all share the errors of the
 accelerometers' calibration. Two variances are estimated from the residuals by marginal likelihood: that of the bias
 between poses, and that of the closure angle of a move (creep in a pose, timing errors, aliasing, a nonlinear scale).
-Readings are the innovations of the moves in time order, each with a known standard uncertainty in excess of the
+Readings are the innovations of the moves in time order, each with the known excess of its standard uncertainty over the
 smallest. Outlying moves and poses are set aside and listed.
 
 The Earth rate is three unknowns, along the body axes in the first pose of a run.
 
-Source: the method without its uncertainty is of D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014; rotation vectors
-between samples, with the coning correction: J. E. Bortz, IEEE Trans. AES 7 (1971) 61.
+Sources: D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (the method, without its uncertainty); J. E. Bortz, IEEE
+Trans. AES 7 (1971) 61 (rotation vectors between samples, with the coning correction).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from scipy.special import fdtrc, logsumexp
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.imu.scalar_readings import MOUNTING, tangents
+from bayescal._annexes.imu.scalar_readings import MOUNTING, build_tangents
 from bayescal._annexes.imu.still_stretches import (
     LoggedRun,
     average_segments,
@@ -82,9 +82,9 @@ def moves(
     *,
     shortest: float | None = None,
 ) -> bc.Measurements:
-    """Convert a log of gyroscopes to readings: three outputs at rest for each pose, two for each move between poses.
+    """Convert a log of gyroscopes to readings: three outputs at rest of each pose, two mean outputs of each move.
 
-    The unit is at rest where both logs are; a slow rotation about the vertical is not detected and adds to the bias.
+    The unit is at rest if both logs are static; slow rotation about the vertical is not detected, but adds to the bias.
 
     Args:
         log: samples of the gyroscopes, read with their instrument, with a column `time`.
@@ -94,12 +94,12 @@ def moves(
         shortest: minimum duration of a pose, s.
 
     Returns:
-        Readings with the output and the columns of its linear model: `across_x`, `turned_xx`, `pulled_xx`, `squared_x`
-        and `around_1`, ….
+        Readings with the output and the columns of its linear model: `across_x` (bias), `turned_xx` (matrix),
+        `pulled_xx` (specific force), `squared_x` (squared rate), `around_1` (Earth rate), and so on for other axes.
 
     Raises:
-        InputError: no column `time`, no static segments or fewer than two common poses, an integration that does not
-            lead from pose to pose or does not converge, or too many outlying moves.
+        InputError: no column `time`, no static segments or fewer than two common poses, moves that are inconsistent
+            with the poses or whose fit does not converge, or too many outlying moves.
         ModelError: the instrument's outputs are not rates.
     """
     if instrument.vector is None or not ws.same_dimension(instrument.unit, "rad/s"):
@@ -124,13 +124,13 @@ def moves(
             )
         poses += len(windows)
         try:
-            line, fit, labels = _fit_run(gyro, f_runs[run], windows, correction, len(gyro_runs))
+            model, fit, labels = _fit_run(gyro, f_runs[run], windows, correction, len(gyro_runs))
         except bc.InputError as error:
             raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
         outliers += labels
-        columns = line.columns(fit, instrument.vector.beside, unit)
+        columns = model.columns(fit, instrument.vector.beside, unit)
         others = [n for n in log.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
-        spans = map(gyro.rows_between, *line.session.spans[line.owner].T)
+        spans = map(gyro.rows_between, *model.session.spans[model.segment].T)
         tables.append(columns | average_segments(gyro.samples, others, spans))
     columns = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
     # The noise law has the smallest variance of a reading, the column the excess of the others: the mode of a noise in
@@ -140,21 +140,21 @@ def moves(
     columns[ws.UNCERTAINTY] = np.sqrt(variances - variances.min())
     readings = build_readings(columns, instrument, log)
     summary = (
-        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; their "
-        f"smallest standard uncertainty, by scatter, is {min_sd:.2g} {instrument.unit}: noise.white refers to it"
+        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; noise.white is "
+        f"their smallest standard uncertainty, estimated from scatter as {min_sd:.2g} {instrument.unit}"
     )
     notes = [f"{log.file}: set aside as an outlier: {outlier}" for outlier in outliers]
     return replace(readings, sources=log.sources, flags=(summary, *notes))
 
 
 class _Moves(NamedTuple):
-    """Samples of m moves, padded with the last sample to one length; trapezoidal weights, 0 in the padding."""
+    """Samples of m moves, padded to one length n by repetition of the last sample."""
 
     rate: Float[np.ndarray, "m n 3"]  # as measured, rad/s
     slope: Float[np.ndarray, "m n 3"]  # time derivative of the rate, rad/s²
     force: Float[np.ndarray, "m n 3"]  # corrected, g
     step: Float[np.ndarray, "m n-1"]  # s
-    weight: Float[np.ndarray, "m n"]  # s
+    weight: Float[np.ndarray, "m n"]  # of the trapezoidal rule, s; 0 in the padding
 
     @property
     def duration(self) -> Float[np.ndarray, "m"]:
@@ -164,7 +164,8 @@ class _Moves(NamedTuple):
 def _correct_forces(f_run: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
     """Return the corrected specific force of each sample, g, computed in blocks to limit memory."""
     count, logged = len(f_run.time), f_run.temperature
-    temperature = np.broadcast_to(correction.assumed if logged is None else logged, count)
+    temperature = correction.default_temperature if logged is None else logged
+    temperature = np.broadcast_to(temperature, count)
     blocks = np.array_split(np.arange(count), 1 + count // SAMPLES_PER_BLOCK)
     parts = (correction(f_run.outputs[rows], temperature[rows], noise=0.0) for rows in blocks)
     return np.concatenate([corrected.vector for corrected in parts])
@@ -176,7 +177,7 @@ def _cut_moves(
     f_run: LoggedRun,
     force: Float[np.ndarray, "s 3"],
 ) -> _Moves:
-    """Cut out the samples of each move, from the end of a pose to the beginning of the next."""
+    """Return the samples of each move, from the end of a pose to the beginning of the next."""
     slices = [log.rows_between(*w) for w in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
     longest = max(s.stop - s.start for s in slices)
     at = np.array([np.minimum(np.arange(s.start, s.start + longest), s.stop - 1) for s in slices])
@@ -187,8 +188,10 @@ def _cut_moves(
     return _Moves(log.outputs[at], slope[at], forces, step, weight)
 
 
-def _attitude(path: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from each sample's body axes to those at its start."""
+def _integrate_attitude(
+    path: _Moves, matrix: np.ndarray, bias: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from a sample's body axes to its move's first."""
     inverse = np.linalg.inv(matrix).T
     rate, h = (path.rate - bias) @ inverse, path.step[..., None]
     # Fourth order in the step: corrections of the trapezoidal rule, and for coning.
@@ -208,7 +211,7 @@ def _fit_run(
     f_run: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
     correction: VectorCorrection,
-    shared: int,
+    n_runs: int,
 ) -> tuple[_LinearModel, _Estimate, list[str]]:
     """Fit bias and matrix to the moves of one run; return linear model, estimate, and labels of the outliers.
 
@@ -217,13 +220,13 @@ def _fit_run(
         f_run: samples of the accelerometers.
         windows: begin and end of each pose, s.
         correction: correction of the accelerometers.
-        shared: number of runs that share the errors of the correction, which do not average out.
+        n_runs: number of runs that share the errors of the correction, which do not average out.
 
     Raises:
         InputError: as in `moves`.
     """
     force, slopes, pose_cov = correction.correct_poses(f_run, windows)
-    force_cov = shared * slopes @ correction.covariance @ slopes.T + pose_cov
+    force_cov = n_runs * slopes @ correction.covariance @ slopes.T + pose_cov
     at_rest, white_variance = log.mean_outputs(windows), log.at_rest.one_second_sd**2
     prior_mean = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
     session = _Session(at_rest, windows, force, force_cov, white_variance, prior_mean)
@@ -245,14 +248,14 @@ def _fit_run(
                 break
             step = 0.5 * step
         else:  # converged; or the closure error of one move is too large to be linearised
-            more_outliers = linear_model.find_outlier(fit, outliers)
-            if more_outliers == outliers:
+            new_outliers = linear_model.find_outlier(fit, outliers)
+            if new_outliers == outliers:
                 break
-            outliers = more_outliers
+            outliers = new_outliers
             if sum(k >= len(windows) for k in outliers) > max_outliers:
                 raise bc.InputError(
-                    f"more than {max_outliers} of {len(path.rate)} moves are inconsistent with the others, beyond "
-                    f"their scatter. {MOVES_ADVICE}"
+                    f"more than {max_outliers} of {len(path.rate)} moves are outliers, inconsistent with the others. "
+                    f"{MOVES_ADVICE}"
                 )
     deviation = np.max(np.abs(closure.parameters - origin)[3:])
     if size >= XTOL_SD or not deviation < MAX_MATRIX_DEVIATION:
@@ -266,7 +269,7 @@ def _fit_run(
 
 
 class _Session(NamedTuple):
-    """Data of a run's poses."""
+    """Mean outputs and specific forces in the poses of one run, and the prior mean of the parameters."""
 
     at_rest: Float[np.ndarray, "k 3"]  # mean outputs, rad/s
     windows: Float[np.ndarray, "k 2"]  # begin and end, s
@@ -279,8 +282,8 @@ class _Session(NamedTuple):
     @property
     def spans(self) -> Float[np.ndarray, "km 2"]:
         """Return the begin and end of each pose, then of each move, s."""
-        between = np.stack([self.windows[:-1, 1], self.windows[1:, 0]], axis=1)
-        return np.concatenate([self.windows, between])
+        moves = np.stack([self.windows[:-1, 1], self.windows[1:, 0]], axis=1)
+        return np.concatenate([self.windows, moves])
 
 
 class _Estimate(NamedTuple):
@@ -300,17 +303,15 @@ class _LinearModel(NamedTuple):
     closure: _Closure
     output: Float[np.ndarray, "r"]  # rad/s
     design: Float[np.ndarray, "r 27"]
-    owner: Int[
-        np.ndarray, "r"
-    ]  # index of each output's pose, or number of poses + index of its move
+    segment: Int[np.ndarray, "r"]  # index of an output's pose or move; moves follow poses
     known_covariance: Float[np.ndarray, "r r"]  # without variances of bias and closure angle
     duration: Float[np.ndarray, "r"]  # of the moves, s; infinite at rest
 
     @classmethod
     def build(cls, session: _Session, closure: _Closure, outliers: frozenset[int]) -> Self:
         poses, count = len(session.windows), len(closure.duration)
-        owner = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
-        is_kept = ~np.isin(owner, [*outliers])
+        codes = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
+        is_kept = ~np.isin(codes, [*outliers])
         length = session.windows[:, 1] - session.windows[:, 0]
         move_cov = closure.force_jacobian @ session.force_covariance @ closure.force_jacobian.T
         move_cov += session.white_variance * block_diag(*closure.noise_covariance)
@@ -318,21 +319,21 @@ class _LinearModel(NamedTuple):
         known_cov = np.asarray(block_diag(at_rest_cov, move_cov))
         output = closure.residual + closure.design[:, :N_INTEGRATED] @ closure.parameters
         matrix = closure.parameters[3:].reshape(3, 3)
-        at_rest = _rest_design(matrix, session.force, closure.world)
+        at_rest = _build_rest_design(matrix, session.force, closure.pose_rotations)
         duration = np.concatenate([np.full(3 * poses, np.inf), np.repeat(closure.duration, 2)])
         return cls(
             session,
             closure,
             output=np.concatenate([session.at_rest.ravel(), output])[is_kept],
             design=np.concatenate([at_rest, closure.design])[is_kept],
-            owner=owner[is_kept],
+            segment=codes[is_kept],
             known_covariance=known_cov[np.ix_(is_kept, is_kept)],
             duration=duration[is_kept],
         )
 
     @property
     def is_move(self) -> Bool[np.ndarray, "r"]:
-        return self.owner >= len(self.session.windows)
+        return self.segment >= len(self.session.windows)
 
     def covariance(self, bias_variance: float, angle_variance: float) -> Float[np.ndarray, "r r"]:
         """Return the covariance of the outputs, (rad/s)²."""
@@ -354,55 +355,55 @@ class _LinearModel(NamedTuple):
         return _Estimate(mean, cov, bias_variance, angle_variance, log_density)
 
     def estimate_variances(self) -> _Estimate:
-        """Estimate each variance in turn by its posterior mean; the standard deviations have half-normal priors."""
+        """Estimate both variances, in turn, by posterior means; the standard deviations have half-normal priors."""
         rest_var, move_var = (
             np.diag(self.known_covariance)[rows] for rows in (~self.is_move, self.is_move)
         )
         angle_var = move_var * self.duration[self.is_move] ** 2
         known_var = float(np.median(rest_var)), float(np.median(angle_var))
-        best = list(known_var)
+        variances = list(known_var)
         for i in (0, 1, 0, 1):
             candidates = known_var[i] * SD_RATIOS**2
-            fits = [self.estimate(*((v, best[1]) if i == 0 else (best[0], v))) for v in candidates]
-            density = np.array([fit.log_density for fit in fits])
+            trials = ((v, variances[1]) if i == 0 else (variances[0], v) for v in candidates)
+            density = np.array([self.estimate(*trial).log_density for trial in trials])
             density += 0.5 * np.log(candidates) - 0.5 * candidates / PRIOR_SCALE**2
-            best[i] = float(candidates @ np.exp(density - logsumexp(density)))
-        return self.estimate(best[0], best[1])
+            variances[i] = float(candidates @ np.exp(density - logsumexp(density)))
+        return self.estimate(*variances)
 
     def weighted_rss(self, fit: _Estimate, covariance: Float[np.ndarray, "n n"]) -> float:
-        """Return the weighted rss with the parameters of this model's integration, and the others of `fit`."""
+        """Return the weighted rss, priors included, at this model's bias and matrix and `fit`'s other parameters."""
         values = np.concatenate([self.closure.parameters, fit.mean[N_INTEGRATED:]])
         residuals = self.output - self.design @ values
         squares = residuals @ np.linalg.solve(covariance, residuals)
         return float(squares + np.sum(((values - self.session.prior_mean) / PRIOR_SD) ** 2))
 
     def find_outlier(self, fit: _Estimate, outliers: frozenset[int]) -> frozenset[int]:
-        """Return `outliers` extended by the most significant outlying pose or move, if there is one."""
+        """Return `outliers` and the most significant other outlying pose or move, if there is one."""
         residuals, p_values = self.output - self.design @ fit.mean, dict[int, float]()
         covariance = self.covariance(fit.bias_variance, fit.angle_variance)
         covariance -= self.design @ fit.covariance @ self.design.T
         moves = int(np.sum(self.is_move))
-        for k in np.unique(self.owner).tolist():
-            rows = np.flatnonzero(self.owner == k)
+        for k in np.unique(self.segment).tolist():
+            rows = np.flatnonzero(self.segment == k)
             r, cov = residuals[rows], covariance[np.ix_(rows, rows)]
             is_pose = k < len(self.session.windows)
             dof = max(1, len(residuals) - moves - 3 if is_pose else moves - N_INTEGRATED)
             p_values[k] = float(fdtrc(len(r), dof, r @ np.linalg.solve(cov, r) / len(r)))
-        least = min(p_values, key=p_values.__getitem__)
-        is_outlier = p_values[least] < OUTLIER_PROBABILITY / len(p_values)
-        return outliers | {least} if is_outlier else outliers
+        candidate = min(p_values, key=p_values.__getitem__)
+        is_outlier = p_values[candidate] < OUTLIER_PROBABILITY / len(p_values)
+        return outliers | {candidate} if is_outlier else outliers
 
     def columns(
         self, fit: _Estimate, force_names: tuple[str, ...], unit: float
     ) -> dict[str, np.ndarray]:
-        """Return the innovations of poses and moves in order, as columns of readings, rates in the output's unit."""
+        """Return columns of readings: innovations of poses and moves in order; `unit` is the output's unit in rad/s."""
         factor = np.linalg.cholesky(self.covariance(fit.bias_variance, fit.angle_variance))
         innovation_sd, moves = np.diag(factor), int(np.sum(self.is_move))
         table = np.column_stack([self.output, self.design])
         # A unit lower triangular factor: each move is conditional on those before it.
         table = solve_triangular(factor / innovation_sd, table, lower=True, unit_diagonal=True)
-        force = np.concatenate([self.session.force, self.closure.force])[self.owner]
-        poses = (len(self.owner) - moves) // 3
+        force = np.concatenate([self.session.force, self.closure.force])[self.segment]
+        poses = (len(self.segment) - moves) // 3
         kinds = [*ws.AXES] * poses + ["move", "move too"] * (moves // 2)
         powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
         names = (*ws.ACROSS, *ws.TURNED, *FORCE_COLUMNS, *SQUARED_RATE_COLUMNS, *EARTH_RATE_COLUMNS)
@@ -422,7 +423,7 @@ class _Closure(NamedTuple):
     noise_covariance: Float[np.ndarray, "m 2 2"]  # due to white noise of 1 rad/s over a second
     duration: Float[np.ndarray, "m"]  # s
     force: Float[np.ndarray, "m 3"]  # mean specific force, g
-    world: Float[np.ndarray, "k 3 3"]  # rotations from the body in each pose to that in the first
+    pose_rotations: Float[np.ndarray, "k 3 3"]  # from the body in each pose to that in the first
 
 
 def _integrate_moves(
@@ -430,18 +431,18 @@ def _integrate_moves(
 ) -> _Closure:
     """Integrate the gyro outputs of moves with bias and matrix (`parameters`); return closure errors and Jacobians."""
     bias, matrix = parameters[:3], parameters[3:].reshape(3, 3)
-    rate, rotations = _attitude(path, matrix, bias)
-    size, m, to_begin = np.linalg.norm(force, axis=1), len(rate), rotations[:, -1]
-    world = [np.eye(3)]
-    for rotation in to_begin:
-        world.append(world[-1] @ rotation)
+    rate, rotations = _integrate_attitude(path, matrix, bias)
+    size, m, to_start = np.linalg.norm(force, axis=1), len(rate), rotations[:, -1]
+    pose_rotations = [np.eye(3)]
+    for rotation in to_start:
+        pose_rotations.append(pose_rotations[-1] @ rotation)
     up = force / size[:, None]
-    q = np.stack(tangents(up[1:]), axis=1)  # (m, 2, 3)
-    q_begin = np.einsum("mij,mkj->mki", to_begin, q)  # q in the axes of the pose before
-    residual = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", q_begin, up[:-1])
-    normal = np.cross(q, up[1:, None, :])
-    n_begin, duration = np.einsum("mij,mkj->mki", to_begin, normal), path.duration[:, None, None]
-    a = -np.einsum("mnji,mkj->mkni", rotations, n_begin) @ np.linalg.inv(matrix)
+    q = np.stack(build_tangents(up[1:]), axis=1)  # (m, 2, 3)
+    start_q = np.einsum("mij,mkj->mki", to_start, q)  # q in the axes of the pose before
+    residual = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", start_q, up[:-1])
+    normal, duration = np.cross(q, up[1:, None, :]), path.duration[:, None, None]
+    start_normal = np.einsum("mij,mkj->mki", to_start, normal)
+    a = -np.einsum("mnji,mkj->mkni", rotations, start_normal) @ np.linalg.inv(matrix)
     a = a / duration[..., None]
     weighted = a * path.weight[:, None, :, None]
     design = [
@@ -449,12 +450,12 @@ def _integrate_moves(
         np.einsum("mkna,mnj->mkaj", weighted, rate).reshape(m, 2, 9),
         np.einsum("mkna,mnj->mkaj", weighted, path.force).reshape(m, 2, 9),
         np.einsum("mkna,mna->mka", weighted, rate**2),
-        -np.einsum("mij,mkj->mki", np.array(world[1:]), normal),
+        -np.einsum("mij,mkj->mki", np.array(pose_rotations[1:]), normal),
     ]
     slopes = np.zeros((m, 2, len(force), 3))
     move = np.arange(m)
     slopes[move, :, move + 1] = q / size[1:, None, None] / duration
-    slopes[move, :, move] = -q_begin / size[:-1, None, None] / duration
+    slopes[move, :, move] = -start_q / size[:-1, None, None] / duration
     return _Closure(
         parameters,
         (residual / duration[..., 0]).ravel(),
@@ -463,19 +464,19 @@ def _integrate_moves(
         np.einsum("mkna,mlna->mkl", weighted, a),
         path.duration,
         np.einsum("mn,mnj->mj", path.weight, path.force) / path.duration[:, None],
-        np.array(world),
+        np.array(pose_rotations),
     )
 
 
-def _rest_design(
+def _build_rest_design(
     matrix: Float[np.ndarray, "3 3"],
     force: Float[np.ndarray, "k 3"],
-    world: Float[np.ndarray, "k 3 3"],
+    pose_rotations: Float[np.ndarray, "k 3 3"],
 ) -> Float[np.ndarray, "3k 27"]:
-    """Return the design rows of the three outputs in each pose, where only the Earth's rotation acts."""
+    """Return the design matrix of the three outputs in each pose, where the only rate is the Earth's."""
     k, identity = len(force), np.eye(3)
     force_design = np.einsum("ab,kj->kabj", identity, force).reshape(k, 3, 9)
-    earth_rate, zero = matrix @ world.transpose(0, 2, 1), np.zeros((k, 3, 9))
+    earth_rate, zero = matrix @ pose_rotations.transpose(0, 2, 1), np.zeros((k, 3, 9))
     bias = np.broadcast_to(identity, (k, 3, 3))
     design = [bias, zero, force_design, zero[..., :3], earth_rate]
     return np.concatenate(design, axis=2).reshape(3 * k, -1)

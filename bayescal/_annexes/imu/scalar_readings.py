@@ -1,7 +1,7 @@
 """Conversion of readings of three outputs to scalar readings.
 
-If the magnitude of the input is known (gravity, a field), a pose becomes its magnitude and, with a known direction, two
-projections. If the input itself is known or zero (a rate table), each output becomes a reading.
+If the magnitude of the input is known (gravity, a field), a pose is converted to the magnitude of the outputs and, with
+a known direction, two projections. If the input itself is known or zero (a rate table), each output is a reading.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def scalar_readings(
     """Convert readings of three outputs to readings of one output; return their columns, units and flags.
 
     Args:
-        instrument: its column `magnitude`, if any, says that the input has one magnitude; otherwise the input is known.
+        instrument: with a column `magnitude`, the magnitude of the input is known, otherwise the input itself.
         values, units: columns of a file, one entry per pose, and their units.
-        file: name of the file, for messages.
+        file: name of the file in error messages.
 
     Raises:
         InputError: a direction without uncertainty or of zero length, or a pose with three zero outputs.
@@ -43,15 +43,15 @@ def scalar_readings(
     units = {**units, "output": units[instrument.outputs[0]]}
     meanings = {column.name: column.meaning for column in instrument.columns}
     if ws.MAGNITUDE not in meanings:
-        return *_component_readings(outputs, values, units, file), []
+        return *_convert_components(outputs, values, units, file), []
     flags = list[str]()
     if ws.MAGNITUDE not in values and ws.MAGNITUDE_READ not in values:
-        radius = _mean_radius(outputs)
+        radius = _estimate_mean_radius(outputs)
         values = {**values, ws.MAGNITUDE_READ: np.full(len(outputs), radius)}
         units = {**units, ws.MAGNITUDE_READ: units["output"]}
         flags.append(
             f"{file}: the magnitude {meanings[ws.MAGNITUDE]} is missing (--local-field, or column {ws.MAGNITUDE!r}); "
-            f"that of the outputs is used, {radius:.4g} {units['output']}; only ratios of scale factors are measured"
+            f"that of the outputs is used, {radius:.4g} {units['output']}; only ratios of scale factors are identified"
         )
     problem = f"columns {', '.join(instrument.outputs)}: all three are zero: remove the row"
     size = _require_lengths(outputs, problem, file)
@@ -64,10 +64,10 @@ def scalar_readings(
             f"{file}: a known direction needs {', '.join(columns)}, but {', '.join(missing)} is missing: add it, or "
             "remove the others to calibrate with unknown directions"
         )
-    return *_pose_readings(outputs, size, values, units, file), flags
+    return *_convert_poses(outputs, size, values, units, file), flags
 
 
-def _pose_readings(
+def _convert_poses(
     outputs: Float[np.ndarray, "n 3"],
     magnitude: Float[np.ndarray, "n"],
     values: Values,
@@ -77,18 +77,19 @@ def _pose_readings(
     """Return each pose's magnitude and its projections on two axes orthogonal to its known direction, with units."""
     direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
     direction = direction / _require_lengths(direction, NO_DIRECTION, file)[:, None]
-    across = np.stack([np.zeros_like(outputs), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
-    scalars = np.column_stack([magnitude, np.einsum("nkj,nj->nk", across[:, 1:], outputs)])
+    axes = np.stack([np.zeros_like(outputs), *build_tangents(direction)], axis=1)  # (n, 3, 3)
+    scalars = np.column_stack([magnitude, np.einsum("nkj,nj->nk", axes[:, 1:], outputs)])
     angle = values[POSE_UNCERTAINTY] * ws.magnitude(values)
     output_sd = values.get(ws.UNCERTAINTY, np.zeros(len(outputs)))
     uncertainty = np.stack([output_sd, *2 * [np.hypot(output_sd, angle)]], axis=1)
-    readings = _repeat(values, direction, across, scalars, ("magnitude", "across", "across too"))
+    labels = ("magnitude", "across", "across too")
+    readings = _repeat_rows(values, direction, axes, scalars, labels)
     readings |= {ws.UNCERTAINTY: uncertainty.ravel()}
     new_units = {**dict.fromkeys(ws.ACROSS, "1"), ws.UNCERTAINTY: units["output"], ws.OF: None}
     return readings, {**units, **new_units}
 
 
-def _component_readings(
+def _convert_components(
     outputs: Float[np.ndarray, "n 3"], values: Values, units: Units, file: str
 ) -> tuple[Values, Units]:
     """Return each output as a separate reading of a known rate about a direction in the body's axes.
@@ -101,8 +102,8 @@ def _component_readings(
         direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
     length = _require_lengths(direction, NO_DIRECTION, file, is_required=values[ws.RATE] != 0)
     direction = direction / np.where(length > 0, length, 1.0)[:, None]
-    across = np.broadcast_to(np.eye(3), (len(outputs), 3, 3))
-    readings = _repeat(values, direction, across, outputs, ws.AXES)
+    components = np.broadcast_to(np.eye(3), (len(outputs), 3, 3))
+    readings = _repeat_rows(values, direction, components, outputs, ws.AXES)
     if MOUNTING not in values:
         leading = np.argmax(np.abs(direction) > 0.5, axis=1)  # component that fixes the axis's sign
         axes = direction * np.sign(direction[np.arange(len(outputs)), leading])[:, None]
@@ -112,21 +113,21 @@ def _component_readings(
     return readings, {**units, **new_units}
 
 
-def _repeat(
+def _repeat_rows(
     values: Values,
     direction: Float[np.ndarray, "n 3"],
-    across: Float[np.ndarray, "n 3 3"],
+    axes: Float[np.ndarray, "n 3 3"],
     outputs: Float[np.ndarray, "n 3"],
     labels: Sequence[str],
 ) -> dict[str, np.ndarray]:
-    """Repeat each row for its three readings: columns, unit direction, projection axis `across`, output, label."""
+    """Return columns with three rows for each pose, with its values, unit direction, axes, outputs and labels."""
     values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
     columns = {name: np.repeat(v, 3) for name, v in values.items()}
-    columns |= {name: across[:, :, i].ravel() for i, name in enumerate(ws.ACROSS)}
+    columns |= {name: axes[:, :, i].ravel() for i, name in enumerate(ws.ACROSS)}
     return columns | {"output": outputs.ravel(), ws.OF: np.tile(labels, len(outputs))}
 
 
-def _mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
+def _estimate_mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
     """Return the geometric mean radius of the outputs' ellipsoid, or their median distance from the midrange."""
     ellipsoid = ws.ellipsoid(outputs)
     if ellipsoid is None:
@@ -148,7 +149,7 @@ def _require_lengths(
     return length
 
 
-def tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+def build_tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors orthogonal to each direction and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=1)]  # the one farthest from the direction
     tangent = np.cross(direction, axis)

@@ -56,8 +56,8 @@ def find_static_segments(
     size = round(BLOCK_SECONDS / step) if step > 0 else 0
     if size < MIN_SAMPLES_PER_BLOCK:
         raise bc.InputError(
-            f"samples {step:.3g} s apart: static segments are found in blocks of {BLOCK_SECONDS:g} s, which need "
-            f"{MIN_SAMPLES_PER_BLOCK} samples each. If each row is already a pose, calibrate the rows directly"
+            f"the samples are {step:.3g} s apart, but the search for static segments needs {MIN_SAMPLES_PER_BLOCK} "
+            f"in {BLOCK_SECONDS:g} s: log at a higher rate. If each row is already a pose, calibrate the rows directly"
         )
     n_blocks = len(time) // size
     blocks = outputs[: n_blocks * size].reshape(n_blocks, size, -1)
@@ -80,7 +80,7 @@ def find_static_segments(
     if not is_long.any():
         raise bc.InputError(
             f"no segment of the log is static for {shortest:g} s: hold the unit still in each pose for longer, or give "
-            "a shorter time" + (f": {format_shorter_segments(shorter)}" if shorter else "")
+            "a shorter minimum" + (f": {format_shorter_segments(shorter)}" if shorter else "")
         )
     starts, stops = starts[is_long], stops[is_long]
     ranges = list(zip(starts.tolist(), stops.tolist(), strict=True))
@@ -99,7 +99,7 @@ def find_static_segments(
 
 
 def format_shorter_segments(durations: Sequence[float]) -> str:
-    """State the number of static segments that are too short, and the option that includes them."""
+    """Return a sentence on the number of omitted shorter segments, and the option that includes them."""
     count, least = len(durations), min(durations)
     return f"{count} shorter static segments are omitted; --shortest {least:g} (shortest={least:g}) includes them"
 
@@ -131,7 +131,7 @@ class LoggedRun(NamedTuple):
 def split_runs(
     log: bc.Measurements, names: tuple[str, ...], shortest: float | None, factor: float = 1.0
 ) -> dict[str, LoggedRun]:
-    """Split a log by run: label → samples, outputs times `factor`, and static segments.
+    """Split a log by its column `run`; return label → run, with the outputs `names` multiplied by `factor`.
 
     Raises:
         InputError: no column `time`, or as in `find_static_segments`.
@@ -153,7 +153,7 @@ def split_runs(
 def build_readings(
     columns: dict[str, np.ndarray], instrument: bc.Instrument, log: bc.Measurements
 ) -> bc.Measurements:
-    """Build readings of an instrument from columns of a log; columns not declared by it keep the log's units."""
+    """Build an instrument's readings from columns of a log; columns that it does not declare keep the log's units."""
     declared = {c.name for c in instrument.columns} | {ws.UNCERTAINTY}
     units = {n: str(log.unit(n)) for n in columns if n not in declared and log.unit(n)}
     arguments: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
@@ -163,7 +163,7 @@ def build_readings(
 def average_segments(
     log: bc.Measurements, names: Iterable[str], segments: Iterable[slice]
 ) -> dict[str, np.ndarray]:
-    """Average numeric columns over segments of a run; take the first value of labels in each segment."""
+    """Return the columns' means over each segment of a run, or the first value of columns of labels."""
     segments = [*segments]
     return {
         n: np.array([v[s].mean() if v.dtype.kind == "f" else v[s.start] for s in segments])
@@ -172,7 +172,7 @@ def average_segments(
 
 
 def intersect_windows(a: Float[np.ndarray, "k 2"], b: Float[np.ndarray, "l 2"]) -> np.ndarray:
-    """Intersect time windows (begin, end), s; return those at least half as long as the shortest window (m, 2)."""
+    """Return intersections (m, 2) of time windows, s, if at least half as long as the shortest of the windows."""
     begin = np.maximum(a[:, None, 0], b[None, :, 0])
     end = np.minimum(a[:, None, 1], b[None, :, 1])
     min_duration = 0.5 * min(np.min(a[:, 1] - a[:, 0]), np.min(b[:, 1] - b[:, 0]))
@@ -184,9 +184,9 @@ def intersect_windows(a: Float[np.ndarray, "k 2"], b: Float[np.ndarray, "l 2"]) 
 def poses(
     log: bc.Measurements, instrument: bc.Instrument, *, shortest: float | None = None
 ) -> bc.Measurements:
-    """Average each static segment of a log to one pose; other numeric columns are averaged too.
+    """Average each static segment of a log to one pose; all numeric columns are averaged.
 
-    Segments of constant rate of gyroscopes on a rate table are static in this sense.
+    For gyroscopes on a rate table, segments of constant rate are static.
 
     Args:
         log: samples of the three outputs, read with the instrument, with a column `time`.

@@ -26,14 +26,14 @@ ROUNDING = 1e-13  # relative to the largest term, below which a term is zero
 TERM_COUNTS = (12, 30, 33)  # number of terms up to first, second and third order in the input
 # axes of the two factors of each second-order term
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
-FIRST, SECOND = np.array(PAIRS).T
+FIRST_AXES, SECOND_AXES = np.array(PAIRS).T
 NEWTON_STEPS = 4  # iterations of the inverse: each squares the error
 Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
 
 @dataclass(frozen=True)
 class CorrectedVector:
-    """Input vectors estimated from three outputs. For tilt, body z is up and body y to the left of body x.
+    """Input vectors estimated from three outputs; for tilt, body z is up and body y to the left of body x.
 
     Attributes:
         vector: f̂ in the body's axes (n, 3), `unit`.
@@ -60,20 +60,21 @@ class CorrectedVector:
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
         """
         x, y, z = self.vector.T
-        roll, across = np.arctan2(y, z), np.hypot(y, z)
+        roll, r = np.arctan2(y, z), np.hypot(y, z)
         roll_sd = self._propagate(np.array([0 * x, np.cos(roll), -np.sin(roll)]))
-        pitch_slope = np.array([-across, x * np.sin(roll), x * np.cos(roll)]) / (x**2 + across**2)
-        roll_sd = np.divide(roll_sd, across, np.full_like(across, np.inf), where=across > 0)
+        pitch_slope = np.array([-r, x * np.sin(roll), x * np.cos(roll)]) / (x**2 + r**2)
+        roll_sd = np.divide(roll_sd, r, np.full_like(r, np.inf), where=r > 0)
         return {
             "roll": (roll, roll_sd),
-            "pitch": (np.arctan2(-x, across), self._propagate(pitch_slope)),
+            "pitch": (np.arctan2(-x, r), self._propagate(pitch_slope)),
         }
 
     def _propagate(self, gradient: Float[np.ndarray, "3 n"]) -> np.ndarray:
-        """Return the standard uncertainty of a quantity with a gradient in f̂."""
+        """Return the standard uncertainty of a quantity, given its gradient with respect to f̂."""
         return np.sqrt(np.abs(np.einsum("in,nij,jn->n", gradient, self.covariance, gradient)))
 
 
+@ws.renamed(reach="max_input", against="reason", assumed="default_temperature")
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
     """Correction of three outputs to the input vector with its covariance, over temperature; call it with outputs.
@@ -93,10 +94,10 @@ class VectorCorrection:
         noise: smallest standard deviation of a calibration reading about its expected output, `unit`.
         notes: notes on use, one sentence each.
         source: identity of the calibration (SHA-256).
-        beside: columns of the secondary input; empty if there is none.
+        beside: names of the secondary input's columns; empty if there is no secondary input.
         instrument: name of the instrument.
-        reach: largest magnitude of the input in the calibration, `unit`.
-        against: why the result must not be used (also among the notes); empty if it may be used.
+        max_input: largest magnitude of the input in the calibration, `unit`.
+        reason: reason why the result must not be used (also in `notes`); empty if it may be used.
     """
 
     outputs: tuple[str, ...]
@@ -111,8 +112,8 @@ class VectorCorrection:
     source: str = ""
     beside: tuple[str, ...] = ()
     instrument: str = "triad"
-    reach: float = 1.0
-    against: str = ""
+    max_input: float = 1.0
+    reason: str = ""
 
     @property
     def order(self) -> int:
@@ -125,15 +126,18 @@ class VectorCorrection:
 
     @property
     def why_not(self) -> str:
-        """Return why the result must not be used; empty if it may."""
-        return self.against
+        """Return the reason why the result must not be used; empty if it may be used."""
+        return self.reason
 
     def data(self) -> dict[str, Any]:
+        """Return the correction as JSON data."""
         equation = (
             "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference, °C; "
             "terms: offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows"
         )
-        return {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
+        data = {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
+        data["reach"], data["against"] = data.pop("max_input"), data.pop("reason")
+        return data
 
     @property
     def range(self) -> tuple[float, float]:
@@ -151,7 +155,7 @@ class VectorCorrection:
         return f"calibrated at {' to '.join(ends)} °C"
 
     @property
-    def assumed(self) -> float:
+    def default_temperature(self) -> float:
         """Return the default temperature, °C: T0 clamped to the calibrated range."""
         return float(np.clip(self.reference, *self.range))
 
@@ -195,22 +199,23 @@ class VectorCorrection:
 
         Args:
             outputs: readings of the instrument, or (n, 3) in `unit`.
-            temperature: °C, one per reading or one for all; default T0.
+            temperature: °C, one per reading or one for all; default: that of the readings. Required if the
+                correction depends on temperature.
             noise: standard deviation of each output, `unit`; default that of the calibration's poses; 0 for the
                 uncertainty of the calibration alone.
-            beside: secondary input, (n, 3) or (3,), in the unit of its columns, if the model has one.
+            beside: secondary input, (n, 3) or (3,), in the unit of its columns, if the correction depends on it.
 
         Raises:
-            InputError: not three outputs, or a temperature or secondary input that the model needs is missing.
+            InputError: not three outputs, or a temperature or secondary input that the correction needs is missing.
         """
-        force, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
+        vector, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
         powers, blocks = self.powers(temperatures), self.covariance.reshape(2 * self.terms.shape)
         cov = np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
         sd = self.noise if noise is None else noise
         covariance = slope @ cov @ slope.mT + sd**2 * inverse @ inverse.mT
         low, high = self.range
         outside = (temperatures < low) | (temperatures > high)
-        return CorrectedVector(force, covariance, self.unit, outside)
+        return CorrectedVector(vector, covariance, self.unit, outside)
 
     def correct_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
@@ -232,13 +237,13 @@ class VectorCorrection:
         if run.temperature is not None:
             temperatures = [np.mean(run.temperature[run.rows_between(*w)]) for w in windows]
         outputs = run.mean_outputs(windows)
-        force, inverse, slope, temperatures = self._invert(outputs, temperatures, None)
+        vector, inverse, slope, temperatures = self._invert(outputs, temperatures, None)
         slopes = np.einsum("nk,nip->nikp", self.powers(temperatures), slope)
         # Scatter of the calibration's poses in excess of their means' noise (creep, hysteresis, model error) is added.
         variance = run.at_rest.one_second_sd**2 / (windows[:, 1] - windows[:, 0])
         variance = variance + max(0.0, self.noise**2 - float(np.min(variance)))
         pose_covs = variance[:, None, None] * inverse @ inverse.mT
-        return force, slopes.reshape(3 * len(force), -1), np.asarray(block_diag(*pose_covs))
+        return vector, slopes.reshape(3 * len(vector), -1), np.asarray(block_diag(*pose_covs))
 
     def _invert(
         self,
@@ -261,23 +266,23 @@ class VectorCorrection:
             )
         if temperature is None and len(self.terms) > 1:
             raise bc.InputError("the correction depends on temperature: give temperature=… in °C")
-        temperature = self.assumed if temperature is None else np.asarray(temperature, float)
-        temperatures = np.broadcast_to(temperature, len(y))
+        temperature = self.default_temperature if temperature is None else temperature
+        temperatures = np.broadcast_to(np.asarray(temperature, float), len(y))
         if self.beside and secondary is None:
             raise bc.InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        acts = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
+        g = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
         terms = self.powers(temperatures) @ self.terms
 
-        def equation(force: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-            predicted = slopes_by_terms(force, self.order, acts) @ terms[..., None]
-            slopes = _slopes_by_stimulus(terms, force, self.order)
+        def linearise(f: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+            predicted = differentiate_by_terms(f, self.order, g) @ terms[..., None]
+            slopes = _differentiate_by_input(terms, f, self.order)
             return predicted[..., 0], lambda r: np.linalg.solve(slopes, r[..., None])[..., 0]
 
-        force = ws.iterate_newton(equation, y, y, NEWTON_STEPS)
-        inverse = np.linalg.inv(_slopes_by_stimulus(terms, force, self.order))
-        return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), temperatures
+        f = ws.iterate_newton(linearise, y, y, NEWTON_STEPS)
+        inverse = np.linalg.inv(_differentiate_by_input(terms, f, self.order))
+        return f, inverse, inverse @ differentiate_by_terms(f, self.order, g), temperatures
 
 
 class TermRow(NamedTuple):
@@ -313,16 +318,16 @@ POWER_UNITS = {
 def term_rows(
     terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary: Sequence[str]
 ) -> list[TermRow]:
-    """Return the non-zero terms of a correction as rows."""
-    axes, terms, per = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
+    """Return a row for each non-zero term of a correction; `secondary` are the secondary input's columns."""
+    axes, terms, base = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
     names = [(f"offset {a}", unit) for a in axes]
     names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
     size = terms.shape[1] - 9 * bool(secondary)
     if size > 12:
-        pairs = [axes[i] + axes[j] for i, j in PAIRS]
-        names += [(f"second order of {a}: {p[0]}·{p[1]}", f"1/{per}") for a in axes for p in pairs]
+        pairs = [f"{axes[i]}·{axes[j]}" for i, j in PAIRS]
+        names += [(f"second order of {a}: {p}", f"1/{base}") for a in axes for p in pairs]
     if size > 30:
-        names += [(f"third order of {a}: {a}³", f"1/{per}^2") for a in axes]
+        names += [(f"third order of {a}: {a}³", f"1/{base}^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
     rows = zip(POWER_UNITS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
@@ -333,31 +338,31 @@ def term_rows(
     ]
 
 
-def slopes_by_terms(
+def differentiate_by_terms(
     stimulus: Float[np.ndarray, "n 3"], order: int, secondary: Float[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "n 3 p"]:
     """Return the Jacobian of the three outputs with respect to a correction's terms up to an order in the input."""
 
-    def by_rows(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
+    def expand(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n 3 m3"]:
         """Return the Jacobian of matrix · values with respect to the matrix's entries, row by row."""
         return np.einsum("ij,nm->nijm", np.eye(3), values).reshape(len(values), 3, -1)
 
-    blocks = [np.broadcast_to(np.eye(3), (len(stimulus), 3, 3)), by_rows(stimulus)]
-    blocks += [by_rows(stimulus[:, FIRST] * stimulus[:, SECOND])] if order > 1 else []
+    blocks = [np.broadcast_to(np.eye(3), (len(stimulus), 3, 3)), expand(stimulus)]
+    blocks += [expand(stimulus[:, FIRST_AXES] * stimulus[:, SECOND_AXES])] if order > 1 else []
     blocks += [stimulus[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
-    blocks += [] if secondary is None else [by_rows(secondary)]
+    blocks += [] if secondary is None else [expand(secondary)]
     return np.concatenate(blocks, axis=2)
 
 
-def _slopes_by_stimulus(
+def _differentiate_by_input(
     terms: Float[np.ndarray, "n p"], stimulus: Float[np.ndarray, "n 3"], order: int
 ) -> Float[np.ndarray, "n 3 3"]:
     """Return H, the Jacobian of the three outputs with respect to the input vector."""
     slopes = terms[:, 3:12].reshape(-1, 3, 3)
     if order > 1:
         second = terms[:, 12:30].reshape(-1, 3, 6)
-        slopes = slopes + second * stimulus[:, None, SECOND] @ np.eye(3)[FIRST]
-        slopes = slopes + second * stimulus[:, None, FIRST] @ np.eye(3)[SECOND]
+        slopes = slopes + second * stimulus[:, None, SECOND_AXES] @ np.eye(3)[FIRST_AXES]
+        slopes = slopes + second * stimulus[:, None, FIRST_AXES] @ np.eye(3)[SECOND_AXES]
     if order > 2:
         slopes = slopes + (3 * terms[:, 30:33] * stimulus**2)[:, :, None] * np.eye(3)
     return slopes

@@ -1,4 +1,4 @@
-"""Export of three-axis corrections: JSON, C99 and Python from templates, and the tables of a result."""
+"""Export of three-axis corrections as JSON, C99, Python and parameter files of autopilots."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ import numpy as np
 
 from bayescal import workshop as ws
 from bayescal._annexes.imu.firmware_parameters import AUTOPILOTS
-from bayescal._annexes.imu.vector_correction import (
-    NEWTON_STEPS,
-    VectorCorrection,
-)
-from bayescal._annexes.imu.vector_parameters import describe_omissions, parameter_file
+from bayescal._annexes.imu.vector_correction import NEWTON_STEPS, VectorCorrection
+from bayescal._annexes.imu.vector_parameters import describe_omissions, format_parameter_file
 
 PACKAGE = "bayescal._annexes.imu"  # with the templates
 
 
 def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as C99 headers in one text."""
-    layout = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
+    template = ws.template(PACKAGE, "vector.h.jinja", {"comment": ws.c_comment})
 
     def render_header(name: str, c: VectorCorrection) -> str:
         content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
-        return layout.render(
+        return template.render(
             c=c,
             name=name,
             guard=ws.include_guard(name, *content, with_uncertainty),
@@ -62,7 +59,7 @@ CORRECTION_KINDS = (
             "json": ws.as_data,
             "c": render_headers,
             "python": render_module,
-            **{autopilot: ws.in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
+            **{autopilot: ws.in_form(format_parameter_file, autopilot) for autopilot in AUTOPILOTS},
         },
         suffixes={".json": "json", ".h": "c", ".py": "python"},
         together=("c", "python"),
@@ -80,7 +77,7 @@ def export_vector(
     name: str | None = None,
     uncertainty: bool = True,
 ) -> Path:
-    """Write a correction in the format of the path's suffix (.h, .py, .json) or in `format`.
+    """Write a correction in the format of the path's suffix (.h, .py, .json) or in `format`; return the path.
 
     Args:
         correction: correction to write.
@@ -91,8 +88,8 @@ def export_vector(
         uncertainty: include the covariance; False for C and Python that compute the input vector alone.
 
     Raises:
-        InputError: an unknown suffix or format, a format that does not support `others` or no uncertainty, two triads
-            of one instrument, an invalid C name, or a file that cannot be written.
+        InputError: an unknown suffix or format, a format that cannot contain `others` or omit the uncertainty, two
+            triads of one instrument, an invalid C name, or a file that cannot be written.
     """
     options = {"name": name, "others": others, "uncertainty": uncertainty}
     return ws.write_text(ws.as_text(correction, ws.format_of(path, format), **options), path)

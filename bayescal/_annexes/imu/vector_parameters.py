@@ -28,7 +28,7 @@ from bayescal._annexes.imu.vector_correction import (
     PAIRS,
     ROUNDING,
     VectorCorrection,
-    slopes_by_terms,
+    differentiate_by_terms,
 )
 
 # Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
@@ -48,13 +48,13 @@ def fit_offset_and_scale(
 
     Args:
         correction: correction to approximate.
-        has_scale: whether there is a scale factor; otherwise it is one, and the offset is that at rest.
+        has_scale: whether to fit a scale factor; otherwise it is one, and the offset is that at rest.
 
     Returns:
         Offsets (unit of the outputs), scale factors, and a sentence on the omitted terms and their sizes.
     """
-    (k, p), radius, order = correction.terms.shape, correction.reach, correction.order
-    temperatures, weights = np.array([correction.assumed]), np.ones(1)
+    (k, p), radius, order = correction.terms.shape, correction.max_input, correction.order
+    temperatures, weights = np.array([correction.default_temperature]), np.ones(1)
     if correction.low is not None and correction.high is not None:
         half_range = 0.5 * (correction.high - correction.low)
         temperatures, weights = correction.low + half_range * (1 + RANGE_NODES), RANGE_WEIGHTS
@@ -70,40 +70,38 @@ def fit_offset_and_scale(
         mean_terms[3:] = 0.0
     projection = np.kron(weights @ powers, mean_terms)
     secondary = DIRECTIONS if correction.beside else None
-    slopes = slopes_by_terms(radius * DIRECTIONS, order, secondary)
+    slopes = differentiate_by_terms(radius * DIRECTIONS, order, secondary)
     # ∂output/∂term at each temperature and direction, less that of the approximation.
     residual_slopes = np.einsum("tk,dip->tdikp", powers, slopes)
     residual_slopes -= (slopes[..., columns] @ projection).reshape(len(DIRECTIONS), 3, k, p)
-    causes = np.full((k, p), "dependence on temperature", dtype=object)
-    matrix_cause = "misalignments" if has_scale else "scale factors and misalignments"
-    causes[0], causes[:, 12:30], causes[:, 30:33] = matrix_cause, "second order", "third order"
+    groups = np.full((k, p), "dependence on temperature", dtype=object)
+    matrix_group = "misalignments" if has_scale else "scale factors and misalignments"
+    groups[0], groups[:, 12:30], groups[:, 30:33] = matrix_group, "second order", "third order"
     if correction.beside:
-        causes[:, -9:] = "secondary input (of size 1)"
+        groups[:, -9:] = "secondary input (of size 1)"
     label, omissions = ws.unit_label(correction.unit), list[str]()
-    for cause in dict.fromkeys(causes.ravel()):
-        cause_slopes = residual_slopes * (causes == cause)
-        mean = np.einsum("tdikp,kp->tdi", cause_slopes, correction.terms)
-        if cause == matrix_cause and not has_scale:
+    for group in dict.fromkeys(groups.ravel()):
+        group_slopes = residual_slopes * (groups == group)
+        mean = np.einsum("tdikp,kp->tdi", group_slopes, correction.terms)
+        if group == matrix_group and not has_scale:
             mean = mean - radius * DIRECTIONS
-        cause_slopes = cause_slopes.reshape(*mean.shape, -1)
-        square = mean**2 + np.sum((cause_slopes @ correction.covariance) * cause_slopes, axis=-1)
-        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", weights, DIRECTION_WEIGHTS, square)))
+        group_slopes = group_slopes.reshape(*mean.shape, -1)
+        variance = np.sum((group_slopes @ correction.covariance) * group_slopes, axis=-1)
+        mean_square = mean**2 + variance
+        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", weights, DIRECTION_WEIGHTS, mean_square)))
         if rms > ROUNDING * radius:
             # Posterior mean square: the uncertainty of a term counts as well.
-            sizes = (ws.number(float(size), 2) for size in (rms, np.sqrt(np.max(square))))
-            omissions.append(f"{cause}, {f' {label} rms and up to '.join(sizes)} {label}")
-    over = f"over all directions of {ws.number(radius)} {label}, {correction.calibrated_at}"
-    omitted = f"Omitted for lack of parameters: {'; '.join(omissions)} ({over})." * bool(omissions)
+            sizes = (ws.number(float(size), 2) for size in (rms, np.sqrt(np.max(mean_square))))
+            omissions.append(f"{group}, {f' {label} rms and up to '.join(sizes)} {label}")
+    scope = f"over all directions of {ws.number(radius)} {label}, {correction.calibrated_at}"
+    omitted = f"Omitted for lack of parameters: {'; '.join(omissions)} ({scope})." * bool(omissions)
     offset, scale = (projection @ correction.terms.ravel()).reshape(2, 3)
     return offset, scale if has_scale else np.ones(3), omitted
 
 
 # Names of offset and scale of the first sensor with outputs in a unit, with {} for the axis.
-PARAMETERS = {
-    "px4-params": {
-        "m/s^2": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"),
-        "rad/s": ("CAL_GYRO0_{}OFF",),
-    },
+PARAMETER_NAMES = {
+    "px4-params": {"m/s^2": ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE"), "rad/s": ("CAL_GYRO0_{}OFF",)},
     "ardupilot-params": {
         "m/s^2": ("INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
         "rad/s": ("INS_GYROFFS_{}",),
@@ -111,11 +109,11 @@ PARAMETERS = {
 }
 
 
-def autopilot_parameters(
+def convert_to_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Return the parameters of an autopilot's first sensor by name, and a sentence on the omitted terms."""
-    for unit in PARAMETERS[autopilot]:
+    """Return parameters of an autopilot's first sensor, by name, and a sentence on the terms that they omit."""
+    for unit in PARAMETER_NAMES[autopilot]:
         with suppress(bc.InputError):  # of another dimension
             factor = float(ws.convert(1.0, correction.unit, unit))
             break
@@ -124,7 +122,7 @@ def autopilot_parameters(
             f"{autopilot} has parameters for accelerometers and gyroscopes only, but these outputs are in "
             f"[{correction.unit}]"
         )
-    names = PARAMETERS[autopilot][unit]
+    names = PARAMETER_NAMES[autopilot][unit]
     offset, scale, omitted = fit_offset_and_scale(correction, has_scale=len(names) > 1)
     return {
         name.format(axis): float(value)
@@ -135,12 +133,12 @@ def autopilot_parameters(
 
 def describe_omissions(correction: VectorCorrection, format: str) -> str:
     """Describe in a sentence the terms that a format omits and their sizes; empty if it omits none."""
-    return autopilot_parameters(correction, format)[1] if format in AUTOPILOTS else ""
+    return convert_to_parameters(correction, format)[1] if format in AUTOPILOTS else ""
 
 
-def parameter_file(correction: VectorCorrection, autopilot: str) -> str:
-    """Format the parameter file of an autopilot."""
-    values, omitted = autopilot_parameters(correction, autopilot)
+def format_parameter_file(correction: VectorCorrection, autopilot: str) -> str:
+    """Format a correction as a parameter file of an autopilot."""
+    values, omitted = convert_to_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
     comments = map(ws.c_comment, (*head, omitted or "No term is omitted."))
-    return AUTOPILOTS[autopilot].text(comments, dict(values))
+    return AUTOPILOTS[autopilot].format_file(comments, dict(values))

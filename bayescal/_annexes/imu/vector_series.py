@@ -5,7 +5,7 @@ terms and the cube of each axis, each a polynomial in T − T0. The expansion is
 both; any other temperature dependence is added to the uncertainty.
 
 Effects that are specific to the test and unknown in use are marginalised draw by draw, which increases the covariance:
-a run in use has a new deviation; effects of time (drift, lag) or of other columns are as at a random reading.
+a new deviation is drawn for a future run; effects of time (drift, lag) or of other columns are as at a random reading.
 """
 
 from __future__ import annotations
@@ -21,17 +21,13 @@ from jaxtyping import Array, Float
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.imu.vector_correction import (
-    PAIRS,
-    ROUNDING,
-    VectorCorrection,
-)
+from bayescal._annexes.imu.vector_correction import PAIRS, ROUNDING, VectorCorrection
 
 POLYNOMIAL_RTOL = 1e-9  # residual to largest term, up to which a polynomial in temperature is exact
 MAX_DEGREE = 3  # of the polynomials in temperature
 TEMPERATURE = "temperature"  # known in use, as is the secondary input
 MAX_COMMON_SCALE_RATIO = 3.0  # of a common scale error to its plausible size
-MIN_NOTED_SD_RATIO = 0.1  # of a test contribution's to a slot's standard deviation, to be noted
+MIN_NOTED_SD_RATIO = 0.1  # of a contribution's to its slot's standard deviation, to be noted
 TestContributions = dict[str, dict[str, float]]  # effect → slot → standard deviation
 
 
@@ -42,8 +38,8 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     which the notes list. Mean and covariance are those of all posterior draws.
 
     Args:
-        calibration: of an instrument with `vector`; an average over structures is restricted to those that need no
-            other columns than the likely ones.
+        calibration: calibration of an instrument with `vector`. An average over structures is restricted to those
+            that need no columns other than those of effects with inclusion probability above 0.5.
 
     Raises:
         ModelError: an instrument with one output.
@@ -57,13 +53,14 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     unneeded = {TEMPERATURE, *vector.beside} - calibration.usual_columns
     calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - unneeded)
     model, readings = calibration.model, calibration.readings
-    gravity = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
+    used_columns = set().union(*(e.columns for e in model.effects))
+    secondary = vector.beside if used_columns & {*vector.beside} else ()
     has_temperature = readings.has("temperature")
     t = readings["temperature"] if has_temperature else np.zeros(1)
     low, high, reference = float(np.min(t)), float(np.max(t)), float(np.round(np.mean(t)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * MAX_DEGREE + 1) if high > low else np.array([low])
-    taylor, contributions = _expand_draws(calibration, grid, gravity)  # taylor: (draws, grid, p)
+    taylor, contributions = _expand_draws(calibration, grid, secondary)  # taylor: (draws, grid, p)
     samples = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(MAX_DEGREE, len(grid) - 1) + 1):
         powers = np.vander(grid - reference, order + 1, increasing=True)
@@ -77,13 +74,13 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     max_powers = np.max(np.abs(powers), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * max_powers <= ROUNDING * np.max(np.abs(taylor))] = 0.0
     # The order of each term in the input; higher orders are omitted if all their terms are zero.
-    orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(gravity)])
+    orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(secondary)])
     is_kept = orders <= np.max(orders * np.any(terms, axis=(0, 1)), initial=1)
     terms, residuals, orders = terms[:, :, is_kept], residuals[:, is_kept], orders[is_kept]
     flat_terms = calibration.form_factor * terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(flat_terms.T)), np.mean(terms, axis=0)
     covariance[: mean.shape[1], : mean.shape[1]] += residuals.T @ residuals / len(residuals)
-    scale_sd, notes = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    scale_sd, notes = _assess_common_scale(calibration, mean[0, 3:12].reshape(3, 3))
     shift = scale_sd * (mean * orders).ravel()
     correction = VectorCorrection(
         outputs=vector.outputs,
@@ -95,7 +92,7 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
         covariance=covariance + np.outer(shift, shift),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
         source=ws.identity(calibration),
-        beside=gravity,
+        beside=secondary,
         instrument=instrument.name,
     )
     if np.any(residuals):
@@ -107,10 +104,11 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     reason = ws.why_not(calibration)
     notes += [f"{ws.NOT_RELIABLE}{reason}"] * bool(reason)
     notes = (*notes, *_list_notes(calibration, correction, contributions))
-    return replace(correction, reach=_reach(correction, readings), notes=notes, against=reason)
+    max_input = _find_max_input(correction, readings)
+    return replace(correction, max_input=max_input, notes=notes, reason=reason)
 
 
-def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
+def _find_max_input(correction: VectorCorrection, readings: bc.Measurements) -> float:
     """Return the largest magnitude of the input in the readings; for moves, the largest mean rate."""
     if readings.has(ws.TURNED[0]):
         inputs = np.stack([readings[name] for name in ws.TURNED], axis=1)
@@ -119,7 +117,7 @@ def _reach(correction: VectorCorrection, readings: bc.Measurements) -> float:
     return float(np.max(np.linalg.norm(inputs, axis=1)))
 
 
-def _common_scale(
+def _assess_common_scale(
     calibration: bc.Calibration, matrix: Float[np.ndarray, "3 3"]
 ) -> tuple[float, list[str]]:
     """Return the relative uncertainty of the common scale factor, in addition to that of each axis, and notes on it.
@@ -136,9 +134,9 @@ def _common_scale(
         quantity = f"the magnitude {instrument.column(ws.MAGNITUDE).meaning}"
         if not readings.has(ws.MAGNITUDE):
             return tolerance, [
-                f"{quantity.capitalize()} is unknown, and taken as the outputs indicate it, {size:.4g} {unit}: scale "
-                f"factors are relative to their mean. The absolute scale has a plausible error of "
-                f"{100 * tolerance:.2g} %, which is in the uncertainty of magnitudes, but not of directions."
+                f"{quantity.capitalize()} is unknown, and was estimated from the outputs as {size:.4g} {unit}: scale "
+                f"factors are relative to their mean. The plausible error of the common scale, "
+                f"{100 * tolerance:.2g} %, is in the uncertainty of magnitudes; directions do not depend on it."
             ]
         stated = f" ({size:.4g} {unit}; {size * scale:.3g} {unit} would fit)"
     if not tolerance or abs(scale - 1) <= MAX_COMMON_SCALE_RATIO * tolerance:
@@ -176,9 +174,9 @@ def _list_notes(
         subject = (
             f"the deviation of a new {' or '.join(groups)}"
             if groups
-            else "it is specific to the test and not corrected; its variation during the test"
+            else "the effect is specific to the test and not corrected; its variation during the test"
         )
-        notes.append(f"{name}: {subject} is in the uncertainty (standard deviation of {sds}).")
+        notes.append(f"{name}: {subject} is in the uncertainty (standard deviation {sds}).")
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
             "One session: changes between sessions (often ten times the stated uncertainty) are not included. "
@@ -188,32 +186,32 @@ def _list_notes(
 
 
 def _expand_draws(
-    calibration: bc.Calibration, grid: np.ndarray, gravity: tuple[str, ...]
+    calibration: bc.Calibration, grid: np.ndarray, secondary: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "s g p"], TestContributions]:
-    """Return each draw's Taylor coefficients at the temperatures `grid`, and the contributions of the test."""
+    """Return each draw's Taylor coefficients at the temperatures `grid`, and contributions as in `_sum_slots`."""
     # Without secondary input, then with one along each axis.
-    size, grid = len(grid), np.tile(grid, 1 + len(gravity))
+    size, grid = len(grid), np.tile(grid, 1 + len(secondary))
     readings, vector = calibration.readings, calibration.model.instrument.vector
     assert vector is not None
     points = readings.select(np.zeros(len(grid), dtype=int))
     if readings.has("temperature"):
         points = points.with_column("temperature", grid)
-    for i, name in enumerate(gravity):
+    for i, name in enumerate(secondary):
         points = points.with_column(name, 1.0 * (np.arange(len(grid)) // size == 1 + i))
     problem = calibration.problem_on(calibration.frame_of(points))
     slots, contributions = _sum_slots(calibration, problem)
     count = len(next(iter(slots.values())))
     series = np.asarray(_expand_equation(vector, slots, problem.record.frame))
-    zero, others = series[:, :size], series[:, size:, :3].reshape(count, len(gravity), size, 3)
-    secondary = np.moveaxis(others - zero[:, None, :, :3], 1, 3).reshape(count, size, -1)
-    return np.concatenate([zero, secondary], axis=2), contributions
+    zero, others = series[:, :size], series[:, size:, :3].reshape(count, -1, size, 3)
+    sensitivity = np.moveaxis(others - zero[:, None, :, :3], 1, 3).reshape(count, size, -1)
+    return np.concatenate([zero, sensitivity], axis=2), contributions
 
 
 @ws.compiled
 def _expand_equation(
     vector: bc.Vector, slots: Mapping[str, Float[Array, "s g"]], frame: bc.Frame
 ) -> Float[Array, "s g p"]:
-    """Return offset, matrix, second-order terms and cubes of each axis, for draws of the slots at each reading."""
+    """Return offset, matrix, second-order terms and cubes of each axis, for each draw of the slots at each reading."""
     zero = jnp.zeros((frame.size, 3))
     unit = jnp.eye(3)[:, None, :] * jnp.ones((frame.size, 1))
 
@@ -223,13 +221,13 @@ def _expand_equation(
         def slope(f: Any) -> Any:
             return jnp.stack([jax.jvp(h, (f,), (e,))[1] for e in unit], axis=2)
 
-        def bend(f: Any) -> Any:  # second derivative of each output along its own axis
+        def curvature(f: Any) -> Any:  # second derivative of each output along its own axis
             return jnp.stack([jax.jvp(slope, (f,), (e,))[1][:, i, i] for i, e in enumerate(unit)])
 
         hessian = jnp.stack([jax.jvp(slope, (zero,), (e,))[1] for e in unit], axis=3)
         factors = [(i, j, 0.5 if i == j else 1.0) for i, j in PAIRS]
         pairs = jnp.stack([hessian[:, :, i, j] * factor for i, j, factor in factors], axis=2)
-        cubes = [jax.jvp(bend, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
+        cubes = [jax.jvp(curvature, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
         parts = h(zero), slope(zero).reshape(-1, 9), pairs.reshape(-1, 18), jnp.stack(cubes, axis=1)
         return jnp.concatenate(parts, axis=1)
 
@@ -239,10 +237,10 @@ def _expand_equation(
 def _sum_slots(
     calibration: bc.Calibration, problem: ws.Problem
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], TestContributions]:
-    """Sum the effects in each slot in use, draw by draw; return the sums and the contributions of the test.
+    """Sum the effects in each slot for use, draw by draw; return the sums, and standard deviations of contributions.
 
-    Group members are new. An effect of columns that are unknown in use takes its value at a random reading of the
-    test; if it also depends on known columns (a lag, on past temperatures), its sign is random.
+    Deviations are drawn for new group members. An effect of columns that are unknown in use has its value at a random
+    reading of the test; if it also depends on known columns (a lag, on past temperatures), its sign is random.
     """
     vector = calibration.model.instrument.vector
     assert vector is not None
