@@ -114,12 +114,8 @@ def bent(instrument: str, order: int = 3, powers: int = 3) -> bc.VectorCorrectio
     terms[:, 12:30] /= AT[instrument]
     terms[:, 30:33] /= AT[instrument] ** 2
     scale = np.where(made.terms == 0, 1.0, terms / made.terms).ravel()
-    return replace(
-        made,
-        terms=terms,
-        covariance=made.covariance * np.outer(scale, scale),
-        max_input=AT[instrument],
-    )
+    covariance = made.covariance * np.outer(scale, scale)
+    return replace(made, terms=terms, covariance=covariance, max_input=AT[instrument])
 
 
 def expected(c: bc.VectorCorrection, force: Any, warm: Any, beside: Any = None) -> np.ndarray:
