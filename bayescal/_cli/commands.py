@@ -518,10 +518,10 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
     without_uncertainty: bool = opt("Omit the coefficients' covariance in C and Python.", False)
 
     def answer(self) -> Answer:
-        from bayescal._use.correction_files import kinds
+        from bayescal._use.correction_files import iter_kinds
 
         writers = {n: write for load in load_entries("exports") for n, write in load().items()}
-        formats = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *writers))]
+        formats = [*dict.fromkeys((*(n for kind in iter_kinds() for n in kind.writers), *writers))]
         if self.format_ is None and self.out is None:
             raise InputError(f"no format was given: --format {', '.join(formats)}")
         if self.format_ not in (None, *formats):
@@ -567,7 +567,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         from bayescal._use import correction_files as files
 
         programs = [getattr(correction, "program", correction) for correction in corrections]
-        kind, format = files.kind_of(programs[0]), files.format_of(self.out, self.format_)
+        kind, format = files.find_kind(programs[0]), files.format_of(self.out, self.format_)
         first_program, *others = programs
         kwargs = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
         text = files.as_text(first_program, format, **kwargs)

@@ -35,7 +35,7 @@ from bayescal._report.result_json import Chapter, Foreword, Foreworded, chapters
 from bayescal._search.discover import candidates_table, group_confounded, group_untested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
-from bayescal._use.compensation_program import averaged_over
+from bayescal._use.compensation_program import list_average_claims
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
 MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
@@ -192,7 +192,7 @@ def render_page(
         "measured": report_text.with_unit,
     }
     functions = (
-        *(averaged_over, candidates_table, check_table, compute_budget, group_confounded),
+        *(list_average_claims, candidates_table, check_table, compute_budget, group_confounded),
         *(group_untested, identity, sources_of),
     )
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(

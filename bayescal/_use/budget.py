@@ -1,12 +1,12 @@
 """The uncertainty budget of a compensated value, after JCGM 100 (GUM), at a chosen operating point.
 
-Two tables split the same variance, correlations included:
+Two tables split the same variance, including its covariance terms:
 
 - *by coefficient*: sensitivity coefficient c = ∂value/∂θ, contribution |c|·u(θ), and the share c_i·Σ_j C_ij·c_j/u²;
   shares add up to one, and may be negative where correlation reduces the variance (JCGM 100, 5.2.2);
 - *by source*: origins of the posterior variance, linearised at the fit: noise of the calibration's readings and
-  between-run deviations (Type A), priors (Type B), those of nuisance angles included. The remainder, from sampled
-  between-group standard deviations and nonlinear parameters, has its own row.
+  between-run deviations (Type A), priors (Type B), including those of nuisance angles. A separate row has the
+  remainder, due to sampled between-group standard deviations and nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use.compensation_program import PAST, clock_note
+from bayescal._use.compensation_program import PAST, list_clock_claims
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
@@ -45,24 +45,25 @@ FORM = "form of the model: effects outside the candidates"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
+Point = Mapping[str, float]  # operating point: stimulus and inputs by name, fixed units
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """One coefficient's contribution to the variance."""
+    """Contribution of one coefficient to the variance of the compensated value."""
 
-    name: str  # of the coefficient
+    name: str  # name of the coefficient
     unit: str  # reported unit
     value: float  # posterior mean, reported unit
     uncertainty: float  # standard uncertainty, reported unit
     sensitivity: float  # ∂value/∂coefficient, stimulus unit per reported unit
     contribution: float  # |sensitivity|·uncertainty, stimulus unit
-    share: float  # of the variance, correlations included
+    share: float  # fraction of the variance, including half of the coefficient's covariances
 
 
 @dataclass(frozen=True)
 class SourceShare:
-    """One source's share of the variance: kind "A" (readings, runs), "B" (a prior) or "" (remainder)."""
+    """Contribution of one source to the variance: of kind "A" (readings, runs), "B" (a prior) or "" (remainder)."""
 
     name: str
     kind: str
@@ -71,7 +72,7 @@ class SourceShare:
 
 
 def list_inputs(values: Mapping[str, str]) -> str:
-    """List input quantities with their formatted values; equal lags T̃ − T of a column are named once."""
+    """Format input quantities and their values as a list, in which equal lags T̃ − T of a column appear once."""
     names = {name: re.sub(r"_lag(_\d+)?$", "_lag (lagged − measured)", name) for name in values}
     return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
 
@@ -79,20 +80,19 @@ def list_inputs(values: Mapping[str, str]) -> str:
 @renamed(shown="in_output_unit")
 @dataclass(frozen=True, repr=False)
 class Budget(Printed):
-    """An uncertainty budget.
+    """Uncertainty budget of a compensated value; the result of `budget`.
 
     Attributes:
-        stimulus, unit: of the compensated value.
-        at: operating point: the stimulus and every covariate, in `at_units`.
-        at_units: unit of each value of `at`.
+        stimulus, unit: name of the stimulus, and unit of its compensated value.
+        at, at_units: operating point, the value of the stimulus and of every covariate, and the unit of each value.
         reading: expected reading at the operating point, in `output_unit`.
-        output_unit: of the instrument's readings.
+        output_unit: unit of the instrument's readings.
         uncertainty: combined standard uncertainty of the compensated value, without the noise of the reading.
-        noise: standard uncertainty that the noise of one reading adds, stimulus unit.
+        noise: standard uncertainty of the compensated value due to the noise of one reading.
         k: coverage factor.
         k_95: coverage factor for a coverage probability of 95 %, from the posterior draws (JCGM 101:2008, 7.7).
         coefficients, sources: rows of the two tables.
-        covariance: of the coefficients, in the order of `coefficients`, reported units.
+        covariance: covariance matrix of `coefficients`, in their order and their reported units.
         notes: warnings, one sentence each.
     """
 
@@ -113,20 +113,20 @@ class Budget(Printed):
 
     @property
     def expanded(self) -> float:
-        """Return k times the combined standard uncertainty, without the noise of the reading."""
+        """Return the expanded uncertainty, k times `uncertainty`: without the noise of the reading."""
         return self.k * self.uncertainty
 
     @property
     def expanded_reading(self) -> float:
-        """Return the expanded uncertainty with the noise of one reading."""
+        """Return the expanded uncertainty including the noise of one reading."""
         return self.k * float(np.hypot(self.uncertainty, self.noise))
 
     def in_output_unit(self) -> Budget:
-        """Convert to the readings' unit where the dimensions agree, and the point's angles to degrees."""
-        to = self.output_unit
-        if to == self.unit or not same_dimension(self.unit, to) or needs_gravity(self.unit, to):
-            to = self.unit
-        factor = coefficient_factor(self.unit, to)
+        """Return the budget in the readings' unit, if it has the stimulus' dimension, and with angles in degrees."""
+        unit = self.output_unit
+        if not same_dimension(self.unit, unit) or needs_gravity(self.unit, unit):
+            unit = self.unit
+        factor = coefficient_factor(self.unit, unit)
         coefficients = tuple(
             replace(c, sensitivity=factor * c.sensitivity, contribution=factor * c.contribution)
             for c in self.coefficients
@@ -134,7 +134,7 @@ class Budget(Printed):
         degrees = {n: "deg" if unit == "rad" else unit for n, unit in self.at_units.items()}
         return replace(
             self,
-            unit=to,
+            unit=unit,
             at={n: float(convert(v, self.at_units[n], degrees[n])) for n, v in self.at.items()},
             at_units=degrees,
             uncertainty=factor * self.uncertainty,
@@ -145,8 +145,7 @@ class Budget(Printed):
 
     def data(self) -> dict[str, Any]:
         """Return the budget as JSON data, in fixed units."""
-        expanded = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
-        return {**as_json(self), **expanded}
+        return as_json(self) | {n: getattr(self, n) for n in ("expanded", "expanded_reading")}
 
     def _parts(self) -> list[str | ResultTable]:
         b = self.in_output_unit()
@@ -175,17 +174,18 @@ class Budget(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per coefficient, in fixed units."""
-        names = [f.name for f in fields(Contribution)]
-        return {name: [getattr(c, name) for c in self.coefficients] for name in names}
+        return {
+            f.name: [getattr(c, f.name) for c in self.coefficients] for f in fields(Contribution)
+        }
 
     @property
     def place(self) -> str:
-        """Format the operating point as text; equal lags of a column are named once."""
+        """Format the operating point as text, in which equal lags of a column appear once."""
         units = {n: unit_label(unit) for n, unit in self.at_units.items()}
         return list_inputs({n: f"{number(v, 4)} {units[n]}" for n, v in self.at.items()})
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
-        """Return the tables by coefficient and by source, without the smallest shares."""
+        """Return the tables by coefficient and by source, without rows below `LEAST_VARIANCE_SHARE`."""
         rows = (self.coefficients, self.sources)
         printed = ([r for r in table if abs(r.share) >= LEAST_VARIANCE_SHARE] for table in rows)
         title = f"contribution u [{unit_label(self.unit) or 1}]"
@@ -227,84 +227,86 @@ def budget(
         InputError: an unknown name, k is not positive, or the output does not depend on the stimulus at the point.
         ModelError: the instrument has no stimulus (`Instrument.use`).
     """
-    used = compensator(calibration) if isinstance(calibration, Calibration) else calibration
+    correction = compensator(calibration) if isinstance(calibration, Calibration) else calibration
     if not (np.isfinite(k) and k > 0):
         raise InputError(f"k = {k}: a coverage factor is a positive number, such as 2")
-    point = _validate_point(used, dict(at or {}))
-    expected, slope, gradient = _linearise(used, point)
-    covariance = used._moments.covariance
+    point = _validate_point(correction, dict(at or {}))
+    expected, slope, gradient = _linearise(correction, point)
+    covariance = correction._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    inputs = {name: np.array([value]) for name, value in point.items()}
-    value_draws = used.equation.moments(ALL_DRAWS).draws @ gradient
-    dominant = find_not_measured(used.calibration, value_draws[:, None])
+    inputs, stimulus = {n: np.array([v]) for n, v in point.items()}, correction.stimulus
+    value_draws = correction.equation.moments(ALL_DRAWS).draws @ gradient
+    dominant = find_not_measured(correction.calibration, value_draws[:, None])
     half_width = float(np.quantile(np.abs(value_draws - value_draws.mean()), 0.95))
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))
     shares = gradient * (covariance @ gradient) / (variance or np.inf)
-    columns = (used._moments.mean, sd, gradient, np.abs(gradient) * sd, shares)
+    columns = (correction._moments.mean, sd, gradient, np.abs(gradient) * sd, shares)
     return Budget(
-        stimulus=used.stimulus,
-        unit=used.unit,
+        stimulus=stimulus,
+        unit=correction.unit,
         at=point,
-        at_units={used.stimulus: used.unit, **{i.name: i.unit for i in used.inputs}},
+        at_units={stimulus: correction.unit} | {i.name: i.unit for i in correction.inputs},
         reading=expected,
-        output_unit=used.about.output_unit,
+        output_unit=correction.about.output_unit,
         uncertainty=variance**0.5,
-        noise=float(used.in_use.noise_variance(inputs[used.stimulus], inputs)[0]) ** 0.5
+        noise=float(correction.in_use.noise_variance(inputs[stimulus], inputs)[0]) ** 0.5
         / abs(slope),
         k=float(k),
         k_95=half_width / (variance**0.5 or np.inf),
         coefficients=tuple(
             Contribution(u.name, u.unit, *map(float, figures))
-            for u, *figures in zip(used.equation.unknowns, *columns, strict=True)
+            for u, *figures in zip(correction.equation.unknowns, *columns, strict=True)
         ),
-        sources=_split_by_source(used, point, gradient, variance),
+        sources=_split_by_source(correction, point, gradient, variance),
         covariance=covariance,
-        notes=(*claims, *_find_range_claims(used, point), *notes_on(used)),
+        notes=(*claims, *_find_range_claims(correction, point), *list_budget_claims(correction)),
     )
 
 
-def _validate_point(used: Compensator, at: dict[str, float]) -> dict[str, float]:
-    names = [used.stimulus, *(i.name for i in used.inputs if i.kind != "lag slope")]
+def _validate_point(correction: Compensator, at: dict[str, float]) -> dict[str, float]:
+    names = [correction.stimulus, *(i.name for i in correction.inputs if i.kind != "lag slope")]
     for name, value in at.items():
         if name not in names:
             message = f"{name!r} is not an input of this compensation; choose {', '.join(names)}"
             raise InputError(message)
         if not np.isfinite(value):
             raise InputError(f"{name} = {value}: give a finite number")
-    return {n: float(at.get(n, v)) for n, v in used.middle.items() if n in names}
+    return {n: float(at.get(n, v)) for n, v in correction.middle.items() if n in names}
 
 
-def _linearise(used: Compensator, point: Mapping[str, float]) -> tuple[float, float, np.ndarray]:
+def _linearise(correction: Compensator, point: Point) -> tuple[float, float, np.ndarray]:
     """Return expected output, ∂output/∂stimulus, and ∂(compensated value)/∂θ at a point; missing inputs are zero."""
     values = {name: np.full(1, value) for name, value in point.items()}
-    arguments = used._moments.mean, values[used.stimulus], values
-    expected, slope, gradient = used.equation.linearise(*arguments)
+    arguments = correction._moments.mean, values[correction.stimulus], values
+    expected, slope, gradient = correction.equation.linearise(*arguments)
     if slope[0] == 0:
         point_text = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
-        why = f"at {point_text} the output does not depend on {used.stimulus}: choose another point"
-        raise InputError(why)
+        message = f"at {point_text} the output does not depend on {correction.stimulus}: choose another point"
+        raise InputError(message)
     return float(expected[0]), float(slope[0]), 0.0 - np.asarray(gradient[0] / slope[0])
 
 
 def _split_by_source(
-    used: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
+    correction: Compensator, point: Point, gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
-    """Split the variance by source: noise, each prior, each deviation of a new group member."""
-    unlikely = {e.name for e in used.calibration.model.effects} - used.calibration.likeliest_effects
+    """Return the variance due to each source: noise, priors, deviations of new group members, and a remainder."""
+    calibration, equation = correction.calibration, correction.equation
+    unlikely = {e.name for e in calibration.model.effects} - calibration.likeliest_effects
     variances, total = dict[tuple[str, str], float](), variance
     if unlikely:
-        used = compensator(used.calibration.without(unlikely), members=dict(used.equation.members))
-        *_, gradient = _linearise(used, point)
-        total = float(gradient @ used._moments.covariance @ gradient)
-    calibration, unknowns = used.calibration, used.equation.unknowns
+        calibration = calibration.without(unlikely)
+        correction = compensator(calibration, members=dict(equation.members))
+        equation, (*_, gradient) = correction.equation, _linearise(correction, point)
+        total = float(gradient @ correction._moments.covariance @ gradient)
+    unknowns, covariance = equation.unknowns, correction._moments.covariance
     blocks = {b.name: b for b in calibration.layout.blocks}
-    sensitivities, estimated = dict[str, float](), _estimated_group_sds(used.equation)
+    sensitivities, estimated = dict[str, float](), _estimated_group_sds(equation)
     for i, unknown in enumerate(unknowns):
         if is_new_member(unknown):
             label = f"{unknown.key} of a new {unknown.group}"
-            variance_i = gradient[i] ** 2 * used._moments.covariance[i, i]
-            variances[label, "A" if unknown.key in estimated else "B"] = variance_i
+            kind = "A" if unknown.key in estimated else "B"
+            variances[label, kind] = gradient[i] ** 2 * covariance[i, i]
         else:
             sensitivities[unknown.name] = float(gradient[i])
     readings, priors = variance_by_origin(calibration, sensitivities)
@@ -317,52 +319,51 @@ def _split_by_source(
             elif block and block.per:
                 label += f" of each fitted {block.per}"
             variances[label, "B"] = variances.get((label, "B"), 0.0) + value
-    index = calibration.unknowns
+    index, undetected = calibration.unknowns, list[float]()  # variances not found by the search
     for confounder in calibration.confounders:
         shift = 0.0  # of the value, per standard deviation of the column's effect
         for derivative, u in zip(gradient, unknowns, strict=True):
             if not is_new_member(u) and (shares := confounder.shares.get(u.key)):
                 shift += float(derivative) * shares[index.index[u.name] - index.by_key[u.key].start]
         variances[f"{confounder.label}, collinear with the model's", "B"] = shift**2
-    unfound = list[float]()
-    for name, (i, root) in used.equation.unfound_spreads.items():
-        unfound.append(float(gradient[i] * root) ** 2)
-        variances[f"{name} of a new run, neither found nor excluded", "B"] = unfound[-1]
+    for name, (i, sd) in equation.unfound_spreads.items():
+        undetected.append(float(gradient[i] * sd) ** 2)
+        variances[f"{name} of a new run, neither found nor excluded", "B"] = undetected[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
         g = gradient * [not is_new_member(u) for u in unknowns]
-        variances[FORM, "B"] = excess * (float(g @ used._moments.covariance @ g) - sum(unfound))
+        variances[FORM, "B"] = excess * (float(g @ covariance @ g) - sum(undetected))
     rows = sorted(variances.items(), key=lambda p: -p[1])
     remainder = total - sum(variances.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
     rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
-    roots = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
-    return tuple(SourceShare(*label, root, v / (variance or np.inf)) for label, v, root in roots)
+    sources = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
+    return tuple(SourceShare(*label, u, v / (variance or np.inf)) for label, v, u in sources)
 
 
 def _estimated_group_sds(equation: OperatingEquation) -> set[str]:
-    """Return coefficients with an unseen member in use and an estimated between-member standard deviation."""
+    """Return the coefficients of unseen members whose between-member standard deviation is estimated, by name."""
     members, fixed_names = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
     estimated = (b for b in equation.blocks if b.group_sd_name not in fixed_names)
     return {b.name for b in estimated if b.coefficient.per not in members}
 
 
-def _find_range_claims(used: Compensator, point: Mapping[str, float]) -> list[Claim]:
-    """Return a claim for each input of an operating point, fixed units, outside its calibrated range."""
-    past = {i.name for i in used.inputs if i.kind in PAST}
-    fixed = {i.name for i in used.inputs if i.settled}
+def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
+    """Return a claim for each input of an operating point (fixed units) that is outside its calibrated range."""
+    past = {i.name for i in correction.inputs if i.kind in PAST}
+    fixed = {i.name for i in correction.inputs if i.settled}
     return [
         Claim("budget.beyond_range", name, value=point[name], low=low, high=high, unit=unit)
-        for name, (low, high, unit) in used.calibrated.items()
+        for name, (low, high, unit) in correction.calibrated.items()
         if name not in past and (point[name] < low or (point[name] > high and name not in fixed))
     ]
 
 
-def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Return claims about a budget's coverage and omissions, for a correction or for one slot."""
-    notes = clock_note(chosen.equation)
-    sources = [f"{name} of a new run" for name in chosen.equation.unfound_spreads]
-    sources += ["the form of the model"] * (chosen.calibration.form_factor > 1)
+def list_budget_claims(correction: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
+    """Return claims on the coverage and omissions of a budget: of a correction, or of a slot (not `of_correction`)."""
+    notes = list_clock_claims(correction.equation)
+    sources = [f"{name} of a new run" for name in correction.equation.unfound_spreads]
+    sources += ["the form of the model"] * (correction.calibration.form_factor > 1)
     notes += [Claim("budget.beyond_fit", *sources)] * bool(sources)
-    if of_correction and not chosen.equation.is_slope_calibrated:
-        notes.append(Claim("use.bias_only", chosen.stimulus))
+    if of_correction and not correction.equation.is_slope_calibrated:
+        notes.append(Claim("use.bias_only", correction.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

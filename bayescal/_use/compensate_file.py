@@ -1,7 +1,7 @@
 """Compensate a file: add the compensated value and its standard uncertainty as columns.
 
-Only the needed columns are in memory, never the whole file. Excel and MATLAB files become CSV. Both added cells are
-empty in rows with a missing reading. The new file is written atomically.
+Of a Parquet file only the needed columns are loaded, the others copied in batches. Excel and MATLAB files become CSV.
+The two added cells of a row without a reading are empty. The new file is written atomically.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ ROWS_PER_BATCH = 200_000  # of Parquet
 
 @dataclass(frozen=True)
 class CompensationSummary:
-    """Summary of a file's compensation."""
+    """Numbers of compensated readings and of problems; the result of `compensate_file`."""
 
     file: Path  # the written file
     columns: tuple[str, str]  # names of the two added columns
-    rows: int  # of the file
-    outside: dict[str, int]  # name → readings outside its calibrated range
-    unsolved: int  # readings for which the equation has no solution; their value is NaN
-    missing: int  # rows without a reading, or without an input; their value is empty
+    rows: int  # number of rows of the file
+    outside: dict[str, int]  # input or stimulus → number of readings outside its calibrated range
+    unsolved: int  # number of readings for which the equation has no solution; both cells are empty
+    missing: int  # number of rows that lack the reading or an input; both cells are empty
     flags: tuple[str, ...]  # input warnings, each a sentence
 
 
@@ -61,7 +61,7 @@ class AddedColumns(NamedTuple):
         return [f"{name} [{self.unit}]" for name in self.names]
 
     def cells(self, decimal: str = ".") -> Iterator[list[str]]:
-        """Yield each row's cells as text; empty for NaN."""
+        """Yield the two cells of each row as text; "" for NaN."""
         for row in self.values.T.tolist():
             yield ["" if v != v else repr(v).replace(".", decimal) for v in row]
 
@@ -81,16 +81,16 @@ def compensate_file(
 
     Args:
         compensator: compensator of the instrument.
-        path: text or .parquet; Excel or MATLAB.
-        out: file to write, of the same format, or .csv for Excel and MATLAB; may be the same file.
+        path: file of readings: text, Parquet, Excel or MATLAB.
+        out: file to write, in the format of `path`, or .csv for Excel and MATLAB; may be `path` itself.
         local_gravity: as in `bayescal.read`.
         missing: "drop" leaves the results of rows with a missing reading empty; "refuse" raises InputError.
-        method, noise: as in a call of the compensator.
+        method, noise: as in `Compensator.__call__`.
         how: columns, units, decimal, date_order, nominal_scale, nominal_zero, as in `bayescal.read`; the default
             nominal scale is that of the calibration.
 
     Raises:
-        InputError: as in `bayescal.read`; an unsupported format; the file has columns of these names.
+        InputError: as in `bayescal.read`; or the format is unsupported, or the file already has columns of these names.
     """
     path, out = Path(path), Path(out)
     suffix = path.suffix.lower()
@@ -117,7 +117,7 @@ def compensate_file(
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
         options = options.of_file(table)
-        raw, names = _column_names(table, expected, options)
+        output_header, names = _name_columns(table, expected, options)
         converted = convert_columns(table, expected, options)
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)
         # History, unwrapped counters and times from the first row need the whole record checked.
@@ -134,7 +134,7 @@ def compensate_file(
         writers = dict.fromkeys(CSV_SUFFIXES, _write_csv)
         writers[".parquet"] = _add_parquet
         added = AddedColumns(names, compensator.unit, values, options.decimal)
-        writers.get(suffix, _add_text)(added, path, partial, table, raw)
+        writers.get(suffix, _add_text)(added, path, partial, table, output_header)
     return CompensationSummary(
         file=out,
         columns=names,
@@ -147,7 +147,7 @@ def compensate_file(
 
 
 def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin: bool) -> None:
-    """Raise InputError if undated times overlap the calibration's, since their origin then differs."""
+    """Raise InputError if another file's undated times overlap the calibration's: their origins then differ."""
     hashes = {sha for _, sha in compensator.about.sources}
     undated = readings.since is None and compensator.about.epoch is None and not has_begin
     if not (compensator.dated and undated) or {s.sha256 for s in readings.sources} & hashes:
@@ -163,7 +163,7 @@ def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin:
         )
 
 
-def _column_names(
+def _name_columns(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """Return the output's header in the file, and the names of the columns to add."""
@@ -184,7 +184,7 @@ def _column_names(
     return header.raw, names
 
 
-def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
     """Copy the lines of a text file and append two fields to each."""
     text = parse_text(path.read_bytes(), table.file, added.decimal)
     rows = added.cells(text.decimal or ".")
@@ -200,16 +200,16 @@ def _add_text(added: AddedColumns, path: Path, partial: Path, table: Table, raw:
 
 
 def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
-    """Append fields to a line."""
+    """Return a line of a text file with further fields, quoted and separated as its own."""
     content = line.decode().rstrip("\r\n")
     end = line.decode()[len(content) :] or "\n"
     return content + text.separator + csv_line(fields, text.separator) + end
 
 
-def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
+def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
     with pq.ParquetFile(path) as opened:
         schema, row_count = opened.schema_arrow, 0
-        for name in added.headers if " [" in raw else added.names:  # the header names the unit
+        for name in added.headers if " [" in header else added.names:  # with the unit
             schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
         with pq.ParquetWriter(partial, schema) as writer:
             for batch in opened.iter_batches(batch_size=ROWS_PER_BATCH):
@@ -219,8 +219,8 @@ def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, r
                 row_count += batch.num_rows
 
 
-def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, raw: str) -> None:
-    """Write a sheet or vectors as CSV, all cells as text, and append two columns."""
+def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
+    """Write an Excel sheet or MATLAB vectors, cells as text, and the two added columns as CSV."""
     loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")

@@ -6,7 +6,7 @@ The graph of the equation in use (`expression_graph.py`) and its derivatives are
 
 The stimulus s solves expected(s) = reading, by one Newton step from 0 if the equation is affine in s, otherwise by up
 to `MAX_NEWTON_STEPS`. Its standard uncertainty is √(gᵀCg), g = −gradient/slope, C = LLᵀ the posterior covariance of θ;
-√(gᵀCg + noise/slope²) with the noise of one reading, a variance by the noise law at s and the inputs (JCGM 100, 5.2.2).
+with the noise of one reading √(gᵀCg + v/slope²), v its variance by the noise law at s and the inputs (JCGM 100, 5.2.2).
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from bayescal._use.operating_equation import (
     STIMULUS,
     OperatingEquation,
     PosteriorMoments,
+    compute_lag_and_slope,
     input_name,
     is_new_member,
-    lag_and_slope,
 )
 
 
@@ -68,67 +68,67 @@ class OutsideCalibration(UserWarning):
 
 @dataclass(frozen=True)
 class Input:
-    """A covariate that a compensation needs."""
+    """A covariate that a compensation needs, with its range in the calibration."""
 
     name: str  # name, unit, meaning: as printed and in firmware
     unit: str
     meaning: str
     # "column"; or computed from a record: "rate", "lag", "lag slope" (∂lag/∂τ; 0 omits it), "elapsed"
     kind: str
-    column: str  # column with its values, or from which they are computed
-    low: float  # low, high: range in the calibration, in `unit`
+    column: str  # column that has its values, or from which they are computed
+    low: float  # low, high: limits of the calibrated range, in `unit`
     high: float
     tau: float | None = None  # time constant of a lag, s; window of a rate, s
     # for a lag, the longest gap over which the column is interpolated, s; None: any gap
     silence: float | None = None
     settled: bool = False  # for an elapsed time, whether its effects have decayed at `high`
-    held: bool = False  # for a lag, whether the column is constant between readings
+    held: bool = False  # for a lag, whether the column is assumed constant between readings
 
     @property
     def end(self) -> float:
-        """Return the upper limit above which a value is flagged."""
+        """Return the value above which an input is flagged as outside its calibrated range."""
         return np.inf if self.settled else self.high
 
     @property
     def middle(self) -> float:
-        """Return the default operating point: mid-range; for time the last reading; zero for rates and lags."""
+        """Return the default value of a budget: mid-range, the last reading for time, or zero for rates and lags."""
         if self.name == "time":
             return self.high
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
-def inputs_in_use(equation: OperatingEquation) -> list[Input]:
-    """List the equation's inputs with units, meanings and calibrated ranges."""
+def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
+    """List the inputs on which the equation depends, with units, meanings and calibrated ranges."""
     inputs, calibration, values = list[Input](), equation.calibration, equation.at_fit
     frame = calibration.frame
 
-    def add(name: str, unit: str, meaning: str, kind: str, column: str, **history: Any) -> None:
+    def add_input(name: str, unit: str, meaning: str, kind: str, column: str, **past: Any) -> None:
         if name in equation.inputs and name in values:
             limits = float(values[name].min()), float(values[name].max())
-            inputs.append(Input(name, unit, meaning, kind, column, *limits, **history))
+            inputs.append(Input(name, unit, meaning, kind, column, *limits, **past))
 
     meanings = {c.name: c.meaning for c in calibration.model.instrument.columns}
     for name in (n for n in equation.columns if n != "elapsed"):
         meaning = time_origin(calibration) if name == "time" else meanings.get(name, "")
-        add(name, calibration.readings.unit(name) or "1", meaning, "column", name)
-    add("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
+        add_input(name, calibration.readings.unit(name) or "1", meaning, "column", name)
+    add_input("elapsed", "s", "time since the start (of the run, of power)", "elapsed", "time")
     for name, column in equation.rates:
         meaning = (
             f"rate of {column}: least-squares slope over the last {RATE_WINDOW_S:g} s (or the last two readings, if "
             "these are further apart), 0 at the start"
         )
-        add(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
+        add_input(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
     for lag in equation.nodes.lags:  # exports compute lags and ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
         silence = None if is_held else float(frame.silence)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
-        add(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
+        add_input(lag.name, "delta_degC", meaning, "lag", lag.column, **history)
         meaning = (
             f"derivative of {lag.name} with respect to its time constant, to propagate that uncertainty; 0 at the "
             "start, 0 throughout omits it"
         )
-        add(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **history)
+        add_input(lag.slope or "", "delta_degC/s", meaning, "lag slope", lag.column, **history)
     return sorted(inputs, key=lambda i: i.name)
 
 
@@ -138,9 +138,9 @@ def gather_inputs(
     columns: Mapping[str, ArrayLike],
     epoch: float | None,
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
-    """Return output, inputs and known uncertainties, (n,) each; and the frame, if an input depends on history.
+    """Return output, inputs and stated uncertainties by name, (n,) each, and a frame if an input depends on history.
 
-    Readings are on the calibration's clock; dates in `columns` become seconds since `epoch` (s since 1970).
+    Times in `readings` are on the calibration's clock; `epoch` (its zero, s since 1970) converts dates in `columns`.
 
     Raises:
         InputError: a needed column is missing, or there are dates without an epoch.
@@ -148,7 +148,7 @@ def gather_inputs(
     arrays = {n: np.atleast_1d(np.asarray(v)) for n, v in columns.items()}
     for name in (n for n, array in arrays.items() if array.dtype.kind == "M"):
         if epoch is None:
-            raise InputError("times are dates, but the calibration's times have none: give seconds")
+            raise InputError("times are dates, but the calibration's times are not: give seconds")
         seconds = arrays[name].astype("datetime64[us]").astype(np.int64) * 1e-6
         arrays[name] = seconds - epoch
     if readings is not None:
@@ -169,7 +169,7 @@ def gather_inputs(
             if i.kind in ("rate", "elapsed"):
                 values[i.name] = record.rates[i.column] if i.kind == "rate" else record.elapsed
             else:
-                lag_values = lag_and_slope(record, float(i.tau or 0.0), i.column)
+                lag_values = compute_lag_and_slope(record, float(i.tau or 0.0), i.column)
                 values[i.name] = lag_values[i.kind == "lag slope"]
     for i in inputs:
         if i.name not in values:
@@ -192,8 +192,8 @@ def _build_record(
     return build_frame(readings, holds)
 
 
-def limits(span: tuple[float, float]) -> tuple[float, float]:
-    """Return the limits beyond which a compensated value is flagged: the stimulus range with a margin."""
+def add_margin(span: tuple[float, float]) -> tuple[float, float]:
+    """Return a stimulus range with a margin (`RANGE_MARGIN`), outside which a compensated value is flagged."""
     low, high = span
     return low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
 
@@ -202,23 +202,23 @@ def limits(span: tuple[float, float]) -> tuple[float, float]:
 class Provenance:
     """Provenance of an export, and notes on its use."""
 
-    instrument: str  # name of the instrument; title: one line
-    title: str
-    stimulus: str  # stimulus, unit: of compensated values; output_unit: unit of readings
-    unit: str
+    instrument: str  # name of the instrument
+    title: str  # description of the instrument, one line
+    stimulus: str  # name of the stimulus
+    unit: str  # unit of the stimulus; output_unit: unit of the readings
     output_unit: str
-    effects: tuple[tuple[str, str], ...]  # (name, equation) of each
+    effects: tuple[tuple[str, str], ...]  # (name, equation) of each effect
     reference: dict[str, float]  # constants of the bases, such as T0
     sources: tuple[tuple[str, str], ...]  # (file, sha256) of the readings
-    raw: tuple[str, float, float] | None  # unit, gain, offset of raw output; None: the reading
+    raw: tuple[str, float, float] | None  # unit, gain, offset of raw output; None: not raw
     notes: tuple[str, ...]  # warnings, one sentence each
-    made_by: str  # program and version
-    calibration: str = ""  # identity of the calibration; empty before the export
+    made_by: str  # name and version of this program
+    calibration: str = ""  # SHA-256 of the calibration; empty before the export
     why_not: str = ""  # why the result must not be used, also among the notes; empty if it may
-    epoch: float | None = None  # seconds since 1970 at time zero; None for times without dates
+    epoch: float | None = None  # date of time zero, s since 1970; None for times without dates
 
 
-def provenance_of(equation: OperatingEquation) -> Provenance:
+def build_provenance(equation: OperatingEquation) -> Provenance:
     """Build an export's provenance, without notes and failed checks."""
     calibration = equation.calibration
     instrument, use = calibration.model.instrument, equation.use
@@ -249,8 +249,8 @@ def time_origin(calibration: Calibration) -> str:
     return f"from {format_date(since)} UTC (dates without a time zone are read as UTC)"
 
 
-def clock_note(equation: OperatingEquation) -> list[Claim]:
-    """Return a claim with the effects that depend on the date and the origin of time; empty if time is no input."""
+def list_clock_claims(equation: OperatingEquation) -> list[Claim]:
+    """Return a claim on effects that depend on the date and on the origin of time; [] if time is not an input."""
     if "time" not in equation.inputs:
         return []
     calibration = equation.calibration
@@ -260,17 +260,17 @@ def clock_note(equation: OperatingEquation) -> list[Claim]:
     return [Claim("use.dated", *dated_effects, clock=time_origin(calibration), end=end)]
 
 
-def averaged_over(calibration: Calibration) -> list[Claim]:
-    """Return a claim that values are averages over structures, with inclusion probabilities; empty otherwise."""
+def list_average_claims(calibration: Calibration) -> list[Claim]:
+    """Return a claim with the inclusion probabilities of a calibration averaged over structures; [] for others."""
     effects = {name: p for name, p in calibration.inclusion.items() if p < 1}
     texts = (f"{n}{calibration.model.form_note(n)} {p:.2f}" for n, p in effects.items())
     return [Claim("use.averaged", *effects, named=tuple(texts))] if effects else []
 
 
-def notes_on_use(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
-    """Return the notes on a compensation: averaging, dates, new members, held inputs, lags, range."""
+def list_use_claims(equation: OperatingEquation, has_range: bool) -> tuple[Claim, ...]:
+    """Return claims on a compensation: averaging, dates, new members, held inputs, lags; missing stimulus range."""
     calibration = equation.calibration
-    notes = [*averaged_over(calibration), *clock_note(equation)]
+    notes = [*list_average_claims(calibration), *list_clock_claims(equation)]
     if new_members := [u.name for u in equation.unknowns if is_new_member(u)]:
         notes.append(Claim("use.new_members", *new_members))
     if constants := equation.held_inputs:
@@ -301,12 +301,12 @@ class ProgramUnknown:
     name: str
     unit: str
     mean: float
-    given: tuple[float, float] | None = None  # of a shape: u given its effect; P(effect)
+    given: tuple[float, float] | None = None  # u of a shape given its effect; P(effect)
 
 
 @dataclass(frozen=True)
 class TracedEquation:
-    """The operating equation as a list of operations, and the node indices of its results; as in JSON."""
+    """The operating equation as a list of operations, and the nodes (indices in the list) of its results."""
 
     operations: list[Node]
     expected: int  # node of the expected output
@@ -317,11 +317,11 @@ class TracedEquation:
 
 @dataclass(frozen=True, eq=False)
 class CompensationProgram:
-    """A first-order compensation by posterior mean and covariance."""
+    """Compensation to first order, from the posterior mean and covariance of the unknowns."""
 
     about: Provenance
     inputs: tuple[Input, ...]  # needed covariates
-    stimulus_range: tuple[float, float] | None  # None if it was not varied or is no column
+    stimulus_range: tuple[float, float] | None  # None if not recorded, or constant
     unknowns: tuple[ProgramUnknown, ...]
     covariance: list[list[float]]  # of the unknowns, in reported units
     affine: bool  # whether the expected output is affine in the stimulus
@@ -337,7 +337,7 @@ class CompensationProgram:
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
-        return None if self.stimulus_range is None else limits(self.stimulus_range)
+        return None if self.stimulus_range is None else add_margin(self.stimulus_range)
 
     @cached_property
     def graph(self) -> Graph:
@@ -345,7 +345,7 @@ class CompensationProgram:
 
     @cached_property
     def cholesky_factor(self) -> np.ndarray:
-        """Return the lower triangular L of C = LLᵀ, by QR of a symmetric root, so that C may be singular."""
+        """Return the lower triangular L of C = LLᵀ, by QR of a symmetric root of C, which may be singular."""
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
         sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)
@@ -358,7 +358,7 @@ class CompensationProgram:
     def run(
         self, output: np.ndarray, inputs: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
+        """Return the stimulus, its standard uncertainty without noise, and |∂stimulus/∂output|, (n,) each."""
         nodes, evaluate = (self.equation.expected, self.equation.slope), self.graph.evaluate
         s, slope = solve_newton(
             lambda s: evaluate(nodes, {**inputs, STIMULUS: s}), np.asarray(output), self.affine
@@ -379,10 +379,10 @@ class CompensationProgram:
         (variance,) = self.graph.evaluate([self.equation.noise], {**inputs, STIMULUS: stimulus})
         return np.broadcast_to(variance, stimulus.shape)
 
-    def settles(self, time: Input) -> bool:
-        """Return whether output and uncertainty are constant in `time` from the last quarter of its range on.
+    def is_settled(self, time: Input) -> bool:
+        """Return whether output and uncertainty are constant in elapsed time from the last quarter of its range on.
 
-        Tested at the lower ends, midpoints and upper ends of all inputs, to a tenth of the standard uncertainty.
+        Tested at the limits and midpoints of all other inputs, to `MAX_SETTLED_CHANGE` standard uncertainties.
         """
         times = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         low, high = self.stimulus_range or (0.0, 0.0)
@@ -398,7 +398,7 @@ class CompensationProgram:
         return True
 
     def require_exportable(self) -> CompensationProgram:
-        """Return this program; raise ModelError if an effect or the noise model has an operation without export."""
+        """Return this program; raise ModelError if an operation of an effect or the noise law cannot be exported."""
         for op, *args in self.equation.operations:
             if op == "call":
                 raise ModelError(
@@ -416,7 +416,7 @@ class CompensationProgram:
 
 
 def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> CompensationProgram:
-    """Build the program of an operating equation at the posterior mean of its unknowns."""
+    """Build the compensation program of an operating equation at the posterior mean of its unknowns."""
     unknowns, readings, use = equation.unknowns, equation.calibration.readings, equation.use
     noise, noise_level = equation.noise_in_use()
     means = {input_name(u.key): float(m) for u, m in zip(unknowns, moments.mean, strict=True)}
@@ -433,9 +433,9 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
     stimulus_range = None
     if use.equation is None and readings.has(use.stimulus) and np.ptp(readings[use.stimulus]) > 0:
         stimulus_range = float(readings[use.stimulus].min()), float(readings[use.stimulus].max())
-    inputs = inputs_in_use(equation)
+    inputs = list_needed_inputs(equation)
     program = CompensationProgram(
-        about=provenance_of(equation),
+        about=build_provenance(equation),
         inputs=tuple(inputs),
         stimulus_range=stimulus_range,
         unknowns=tuple(ProgramUnknown(u.name, u.unit, m, shapes.get(u.key)) for u, m in pairs),
@@ -443,5 +443,5 @@ def build_program(equation: OperatingEquation, moments: PosteriorMoments) -> Com
         affine=STIMULUS not in subgraph.inputs([slope]),
         equation=TracedEquation(subgraph.nodes, expected, slope, tuple(gradient), variance),
     )
-    settled = (replace(i, settled=i.kind == "elapsed" and program.settles(i)) for i in inputs)
+    settled = (replace(i, settled=i.kind == "elapsed" and program.is_settled(i)) for i in inputs)
     return replace(program, inputs=tuple(settled))

@@ -29,8 +29,8 @@ from bayescal._use.compensation_program import (
     Provenance,
     build_program,
     gather_inputs,
-    inputs_in_use,
-    notes_on_use,
+    list_needed_inputs,
+    list_use_claims,
 )
 from bayescal._use.correction_files import as_text, format_of
 from bayescal._use.operating_equation import (
@@ -45,13 +45,13 @@ Method = Literal["draws", "first order"]
 
 @dataclass(frozen=True)
 class Compensated:
-    """Compensated readings.
+    """Compensated readings: the result of calling a `Compensator`.
 
     Attributes:
         value: the stimulus, (n,); NaN where the equation has no solution.
         uncertainty: standard uncertainty of `value`, (n,).
         unit: unit of both.
-        outside: name → mask (n,) of readings with that input or the stimulus outside its range, if there are any.
+        outside: mask (n,) of readings outside the calibrated range, by name of the input or stimulus, if there are any.
     """
 
     value: np.ndarray
@@ -69,7 +69,8 @@ class Compensator:
         compensate.export("calibration.h")                # or .json, .py
 
     Attributes:
-        calibration, equation: the calibrated model, and its equation for the instrument in use.
+        calibration: the calibrated model.
+        equation: the model's equation for the instrument in use.
         draws: maximum number of posterior draws to average over.
     """
 
@@ -87,7 +88,7 @@ class Compensator:
         warn: bool = True,
         **columns: ArrayLike,
     ) -> Compensated:
-        """Compensate readings.
+        """Return the stimulus of readings, with its standard uncertainty.
 
         Args:
             readings: output and needed covariates, with dates on the calibration's clock; or give these as `columns`.
@@ -97,8 +98,7 @@ class Compensator:
                 covariance, as exports do.
             warn: issue an `OutsideCalibration` warning for values outside their calibrated range.
             **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
-                (`datetime64`). The past of a record can be given too
-                (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
+                (`datetime64`); in its place also `temperature_rate`, `temperature_lag` or `elapsed`.
 
         Raises:
             InputError: a needed column is missing, or only one of readings and calibration has dates and the correction
@@ -138,12 +138,12 @@ class Compensator:
 
     @cached_property
     def in_use(self) -> CompensationProgram:
-        """Return the compensation program (equation, mean and covariance of θ), without acceptance checks and notes."""
+        """Return the program (equation, mean and covariance of θ), without notes and results of acceptance checks."""
         return build_program(self.equation, self._moments)
 
     @cached_property
     def program(self) -> CompensationProgram:
-        """Return the program as exported, with notes and failed checks.
+        """Return the program to export, with notes and the acceptance checks that failed.
 
         Raises:
             ModelError: an effect cannot be exported.
@@ -155,7 +155,7 @@ class Compensator:
 
     @property
     def about(self) -> Provenance:
-        """Return the provenance of the compensator, without notes and failed checks."""
+        """Return the provenance of the compensator, without notes and acceptance checks."""
         return self.in_use.about
 
     @property
@@ -170,14 +170,14 @@ class Compensator:
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """Return the covariates needed, with their calibrated ranges."""
+        """Return the covariates that a compensation needs, with their calibrated ranges."""
         return self.in_use.inputs
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Return the notes on the compensation, one sentence each."""
         has_range = self.in_use.stimulus_range is not None
-        return notes_on_use(self.equation, has_range)
+        return list_use_claims(self.equation, has_range)
 
     @property
     def why_not(self) -> str:
@@ -186,7 +186,7 @@ class Compensator:
 
     @property
     def dated(self) -> str:
-        """Return the names of effects that depend on the date, for messages; empty if there are none."""
+        """Return the names of effects that depend on the date, "it" without names; empty if time is not an input."""
         if all(i.name != "time" for i in self.inputs):
             return ""
         return ", ".join(self.calibration.dated_effects) or "it"
@@ -207,7 +207,7 @@ class Compensator:
 
     @property
     def history(self) -> bool:
-        """Return whether a reading's compensation needs earlier readings of its record."""
+        """Return whether the compensation of a reading needs earlier readings of its record."""
         return any(i.kind != "column" for i in self.inputs)
 
     @property
@@ -255,7 +255,7 @@ class Compensator:
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        """Return the limits beyond which a reading is flagged, by input, and by stimulus if it was varied."""
+        """Return limits outside which a reading is flagged, by name of the input or of a stimulus that was varied."""
         ranges = {i.name: (i.low, i.end) for i in self.inputs}
         # Columns without influence on the output have calibrated ranges too.
         for name in self.equation.columns:
@@ -274,14 +274,14 @@ def compensator(
 
     Args:
         calibration: a fit, or an average over structures. Inputs that no probable effect needs are fixed at the middle
-            of their calibrated range; `notes` give the rms error of that.
+            of their calibrated range; `notes` state the rms error due to this.
         draws: maximum number of posterior draws to average over.
-        members: the member of a group in use, such as {"device": "A17"}; any other run, cell or device is unseen, with
-            a deviation drawn from the between-member standard deviation.
+        members: group → member in use, such as {"device": "A17"}. The members of all other groups are unseen, with
+            deviations drawn from the between-member standard deviation.
 
     Raises:
         ModelError: the instrument has no stimulus (`Instrument.use`).
-        InputError: a group member that is not in the calibration, or fewer than two draws.
+        InputError: a group member is not in the calibration, or `draws` is below two.
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
@@ -293,7 +293,7 @@ def compensator(
         return unrestricted
     held_inputs = tuple(
         (i.name, float(i.middle), i.unit)
-        for i in inputs_in_use(unrestricted.equation)
+        for i in list_needed_inputs(unrestricted.equation)
         if not needed.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
     )
     return replace(unrestricted, equation=replace(unrestricted.equation, held_inputs=held_inputs))

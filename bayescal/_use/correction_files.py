@@ -1,7 +1,7 @@
-"""Export of corrections as files (C99, Python, JSON, …), of one output or of three axes.
+"""Export of corrections of one output or of three axes as files (C99, Python, JSON, …).
 
 Annexes add kinds of corrections besides those of one output (`_core/annex.py`). All names in a C header have the
-sensor's name as prefix, so that one program may include several headers; two with the same prefix do not compile.
+sensor's name as prefix, so that a program may include several headers; two with the same prefix do not compile.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from bayescal._use.expression_graph import LANGUAGES, Language, generate_stateme
 from bayescal._use.operating_equation import STIMULUS
 
 Writer = Callable[[Mapping[str, Any], bool], str]
-"""Renders corrections, by sensor name, with or without uncertainty."""
+"""Function of corrections by sensor name, and of whether to include the uncertainty; returns the text of the file."""
 
 
 class CorrectionKind(NamedTuple):
-    """A kind of corrections: its class, formats and writers."""
+    """A kind of corrections: the class, the formats, and the writer of each format."""
 
-    of: type  # class of the corrections, `CorrectionInUse`
-    axes: str  # number of axes, in words, such as "three axes"
+    correction_class: type  # class of the corrections, which implements `CorrectionInUse`
+    axes: str  # number of axes in words, such as "three axes"
     writers: Mapping[str, Writer]  # format → writer
     suffixes: Mapping[str, str]  # suffix of a file → format
-    together: tuple[str, ...] = ()  # formats whose files may contain several corrections
-    # returns a sentence on the terms that a format omits; empty if none
+    shared_formats: tuple[str, ...] = ()  # formats whose files may contain several corrections
+    # returns a sentence on the terms that a format omits; "" if it omits none
     describe_omissions: Callable[[Any, str], str] = lambda correction, format: ""
 
 
@@ -50,10 +50,10 @@ _WORDS = "reading stimulus inputs expected slope gradient noise square total val
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
-def program_text(
+def render_program(
     program: CompensationProgram, language: Language, name: str, uncertainty: bool
 ) -> str:
-    """Render the C99 header or the Python module from its template."""
+    """Render a compensation program as a C99 header or a Python module, from its template."""
     equation = program.equation
     with_noise = (equation.noise, *equation.gradient) * uncertainty
     outputs = (equation.expected, equation.slope), with_noise
@@ -85,7 +85,7 @@ def program_text(
 
 
 def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """Return the template's variables for a record: its inputs by kind, and (field, unit) of its columns."""
+    """Return the template's variables on a record: inputs by kind, columns as (field, unit), lags, window of rates."""
     by_kind = {kind: [i for i in program.inputs if i.kind == kind] for kind in INPUT_KINDS}
     columns = {i.column: (fields[i.name], i.unit) for i in by_kind["column"]}
     for i in (i for i in program.inputs if i.kind in PAST and i.column not in columns):
@@ -105,12 +105,12 @@ def _record_variables(program: CompensationProgram, fields: Mapping[str, str]) -
     }
 
 
-def include_guard(name: str, *computed: Any) -> str:
-    """Return a header's include guard, which rejects another header of the same name.
+def include_guard(name: str, *contents: Any) -> str:
+    """Return an include guard with which two different headers of the same name do not compile.
 
-    Otherwise the second would be skipped silently. The guard's value is a checksum of the header's content.
+    A common guard would silently skip the second one. The value of this guard is a checksum of the header's content.
     """
-    stamp = f"0x{zlib.crc32(repr(computed).encode()):08x}UL"
+    stamp = f"0x{zlib.crc32(repr(contents).encode()):08x}UL"
     guard = f"BAYESCAL_{name.upper()}_H"
     return (
         f"#if defined({guard}) && {guard} != {stamp}\n"
@@ -119,62 +119,62 @@ def include_guard(name: str, *computed: Any) -> str:
     )
 
 
-def as_data(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
-    """Render a correction as JSON."""
+def render_json(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
+    """Render a single correction as JSON, always with its uncertainty."""
     (correction,) = sensors.values()
     return json_text(correction.data(), indent=1)
 
 
-def in_form(write: Callable[..., str], *arguments: Any) -> Writer:
-    """Wrap the writer of a format that has no sensor names and no option to omit the uncertainty."""
+def wrap_writer(write: Callable[..., str], *arguments: Any) -> Writer:
+    """Return a `Writer` that calls `write(correction, *arguments)`, without sensor names and `uncertainty`."""
     return lambda sensors, uncertainty: write(*sensors.values(), *arguments)
 
 
 def _render(language: Language, named: Mapping[str, Any], uncertainty: bool) -> str:
-    return "".join(program_text(program, language, n, uncertainty) for n, program in named.items())
+    return "".join(render_program(p, language, n, uncertainty) for n, p in named.items())
 
 
 ONE_OUTPUT = CorrectionKind(
-    of=CompensationProgram,
+    correction_class=CompensationProgram,
     axes="one output",
-    writers={"json": as_data, **{n: partial(_render, form) for n, form in LANGUAGES.items()}},
+    writers={"json": render_json, **{n: partial(_render, form) for n, form in LANGUAGES.items()}},
     suffixes={".json": "json", ".h": "c", ".py": "python"},
 )
 
 
-def kinds() -> Iterator[CorrectionKind]:
-    """Yield the kinds of corrections: of one output, then those of annexes, loaded on demand."""
+def iter_kinds() -> Iterator[CorrectionKind]:
+    """Yield the kinds of corrections: `ONE_OUTPUT`, then those of annexes, which are loaded only then."""
     yield ONE_OUTPUT
     for corrections in load_entries("corrections"):
         yield from corrections
 
 
-def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """Return a correction's kind."""
-    return next(kind for kind in kinds() if isinstance(correction, kind.of))
+def find_kind(correction: CorrectionInUse) -> CorrectionKind:
+    """Return the kind to which a correction belongs."""
+    return next(kind for kind in iter_kinds() if isinstance(correction, kind.correction_class))
 
 
 def sensor_name(name: str | None, instrument: str) -> str:
-    """Return a sensor's name in C and Python: the user's, else the instrument's.
+    """Return a sensor's name, valid in C and Python: the one given, else the instrument's.
 
     Raises:
-        InputError: the user's name is not valid there.
+        InputError: the given name is not a valid identifier.
     """
     if name is None:
         return identifier(instrument)
     if identifier(name.lower()) != name.lower():
         raise InputError(
-            f"{name!r} is not an identifier in C and Python: use letters, digits and _, a letter first, and no reserved"
-            " word (example: gyro_x)"
+            f"{name!r} is not a valid name in C and Python: use letters, digits and _, with a letter first, and no "
+            "reserved word (example: gyro_x)"
         )
     return name
 
 
 def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str]:
-    """Return the names of a unit's sensors in C and Python: their instruments', prefixed by the unit's.
+    """Return the names of a device's sensors in C and Python: each its instrument's, prefixed by the unit's `name`.
 
     Raises:
-        InputError: the name is invalid in C, or two are of one instrument.
+        InputError: the name is not a valid identifier, or two sensors are of the same instrument.
     """
     instruments = [correction.instrument for correction in unit]
     if len(unit) == 1:
@@ -190,16 +190,16 @@ def names_in_unit(name: str | None, unit: Sequence[CorrectionInUse]) -> list[str
 
 
 def format_of(path: str | Path | None, format: str | None) -> str:
-    """Return the given format, or else that of the path's suffix.
+    """Return `format` if it is given, else the format that the path's suffix implies.
 
     Raises:
-        InputError: no format is given, and the suffix is unknown.
+        InputError: no format is given, and the suffix is that of none.
     """
     suffix = Path(path or "").suffix.lower()
-    form = format or next((k.suffixes[suffix] for k in kinds() if suffix in k.suffixes), None)
+    form = format or next((k.suffixes[suffix] for k in iter_kinds() if suffix in k.suffixes), None)
     if form is None:
-        suffixes = ", ".join(dict.fromkeys(suffix for kind in kinds() for suffix in kind.suffixes))
-        raise InputError(f"{path}: suffix {suffix!r}, expected {suffixes}, or give the format")
+        suffixes = ", ".join(dict.fromkeys(s for kind in iter_kinds() for s in kind.suffixes))
+        raise InputError(f"{path}: give the format, or a name that ends in {suffixes}")
     return form
 
 
@@ -217,25 +217,25 @@ def as_text(
         correction: the correction to write.
         format: one of the formats of the correction's kind.
         name: name of the sensor in C and Python; default: the instrument's name. With `others`, name of the unit.
-        others: corrections of the same kind for the same file; of three axes, in the same body axes.
+        others: corrections of the same kind for the same file; those of three axes have common body axes.
         uncertainty: include the covariance; False for C and Python that return the value alone.
 
     Raises:
-        InputError: an unknown format, one that does not support this quantity, `others` or no uncertainty, two triads
-            of one instrument, or an invalid C name.
+        InputError: the format is unknown, or does not support this quantity, `others` or `uncertainty=False`; two
+            triads are of the same instrument; or a name is invalid in C.
     """
-    kind = kind_of(correction)
+    kind = find_kind(correction)
     if format not in kind.writers:
         raise InputError(
             f"a correction of {kind.axes} cannot be written as {format!r}: choose {', '.join(kind.writers)}"
         )
     unit = [correction, *others]
     sensors = dict(zip(names_in_unit(name, unit), unit, strict=True))
-    if others and format not in kind.together:
+    if others and format not in kind.shared_formats:
         raise InputError(
-            f"a file in {format} contains one triad: export several to one file as {', '.join(kind.together)}, or each "
-            "to a separate file"
+            f"a file in {format} contains one triad: export several as {', '.join(kind.shared_formats)}, or each to a "
+            "separate file"
         )
     if not uncertainty and format not in LANGUAGES:
-        raise InputError(f"{format} includes the uncertainty: only C and Python can omit it")
+        raise InputError(f"{format} always includes the uncertainty: only C and Python can omit it")
     return kind.writers[format](sensors, uncertainty)

@@ -24,7 +24,7 @@ from bayescal._core.quoting import c_comment, python_words
 
 
 class NotExportable(ModelError):
-    """An operation that cannot be exported."""
+    """An operation of the model cannot be exported to C or Python."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def _build_infix(compute: np.ufunc, sign: str) -> Operation:
 
 
 def _build_logical(compute: np.ufunc, c: str, python: str = "") -> Operation:
-    """Build an operation that is true or false in C and Python; `python`: its text there, if another than in C."""
+    """Build an operation with a Boolean result; `python` is its text in Python where it differs from that in C."""
     return Operation(compute, f"(BAYESCAL_REAL)({c})", f"float({python or c})")
 
 
@@ -119,7 +119,7 @@ Node = tuple[Any, ...]
 
 @dataclass
 class Graph:
-    """A list of nodes, each after its arguments."""
+    """An expression graph: a list of nodes, each after its arguments, and the index of each node by its `repr`."""
 
     nodes: list[Node] = field(default_factory=list)
     index: dict[str, int] = field(default_factory=dict)
@@ -143,7 +143,7 @@ class Graph:
         return args[0] if op == "const" else None
 
     def apply(self, op: str, *args: int) -> int:
-        """Add an operation, simplified: constants are folded; x + 0, 1·x and 0·x are reduced."""
+        """Add an operation, simplified (constants are folded; x + 0, 1·x, 0·x are reduced); return its node."""
         values = [self.constant_value(a) for a in args]
         if all(v is not None for v in values):
             with np.errstate(all="ignore"):
@@ -193,7 +193,7 @@ class Graph:
         return {name for op, name, *_ in nodes if op == "input"}
 
     def evaluate(self, outputs: Sequence[int], inputs: Mapping[str, Any]) -> list[Any]:
-        """Evaluate nodes for arrays of inputs by name."""
+        """Return the values of nodes for arrays of inputs, by name."""
         values, nodes = dict[int, Any](), self.dependencies(outputs)
         last_use = {a: node for node in nodes for a in self.nodes[node][1:] if type(a) is int}
         last_use |= dict.fromkeys(outputs, len(self.nodes))
@@ -213,7 +213,7 @@ class Graph:
         return [values[o] for o in outputs]
 
     def gradient(self, output: int, names: Collection[str]) -> dict[str, int]:
-        """Add nodes of a node's gradient in the inputs, by reverse-mode differentiation; return their indices."""
+        """Add a node's derivatives in the inputs `names`, by reverse-mode differentiation; return their nodes."""
         nodes, dependent = self.dependencies([output]), set[int]()  # nodes that depend on `names`
         for node in nodes:
             op, *args = self.nodes[node]
@@ -241,7 +241,7 @@ class Graph:
     def subgraph(
         self, outputs: Sequence[int], constants: Mapping[str, float]
     ) -> tuple[Graph, list[int]]:
-        """Copy the subgraph that outputs depend on, with constants for some inputs; return it and its outputs."""
+        """Return a copy of the graph of some outputs, with constants for some inputs, and its output nodes."""
         subgraph, copies = Graph(), dict[int, int]()
         for node in self.dependencies(outputs):
             op, *args = self.nodes[node]
@@ -255,18 +255,18 @@ class Graph:
         return subgraph, [copies[o] for o in outputs]
 
     def symbols(self, elements: Any) -> Symbols:
-        """Convert symbols and numbers to an array of this graph."""
+        """Return symbols and numbers as an array of type `Symbols` of this graph."""
         array = np.asarray(elements, dtype=object).view(Symbols)
         array.graph = self
         return array
 
     def elementwise(self, op: str, *arrays: Any) -> Symbols:
-        """Apply an operation to arrays of symbols and numbers, broadcast."""
+        """Apply an operation elementwise to broadcast arrays of symbols and numbers."""
         function = np.frompyfunc(partial(self.apply_scalar, op), len(arrays), 1)
         return self.symbols(function(*(np.asarray(a, dtype=object) for a in arrays)))
 
     def node_of(self, element: Any) -> int:
-        """Return the node index of a symbol; add a constant for a number."""
+        """Return the node of a symbol, or that of a constant added for a number."""
         element = element.item() if isinstance(element, np.ndarray) else element
         return element.node if isinstance(element, Symbol) else self.constant(element)
 
@@ -279,7 +279,7 @@ class Graph:
         return self._element(self.apply(op, *map(self.node_of, elements)))
 
     def data(self) -> list[list[Any]]:
-        """Return the nodes as JSON lists; non-finite numbers as text."""
+        """Return the nodes as lists for JSON, with non-finite numbers as text."""
 
         def to_json(value: Any) -> Any:
             return str(value) if isinstance(value, float) and not math.isfinite(value) else value
@@ -319,7 +319,7 @@ class Symbols(np.ndarray):
         return (self[i] for i in range(len(self)))
 
     def astype(self, dtype: Any, *args: Any, **how: Any) -> Any:
-        """Convert between booleans and numbers."""
+        """Convert Boolean symbols to numbers, or numbers to Boolean symbols."""
         if np.dtype(dtype).kind not in "fb":
             raise NotExportable("a covariate converted to an integer cannot be exported")
         return self != 0 if np.dtype(dtype).kind == "b" else self + 0.0
@@ -361,7 +361,7 @@ UFUNC_NAMES |= {"bitwise_and": "and", "bitwise_or": "or", "invert": "not"}
 
 
 def _raise_to_power(x: Symbols, y: Symbols) -> Symbols:
-    """Raise to a power: by repeated multiplication for a small integer exponent, else by the operation "pow"."""
+    """Return x to the power y: by repeated multiplication if y is a small integer, else by the operation "pow"."""
     exponent = y.item() if y.ndim == 0 else None
     if isinstance(exponent, Symbol | None) or exponent % 1 or abs(exponent) > 64:
         return x.graph.elementwise("pow", x, y)
@@ -389,19 +389,19 @@ COMPOSED: dict[str, Callable[..., Symbols]] = {
 
 @dataclass(frozen=True)
 class Language:
-    """Syntax of a language of exports."""
+    """Syntax of a programming language to which equations are exported."""
 
     name: Literal["c", "python"]  # a field of `Operation`
     cast: str  # prefix of a constant
     nan: str  # constant NaN
     infinity: str  # constant infinity
     statement: str  # assignment of an expression to a name
-    input: str = "{}"  # format of an input's field
+    input: str = "{}"  # format of the field that contains an input
     template: str = ""  # template file of the program
     escape_comment: Callable[[Any], str] = str  # escapes text for a comment
 
     def number(self, value: float) -> str:
-        """Return a constant's text, as an operand."""
+        """Return the text of a constant as an operand."""
         if math.isnan(value):
             return self.cast + self.nan
         text = repr(abs(value)) if math.isfinite(value) else self.infinity
@@ -425,7 +425,7 @@ LANGUAGES = {"c": C, "python": PYTHON}
 def generate_statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
-    """Generate one statement per operation, and the expressions of the outputs."""
+    """Return statements that compute the outputs, one per operation, and the expression of each output."""
     text, lines = dict[int, str](), list[str]()
     for node in graph.dependencies(outputs):
         op, *args = graph.nodes[node]

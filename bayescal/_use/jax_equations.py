@@ -1,8 +1,8 @@
-"""Tracing of functions written for JAX alone, such as a user's basis, to a graph of scalar operations.
+"""Tracing of functions that only JAX can evaluate, such as a user's basis, to a graph of scalar operations.
 
 A function's jaxpr is evaluated on symbols. Primitives that only move elements (reshape, broadcast, slice, gather,
 concatenate) are evaluated by JAX on the elements' indices, and add no node to the graph; constants are folded. An
-operation without a scalar form becomes a call of JAX, with derivatives: it can be evaluated, but not exported.
+operation without a scalar form becomes a call of JAX: it can be evaluated and differentiated, but not exported.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ MOVE_PRIMITIVES = (*_MOVE_NAMES.split(), *JOIN_PRIMITIVES)
 CALLS = ["pjit", "jit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"]
 
 
-def _reduction(combine: np.ufunc) -> Callable[..., Any]:
+def _build_reduction(combine: np.ufunc) -> Callable[..., Any]:
     return lambda p, x: combine.reduce(x, axis=tuple(p["axes"]))
 
 
-def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
+def _build_elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
     return lambda p, *arrays: function(*arrays)
 
 
-def _dot_general(p: Any, x: Any, y: Any) -> Any:
+def _multiply_arrays(p: Any, x: Any, y: Any) -> Any:
     """Multiply matrices or vectors, without batch dimensions."""
     (x_axes, y_axes), (batch, _) = p["dimension_numbers"]
     if batch:
@@ -46,39 +46,39 @@ def _dot_general(p: Any, x: Any, y: Any) -> Any:
 
 # JAX primitive → function of its parameters and of arrays of symbols.
 RULES: dict[str, Callable[..., Any]] = {
-    **{n: _elementwise(o.compute) for n, o in OPERATIONS.items() if n != "select"},
-    "add_any": _elementwise(np.add),
-    "square": _elementwise(np.square),
-    "rsqrt": _elementwise(lambda x: 1.0 / np.sqrt(x)),
-    "logistic": _elementwise(lambda x: 1.0 / (1.0 + np.exp(-x))),
-    "stop_gradient": _elementwise(lambda x: x),
-    "clamp": _elementwise(lambda low, x, high: np.minimum(np.maximum(x, low), high)),
-    "select_n": _elementwise(lambda which, no, yes: np.where(which, yes, no)),
+    **{n: _build_elementwise(o.compute) for n, o in OPERATIONS.items() if n != "select"},
+    "add_any": _build_elementwise(np.add),
+    "square": _build_elementwise(np.square),
+    "rsqrt": _build_elementwise(lambda x: 1.0 / np.sqrt(x)),
+    "logistic": _build_elementwise(lambda x: 1.0 / (1.0 + np.exp(-x))),
+    "stop_gradient": _build_elementwise(lambda x: x),
+    "clamp": _build_elementwise(lambda low, x, high: np.minimum(np.maximum(x, low), high)),
+    "select_n": _build_elementwise(lambda which, no, yes: np.where(which, yes, no)),
     "integer_pow": lambda p, x: x ** p["y"],
     "convert_element_type": lambda p, x: x.astype(p["new_dtype"]),
-    "reduce_sum": _reduction(np.add),
-    "reduce_max": _reduction(np.maximum),
-    "reduce_min": _reduction(np.minimum),
-    "reduce_prod": _reduction(np.multiply),
-    "dot_general": _dot_general,
+    "reduce_sum": _build_reduction(np.add),
+    "reduce_max": _build_reduction(np.maximum),
+    "reduce_min": _build_reduction(np.minimum),
+    "reduce_prod": _build_reduction(np.multiply),
+    "dot_general": _multiply_arrays,
 }
 
 
 def trace_jax_function(
     graph: Graph, function: Callable[[Any, Any], Any], frame: Any, values: Mapping[str, Any]
 ) -> Symbols:
-    """Trace a function written for JAX arrays, of one reading and named values, to symbols."""
+    """Return the symbols to which a JAX function of a frame (one reading) and named values evaluates."""
     fields = {name: getattr(frame, name) for name in ("columns", "rates", "record", "labels")}
     leaves, structure = jax.tree.flatten((fields, dict(values)))
     lag = import_module("jax.extend.core").Primitive("lag")
     lag.def_abstract_eval(lambda tau, column: jax.core.ShapedArray((1,), tau.dtype))
 
-    def lagged(column: str, tau: Any) -> Any:
+    def bind_lag(column: str, tau: Any) -> Any:
         return lag.bind(jnp.asarray(tau, float), column=column)
 
     def evaluate_leaves(*leaves: Any) -> Any:
         fields, values = jax.tree.unflatten(structure, leaves)
-        return jnp.asarray(function(replace(frame, **fields, lagged=lagged), values))
+        return jnp.asarray(function(replace(frame, **fields, lagged=bind_lag), values))
 
     jaxpr = jax.make_jaxpr(evaluate_leaves)(*(np.ones(np.shape(leaf)) for leaf in leaves))
     rules = {**RULES, "lag": lambda p, tau: frame.lagged(p["column"], tau)}
@@ -89,17 +89,18 @@ def trace_jax_function(
 def _trace(
     jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Any], rules: Mapping[str, Any]
 ) -> list[Any]:
-    """Evaluate a jaxpr on symbols and numbers."""
+    """Evaluate a jaxpr on symbols and numbers; return its outputs."""
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, map(np.asarray, constants), strict=True))
     values |= dict(zip(jaxpr.invars, inputs, strict=True))
 
-    def read(atom: Any) -> Any:
+    def get_value(atom: Any) -> Any:
         value = np.asarray(atom.val) if hasattr(atom, "val") else values[atom]
-        constant = isinstance(value, Symbols) and not any(isinstance(e, Symbol) for e in value.flat)
-        return np.array(value.tolist(), atom.aval.dtype) if constant else value
+        if isinstance(value, Symbols) and not any(isinstance(e, Symbol) for e in value.flat):
+            return np.array(value.tolist(), atom.aval.dtype)  # constants only
+        return value
 
     for equation in jaxpr.eqns:
-        arguments, p = [*map(read, equation.invars)], equation.params
+        arguments, p = [*map(get_value, equation.invars)], equation.params
         name = equation.primitive.name
         try:
             if name in CALLS:
@@ -117,18 +118,18 @@ def _trace(
         except NotExportable as error:
             outputs = _replace_by_calls(equation, arguments, str(error))
         values |= dict(zip(equation.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
+    return [get_value(v) for v in jaxpr.outvars]
 
 
 def _evaluate_primitive(equation: Any, arguments: Sequence[Any], **parameters: Any) -> list[Any]:
-    """Evaluate a primitive on numbers with JAX."""
+    """Evaluate a primitive on numbers with JAX; return its results."""
     all_parameters = {**equation.params, **parameters}
     outputs = equation.primitive.bind(*map(jnp.asarray, arguments), **all_parameters)
     return [*outputs] if equation.primitive.multiple_results else [outputs]
 
 
 def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
-    """Move elements by evaluating a primitive on their indices; its index arguments are numbers."""
+    """Move elements by evaluating a primitive on their indices; arguments that are indices must be numbers."""
     arrays = arguments if equation.primitive.name in JOIN_PRIMITIVES else arguments[:1]
     if any(isinstance(a, Symbols) for a in arguments[len(arrays) :]):
         raise NotExportable("an array index that depends on a covariate cannot be exported")
@@ -145,18 +146,18 @@ def _move_elements(equation: Any, arguments: list[Any]) -> list[Symbols]:
 
 
 class Call:
-    """A JAX function of scalars as a graph operation, which cannot be exported for the reason `why_not`."""
+    """A JAX function of scalars as an operation of a graph; `why_not` is why it cannot be exported."""
 
     def __init__(self, function: Callable[..., Any], why_not: str) -> None:
         self.function, self.why_not = function, why_not
         self._vectorised = jax.jit(jnp.vectorize(function))
 
     def add_to(self, graph: Graph, elements: Sequence[Any]) -> Symbol:
-        """Add a call of this function on symbols and numbers to a graph."""
+        """Add a call of this function on symbols and numbers to a graph; return its symbol."""
         return Symbol(graph.add(("call", self, *map(graph.node_of, elements))))
 
     def compute(self, *values: Any) -> np.ndarray:
-        """Compute the function elementwise."""
+        """Evaluate the function elementwise on arrays."""
         return np.asarray(self._vectorised(*values))
 
     def pullback(self, i: int, d: Any, *values: Symbols) -> Any:
@@ -166,7 +167,7 @@ class Call:
 
 
 def _replace_by_calls(equation: Any, arguments: list[Any], why_not: str) -> list[Symbols]:
-    """Replace an operation by calls of JAX, one per element of its results."""
+    """Replace an operation by calls of JAX, one per element of its results; return these as symbols."""
     symbol_arguments = [a for a in arguments if isinstance(a, Symbols)]
     graph, splits = symbol_arguments[0].graph, np.cumsum([a.size for a in symbol_arguments])[:-1]
     elements = [element for a in symbol_arguments for element in np.asarray(a).flat]

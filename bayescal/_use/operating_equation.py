@@ -1,7 +1,7 @@
-"""The operating equation of a calibrated instrument: one reading's equation, its posterior moments, its inverse.
+"""The operating equation of a calibrated instrument: the equation of one reading, its posterior moments, its inverse.
 
 In use there is no test rig: slots (terms of the measurement equation) absent from `Use.slots` are omitted, and every
-run, cell or (unless named) device is unseen, with a deviation drawn from the between-member standard deviation. The
+run, cell or (unless named) device is unseen: its deviation is drawn from the between-member standard deviation. The
 equation is a function of numbers,
 
     output = point(θ, stimulus, inputs),
@@ -47,21 +47,21 @@ Values = Mapping[str, Any]
 class Lag(NamedTuple):
     """The lag T̃ − T of a body's temperature T̃ behind the measured T, as an input of the equation."""
 
-    column: str  # of the measured temperature
+    column: str  # column of the measured temperature
     tau: float  # time constant, s, at the posterior mean
     node: int  # node of the time constant
-    shape: str  # unknown that the time constant is a multiple of; empty for a constant
-    name: str  # of the input
+    shape: str  # unknown of which the time constant is a multiple; empty for a constant
+    name: str  # name of the input
 
     @property
     def slope(self) -> str | None:
-        """Return the name of the input ∂(T̃ − T)/∂τ, °C/s; None if τ is no unknown."""
+        """Return the name of the input ∂(T̃ − T)/∂τ, °C/s; None if τ is a constant."""
         return f"{self.name}_by_tau" if self.shape else None
 
 
 @dataclass(frozen=True, eq=False)
 class OneReading(Frame):
-    """Frame of readings without history, whose lags are inputs, by column and time constant."""
+    """Frame of readings without history: lags are inputs, given by `lagged` for a column and a time constant."""
 
     lagged: Callable[[str, Any], Any] | None = None
 
@@ -73,7 +73,7 @@ class OneReading(Frame):
 
 
 def is_new_member(u: Unknown) -> bool:
-    """Return whether an unknown in use is the deviation of a group member that the fit has not seen."""
+    """Return whether an unknown is the deviation of a group member that is not among those of the fit."""
     return u.group is not None and u.member is None
 
 
@@ -83,7 +83,7 @@ def input_name(unknown: str) -> str:
 
 
 class TermsInUse(TracedColumns):
-    """The effects and the instrument's response in use, evaluated on symbols of a graph."""
+    """Evaluation of effects and of the instrument's response on the symbols of a graph."""
 
     xp = np
 
@@ -95,7 +95,7 @@ class TermsInUse(TracedColumns):
         return self.trace(partial(super().matrix, basis), frame, shapes)
 
     def trace(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
-        """Call a function of a frame and named values on symbols; trace it by JAX if NumPy cannot."""
+        """Return a function of a frame and named values as symbols: called with NumPy, or else traced by JAX."""
         try:
             return self.graph.symbols(function(frame, values))
         except Exception as error:  # JAX functions do not accept symbols
@@ -111,7 +111,7 @@ class EquationNodes(NamedTuple):
 
     expected: int  # expected output, output unit
     noise: int  # variance of a reading's noise by the noise law, without stated uncertainties
-    gradient: dict[str, int]  # derivatives of `expected` in stimulus and unknowns, by input name
+    gradient: dict[str, int]  # derivatives of `expected` by stimulus and unknowns; key: input name
     slots: dict[str, int]  # value of each slot, in its unit
     lags: tuple[Lag, ...]  # one per column and time constant
 
@@ -126,23 +126,23 @@ class PosteriorMoments(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OperatingEquation:
-    """The measurement equation of a calibrated model for one reading in use."""
+    """The measurement equation of a calibrated model for one reading of the instrument in use."""
 
     calibration: Calibration  # a fit, or an average over structures
-    members: tuple[tuple[str, str], ...] = ()  # (group, member) in use; all others are unseen
-    # (name, value, unit) of inputs that only improbable effects need: fixed at one value
+    members: tuple[tuple[str, str], ...] = ()  # (group, member) in use; others are unseen
+    # (name, value, unit) of inputs fixed at one value, since only improbable effects need them
     held_inputs: tuple[tuple[str, float, str], ...] = ()
 
     @cached_property
     def layout(self) -> Layout:
-        """Return the model's layout with one member of every group: the one in use."""
+        """Return the model's layout with a single member of every group, the one in use."""
         fit_layout = self.calibration.layout
         counts = tuple((group, 1) for group, _ in fit_layout.counts)
         return replace(fit_layout, counts=counts, origin=())
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Return the numeric columns of the fit's readings."""
+        """Return the numeric columns of the fit's readings that may be inputs."""
         not_inputs = (*NON_INPUT_COLUMNS, self.use.stimulus)
         return tuple(sorted(n for n in self.calibration.frame.columns if n not in not_inputs))
 
@@ -153,7 +153,7 @@ class OperatingEquation:
 
     @cached_property
     def shapes(self) -> dict[str, tuple[float, float, float]]:
-        """Return each shape's mean and standard deviation, given its effect, and the effect's probability."""
+        """Return mean and standard deviation of each shape if its effect is present, and the effect's probability."""
         keys = {u.key for u in self.unknowns if u.block is None}
         rows = summary(self.calibration)[1] if keys else ()
         return {
@@ -168,7 +168,7 @@ class OperatingEquation:
 
     @property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
-        """Return the coefficients that act in use."""
+        """Return the coefficient blocks of the slots in use and of corrected columns, without reference errors."""
         slots = [s.name for s in self.layout.model.instrument.slots]
         slots_in_use = self.use.slots or tuple(slots)
         blocks = (b for b in self.layout.blocks if b.slot in slots_in_use or b.slot not in slots)
@@ -176,7 +176,7 @@ class OperatingEquation:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the unknowns of the equation, effect by effect; deviations of new members have no `member`."""
+        """Return the unknowns of the equation in the order of effects; deviations of new members have no `member`."""
         members, hypers = dict(self.members), {h.name: h for h in self.layout.hypers}
         unknowns = dict[str, Unknown]()
         for b in self.blocks:
@@ -199,21 +199,19 @@ class OperatingEquation:
 
     @cached_property
     def nodes(self) -> EquationNodes:
-        """Trace the equation; held inputs are numbers, corrections of rig quantities are omitted."""
+        """Trace the equation to nodes; held inputs are constants, corrections of test-rig quantities are omitted."""
         graph, model, lags = self.graph, self.layout.model, dict[tuple[str, float], Lag]()
         inputs = {name: self._symbol(name) for name in (*self.columns, *dict(self.rates))}
         inputs |= {name: graph.symbols([value]) for name, value, _ in self.held_inputs}
-        frame = self.frame_of(self._symbol(STIMULUS), inputs)
+        frame = self.build_frame_in_use(self._symbol(STIMULUS), inputs)
         frame = replace(frame, lagged=partial(self._lagged, lags))
         terms = TermsInUse(model.instrument, frame, graph)
         fixed = {b.name: b.value for b in self.blocks if b.place == "fixed"} | dict(model.fixed)
         values = {name: graph.symbols([value]) for name, value in fixed.items()}
         values |= {u.key: self._symbol(input_name(u.key)) for u in self.unknowns}
         blocks = [b for b in self.blocks if b.slot in terms.slots or b.slot in frame.columns]
-        coefficients, shapes = (
-            [values[b.name] for b in blocks],
-            {n: v[0] for n, v in values.items()},
-        )
+        coefficients = [values[b.name] for b in blocks]
+        shapes = {n: v[0] for n, v in values.items()}
         composed = compose(terms, terms_of(blocks)[0], coefficients, shapes)
         slots = {name: composed.slots.get(name, graph.symbols([0.0])) for name in terms.slots}
         equation, response = self.use.equation, model.instrument.response
@@ -236,7 +234,7 @@ class OperatingEquation:
         )
 
     def _lagged(self, lags: dict[tuple[str, float], Lag], column: str, tau: Any) -> Symbols:
-        """Return a lag: an input at the mean time constant, listed in `lags`, plus its first-order change with τ."""
+        """Return a lag: an input at the mean time constant, added to `lags`, plus its first-order change with τ."""
         node, means = self.graph.node_of(tau), {input_name(n): m[0] for n, m in self.shapes.items()}
         (mean,) = self.graph.evaluate([node], means)
         if (column, mean) not in lags:
@@ -257,7 +255,7 @@ class OperatingEquation:
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Return the inputs that the output, or its noise, depends on."""
+        """Return the names of the inputs on which the output or its noise depends."""
         needed = self.graph.inputs([self.nodes.expected, self.nodes.noise])
         return tuple(n for n in sorted(self.names) if n in needed)
 
@@ -275,7 +273,7 @@ class OperatingEquation:
     def evaluate(
         self, outputs: Sequence[int], theta: np.ndarray, stimulus: Any, inputs: Values
     ) -> list[Any]:
-        """Evaluate nodes at unknowns (p,) or draws (d, p), a stimulus and inputs (n,) each: up to (d, n)."""
+        """Return the values of nodes, at most (d, n) each, at unknowns (p,) or draws (d, p), and inputs (n,) each."""
         values = {name: inputs.get(name, np.zeros(1)) for name in self.names}
         for i, u in enumerate(self.unknowns):
             values[input_name(u.key)] = theta[..., i : i + 1]
@@ -284,7 +282,7 @@ class OperatingEquation:
     def evaluate_draws(
         self, theta: np.ndarray, stimulus: Any, inputs: Values, slot: str | None = None
     ) -> Float[np.ndarray, "d n"]:
-        """Evaluate the expected output (output unit), or a slot, for draws of θ (d, p); other arguments (n,)."""
+        """Return the expected output (output unit), or the value of a slot, for draws of θ (d, p), inputs (n,) each."""
         node = self.nodes.expected if slot is None else self.nodes.slots[slot]
         (values,) = self.evaluate([node], theta, stimulus, inputs)
         return np.broadcast_to(values, (len(theta), len(stimulus)))
@@ -292,19 +290,19 @@ class OperatingEquation:
     def linearise(
         self, theta: Float[np.ndarray, "p"], stimulus: Float[np.ndarray, "n"], inputs: Values
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n p"]]:
-        """Return the expected output at n points, and its derivatives with respect to stimulus and unknowns."""
+        """Return the expected output at n points, and its derivatives with respect to the stimulus and to unknowns."""
         nodes = [self.nodes.expected, *self.nodes.gradient.values()]
         values = self.evaluate(nodes, theta, stimulus, inputs)
         expected, slope, *gradient = (np.broadcast_to(value, len(stimulus)) for value in values)
         return expected, slope, np.reshape(gradient, (-1, len(stimulus))).T
 
     def solve(self, theta: np.ndarray, output: np.ndarray, inputs: Values) -> tuple[Any, Any]:
-        """Solve for the stimulus of an output; return it and the output's derivative there, NaN without solution."""
+        """Return the stimulus that gives an output, NaN without solution, and the output's derivative there."""
         nodes = self.nodes.expected, self.nodes.gradient[STIMULUS]
         return solve_newton(lambda s: self.evaluate(nodes, theta, s, inputs), output, self.affine)
 
-    def frame_of(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
-        """Build the frame of readings without history; (n,) each, in fixed units."""
+    def build_frame_in_use(self, stimulus: Float[Any, "n"], inputs: Values) -> OneReading:
+        """Build a frame of n readings without history; stimulus and inputs are (n,) each, in fixed units."""
         size = len(stimulus)
         columns = {n: inputs[n] for n in self.columns if n in inputs}
         columns[self.use.stimulus] = stimulus
@@ -322,19 +320,19 @@ class OperatingEquation:
 
     @cached_property
     def at_fit(self) -> dict[str, np.ndarray]:
-        """Return all inputs at the fit's readings, (n,) each; lags at their mean time constants."""
+        """Return all inputs at the fit's readings, (n,) each, by name; lags have their mean time constants."""
         frame = self.calibration.frame
         values = {n: np.asarray(frame.columns[n]) for n in self.columns}
         values |= {name: np.asarray(frame.rates[column]) for name, column in self.rates}
         for lag in self.nodes.lags:
-            values[lag.name], slope = lag_and_slope(frame, lag.tau, lag.column)
+            values[lag.name], slope = compute_lag_and_slope(frame, lag.tau, lag.column)
             if lag.slope:
                 values[lag.slope] = slope
         return values
 
     @property
     def stimulus_at_fit(self) -> Float[np.ndarray, "n"]:
-        """Return the stimulus of each of the fit's readings; zero where it is no column."""
+        """Return the stimulus of each of the fit's readings; zeros if it was not recorded."""
         readings, name = self.calibration.readings, self.use.stimulus
         return readings[name] if readings.has(name) else np.zeros(len(readings))
 
@@ -377,7 +375,7 @@ class OperatingEquation:
 
     @property
     def unfound_spreads(self) -> dict[str, tuple[int, float]]:
-        """Return deviations of a new run that the search did not find: effect → index in θ, standard deviation."""
+        """Return undetected deviations of a new run: effect → (index in θ, standard deviation)."""
         instrument, members = self.calibration.model.instrument, dict(self.members)
         indices, sds = {u.key: i for i, u in enumerate(self.unknowns)}, {}
         for name, size in self.calibration.unfound_spreads.items():
@@ -391,7 +389,7 @@ class OperatingEquation:
         return sds
 
     def compute_held_rms(self) -> float:
-        """Return the output's rms error from holding inputs, over draws and readings of the fit."""
+        """Return the rms error of the output due to holding inputs fixed, over draws and readings of the fit."""
         rows = slice(None, None, -(-len(self.calibration.readings) // MAX_HELD_DRAWS))
         inputs = {n: v[rows] for n, v in self.at_fit.items()}
         arguments = self.moments(MAX_HELD_DRAWS).draws, self.stimulus_at_fit[rows], inputs
@@ -427,7 +425,7 @@ def equation_in_use(
 
     Raises:
         ModelError: the instrument has no stimulus (`Instrument.use`).
-        InputError: a group member that is not in the fit.
+        InputError: a group member is not in the fit.
     """
     instrument, members = calibration.model.instrument, dict(members or {})
     if instrument.use is None:
@@ -446,7 +444,7 @@ def equation_in_use(
     return OperatingEquation(calibration, tuple(sorted(members.items())))
 
 
-def lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
+def compute_lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the lag T̃ − T of a record, °C, and its derivative with respect to the time constant, °C/s, (n,) each."""
     lag = frame.lag(np.asarray(tau * (1 + IMAGINARY_STEP)), column)
     return lag.real, lag.imag / (tau * IMAGINARY_STEP.imag)
@@ -458,7 +456,7 @@ def _draw_uncorrelated(
     variance: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "d"]:
-    """Draw d zero-mean values of standard deviations `sd` and sample variance `variance`, uncorrelated with others."""
+    """Draw values of mean 0, sds ∝ `sd` and sample variance `variance`, whose sample correlation with others is 0."""
     regressor_sd = regressor_draws.std(axis=0)
     regressor_draws = regressor_draws[:, regressor_sd > 0] / regressor_sd[regressor_sd > 0]
     regressor_draws = regressor_draws[:, : len(sd) // 2]  # fewer for few draws
@@ -476,7 +474,7 @@ def _match_moments(
 ) -> Float[np.ndarray, "d p"]:
     """Transform thinned draws linearly to the mean and covariance of all draws.
 
-    Results from draws and by propagation then agree where the equation is linear.
+    Results from draws and from propagated moments then agree where the equation is linear.
     """
     sd = np.sqrt(np.diag(covariance))
     indices = np.flatnonzero(sd > 0)

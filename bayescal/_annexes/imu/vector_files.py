@@ -53,16 +53,16 @@ def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty:
 
 CORRECTION_KINDS = (
     ws.CorrectionKind(
-        of=VectorCorrection,
+        correction_class=VectorCorrection,
         axes="three axes",
         writers={
-            "json": ws.as_data,
+            "json": ws.render_json,
             "c": render_headers,
             "python": render_module,
-            **{autopilot: ws.in_form(format_parameter_file, autopilot) for autopilot in AUTOPILOTS},
+            **{n: ws.wrap_writer(format_parameter_file, n) for n in AUTOPILOTS},
         },
         suffixes={".json": "json", ".h": "c", ".py": "python"},
-        together=("c", "python"),
+        shared_formats=("c", "python"),
         describe_omissions=describe_omissions,
     ),
 )

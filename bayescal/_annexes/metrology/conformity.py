@@ -377,7 +377,7 @@ def _noise_scores(
     """Return normal scores (n, m) of the predictive probability that one reading's noise is below each deviation."""
     calibration, noise = compensator.calibration, compensator.calibration.model.noise
     columns = {n: np.repeat(x, deviations.shape[1]) for n, x in points.items()}
-    frame = compensator.equation.frame_of(columns[compensator.stimulus], columns)
+    frame = compensator.equation.build_frame_in_use(columns[compensator.stimulus], columns)
     draws = (calibration.problem.hyper(v) for v in calibration.draws(N_SCORE_DRAWS).v)
     scores = [np.asarray(noise.normal_scores(deviations.ravel(), hyper, frame)) for hyper in draws]
     tails = ndtr(-np.abs(scores)).mean(axis=0).reshape(deviations.shape)  # small tails keep digits
@@ -433,7 +433,7 @@ def find_quantity(
     else:
         dependencies = {*equation.inputs, compensator.stimulus}
     # `not_covered` has the notes on ranges outside the calibration.
-    notes += ws.notes_on(compensator, of_correction=limit.quantity not in slots)
+    notes += ws.list_budget_claims(compensator, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
             f"{MEAN!r} excludes correlated noise, which averaging readings close in time does not remove."
@@ -531,7 +531,7 @@ def _range_faults(compensator: bc.Compensator, name: str, low: float, high: floa
     else:
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
-    first, last = ws.limits(span[:2])
+    first, last = ws.add_margin(span[:2])
     constants = {i.name for i in compensator.inputs if i.settled}
     if first <= low and (high <= last or name in constants):
         return []

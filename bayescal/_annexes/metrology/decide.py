@@ -398,7 +398,7 @@ def decide(
         false_accept=false_accept,
         decisions=tuple(decisions),
         calibration=ws.identity(calibration),
-        notes=tuple(ws.averaged_over(calibration)),
+        notes=tuple(ws.list_average_claims(calibration)),
     )
 
 
