@@ -43,11 +43,11 @@ from ._cli.request import CALIBRATION as CALIBRATION
 from ._cli.request import compose as compose
 from ._cli.request import create_method as create_method
 from ._cli.request import describe_reliability as describe_reliability
+from ._cli.request import expand_channels as expand_channels
 from ._cli.request import instrument_named as instrument_named
 from ._cli.request import load_compensator as load_compensator
 from ._cli.request import load_effects as load_effects
 from ._cli.request import load_saved as load_saved
-from ._cli.request import of_units as of_units
 from ._cli.request import open_request as open_request
 from ._cli.request import open_search as open_search
 

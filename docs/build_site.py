@@ -162,9 +162,9 @@ def commands(listed: str) -> str:
     """Return commands with their arguments and options, as their own `--help` has them."""
     import typer
 
-    from bayescal._cli.main import application
+    from bayescal._cli.main import build_application
 
-    group: Any = typer.main.get_command(application())
+    group: Any = typer.main.get_command(build_application())
     return "\n\n".join(_command(name, group.commands[name]) for name in listed.split())
 
 

@@ -1,6 +1,6 @@
 """The core commands.
 
-Instruments: instruments, effects, simulate, pairs (of devices), demo. Calibration: calibrate (the whole loop, for one
+Instruments: instruments, effects, simulate, pairs (of devices), demo. Calibration: calibrate (the full search, for one
 output or several channels of a device), fit, check, discover, compare, predict, noise. Use of results: compensate,
 export, budget, report.
 
@@ -57,12 +57,12 @@ from bayescal._report.whole_folder import (
     MANIFEST,
     drawing,
     files_of,
-    folders_of,
+    name_folders,
     whole_folder,
 )
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
-"""Entry points `select(calibration, criterion=…)`, which return a printable table of pairs with `data()` for JSON."""
+"""Group of entry points `select(calibration, criterion=…)`: each returns a printable table of pairs with `data()`."""
 
 
 class InstrumentsCommand(AsJson, Command):
@@ -235,22 +235,22 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             else:
                 settings |= {"holdout": holdout.get(""), "follow": partial(reporter.follow, "")}
                 search = bc.calibrate(models[name], first_readings, **settings)
-            drawn_all, written = True, ""
+            all_drawn, written = True, ""
             if folder is not None:
-                drawn_all = draw_safely(search.save, folder)
+                all_drawn = draw_safely(search.save, folder)
                 possible_files = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
                 files = (n for n in possible_files if n in (*files_of(folder), MANIFEST))
                 listing = f"{CHANNELS}, and a folder per channel" if names else ", ".join(files)
                 written = f"{folder}/{listing}"
             paths = search.search_paths if isinstance(search, bc.Channels) else {"": search}
-            fitted = {n: t.final.calibration.readings for n, t in paths.items()}
-            first_flags = request.flags_of(readings)
-            print_notes(flag for flag in request.flags_of(fitted) if flag not in first_flags)
-            text_options = {"started": reporter.begun, "verbose": self.verbose}
+            fitted_readings = {n: t.final.calibration.readings for n, t in paths.items()}
+            flags, first_flags = map(request.flags_of, (fitted_readings, readings))
+            print_notes(flag for flag in flags if flag not in first_flags)
+            text_options = {"started": reporter.has_begun, "verbose": self.verbose}
             content = format_search(search, self.json_, **text_options)
             gate = search if isinstance(search, bc.Channels) else search.gate
-            why = "" if search.ok else gate.reason
-            return Answer(content, why=why, drawn=drawn_all, written=written)
+            reason = "" if search.ok else gate.reason
+            return Answer(content, why=reason, drawn=all_drawn, written=written)
 
 
 class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
@@ -295,9 +295,9 @@ class CheckCommand(DefinitionOptions, AsJson, Command):
         calibration = request.load_saved(self.calibration, self)
         from bayescal._calibration.check import why_not
 
-        why = why_not(calibration, checked := bc.check(calibration))
-        rows = [{"step": 0, **row} for row in checked.data()]
-        return Answer(f"{checked}\nverdict: {'NOT ' if why else ''}fit for use", rows, why=why)
+        reason = why_not(calibration, check := bc.check(calibration))
+        rows = [{"step": 0, **row} for row in check.data()]
+        return Answer(f"{check}\nverdict: {'NOT ' if reason else ''}fit for use", rows, why=reason)
 
 
 class DiscoverCommand(DefinitionOptions, AsJson, Command):
@@ -353,7 +353,7 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
         names = self.structures or [name for name, _ in instrument.structures]
         effects = request.load_effects(self, instrument, readings)
         if len(names) < 2:
-            raise InputError(f"give two structures or more (--structure), not {len(names)}")
+            raise InputError(f"give at least two structures (--structure), not {len(names)}")
         models = {}
         for name in names:  # "line+bias.thermal_lag"
             model_options = ReadRequest()
@@ -370,8 +370,8 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
                 fits[name] = bc.fit(models[name], readings, method, **kwargs)
         comparison = bc.compare(fits)
         verdicts = ((name, c.verdict) for name, c in fits.items())
-        failed = "; ".join(f"{n}: {' '.join(v.reasons)}" for n, v in verdicts if not v.ok)
-        return Answer(comparison, as_json(comparison), why=failed)
+        reasons = "; ".join(f"{n}: {' '.join(v.reasons)}" for n, v in verdicts if not v.ok)
+        return Answer(comparison, as_json(comparison), why=reasons)
 
 
 class PredictCommand(ColumnOptions, StructureOptions, AsJson, Command):
@@ -388,8 +388,8 @@ class PredictCommand(ColumnOptions, StructureOptions, AsJson, Command):
         kwargs = {**self.read_options(), "like": calibration.readings}
         kwargs["allow_one_temperature"] = True
         readings = bc.read(self.files, calibration.model.instrument, **kwargs)
-        readings = request.average(readings, self.average)
-        self.keep()
+        readings = request.average_readings(readings, self.average)
+        self.save_options()
         print_notes(readings.flags)
         prediction = bc.predict(calibration, readings)
         from bayescal._cli.output import write_prediction
@@ -424,8 +424,8 @@ class NoiseCommand(ReadRequest, AsJson, Command):
     def answer(self) -> Answer:
         _, _, readings = request.open_channels(options.parse_channels(self.channels), self)
         if self.channels is None:  # named after the output column of the file
-            single = readings[""]
-            readings = {next((s.output for s in single.sources if s.output), "output"): single}
+            record = readings[""]
+            readings = {next((s.output for s in record.sources if s.output), "output"): record}
         with result_folder(self.out) as folder:
             print_notes(request.flags_of(readings))
             devices, written = request.split_records(readings), list[Path]()
@@ -435,13 +435,13 @@ class NoiseCommand(ReadRequest, AsJson, Command):
                     results[name] = bc.noise(devices[name], seed=self.seed)
 
             def draw(folder: Path) -> None:
-                from bayescal._report.plots import own_style
+                from bayescal._report.plots import use_own_style
 
-                folders = folders_of(results).items()
+                folders = name_folders(results).items()
                 pictures = {f"noise_{folder_name}.png": name for name, folder_name in folders}
                 with drawing("The Allan deviation"), whole_folder(folder) as hidden:
                     for picture, name in pictures.items():
-                        with own_style():
+                        with use_own_style():
                             bc.plot.save(bc.plot.noise(results[name]), hidden / picture)
                 written.extend(folder / picture for picture in pictures)
 
@@ -475,7 +475,7 @@ class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
         kwargs["method"] = "first order" if self.first_order else "draws"
         kwargs["noise"] = not self.without_noise
         result = compensate_file(correction, self.file, self.out, **kwargs)
-        self.keep()
+        self.save_options()
         extrapolations = (
             f"{name} is outside its calibrated range in {count} of {result.rows} readings, which are extrapolated"
             for name, count in result.outside.items()
@@ -491,10 +491,10 @@ class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
         data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
         data |= {"unit": correction.unit, "epoch": correction.about.epoch}
         data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}
-        why = request.describe_reliability({"": correction})
+        reason = request.describe_reliability({"": correction})
         if result.unsolved:
-            why = f"{result.unsolved} readings have no solution and are left empty"
-        return Answer(text, data, why=why)
+            reason = f"{result.unsolved} readings have no solution and are left empty"
+        return Answer(text, data, why=reason)
 
 
 class ExportCommand(MemberOptions, DecisionRule, Command):
@@ -538,11 +538,11 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         """Raise InputError unless exactly one calibration is given, by its path alone."""
         self.refuse_unused("axis", "device_id")
         if (count := len(self.calibrations)) != 1:
-            several = "several only as --format px4-params or ardupilot-params"
-            raise InputError(f"one calibration is exported, not {count}; {several}")
+            advice = "several need --format px4-params or ardupilot-params"
+            raise InputError(f"give one calibration to export, not {count}; {advice}")
 
     def refuse_unused(self, *options: str, subject: str = "") -> None:
-        """Raise InputError if one of the options, which the export (of `subject`) does not use, is given."""
+        """Raise InputError if one of these options, which the export (of `subject`) does not use, was given."""
         for option in (f"--{o.replace('_', '-')}" for o in options if getattr(self, o)):
             export = f"--format {self.format_}" if self.format_ else f"--out {self.out}"
             raise InputError(f"{export}{subject} does not use {option}: leave it out")
@@ -555,15 +555,15 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         return self.local_gravity or STANDARD_GRAVITY
 
     def load_corrections(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
-        """Load corrections with their paths; raise InputError if one-output and three-axis ones are mixed."""
+        """Load corrections with their paths; raise InputError if those of one output and of three axes are mixed."""
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
-        single = [path for path, c in corrections if isinstance(c, bc.Compensator)]
-        if 0 < len(single) < len(corrections):
-            raise InputError(f"{single[0]} has one output, not three axes: export it separately")
+        paths = [path for path, c in corrections if isinstance(c, bc.Compensator)]  # of one output
+        if 0 < len(paths) < len(corrections):
+            raise InputError(f"{paths[0]} has one output, not three axes: export it separately")
         return corrections
 
     def write_corrections(self, corrections: Sequence[Any]) -> Answer:
-        """Write corrections to one file, or return their text; warn of parts that the format cannot represent."""
+        """Write corrections to one file, or return their text; print notes on parts that the format omits."""
         from bayescal._use import correction_files as files
 
         programs = [getattr(correction, "program", correction) for correction in corrections]

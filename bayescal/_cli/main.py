@@ -38,8 +38,8 @@ INTERRUPTED = 130  # exit status 128 + SIGINT, by the convention of shells
 OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|Cannot allocate memory")  # XLA, C++, C
 
 
-def application(name: str | None = None) -> typer.Typer:
-    """Build the application of all commands; to save time, only `name`, if given, gets its options."""
+def build_application(name: str | None = None) -> typer.Typer:
+    """Build the typer application of all commands; if `name` is given, only that command has options, to save time."""
     app = typer.Typer(
         name="bayescal",
         help="Bayesian calibration of inertial and tilt sensors: fit a model, check its residuals, "
@@ -64,11 +64,11 @@ def application(name: str | None = None) -> typer.Typer:
 
 
 def main() -> NoReturn:
-    """Run the command line and exit without Python's clean-up.
+    """Run the command line and exit without Python's clean-up at exit.
 
     Files are closed and workers have ended; the clean-up of Python and JAX would take 0.9 s and only free memory.
     """
-    status = command()
+    status = run_command()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
@@ -77,8 +77,8 @@ def main() -> NoReturn:
     sys.exit(status)
 
 
-def command() -> int:
-    """Run the requested command and return its exit status; print errors as sentences on stderr, not as tracebacks."""
+def run_command() -> int:
+    """Run the requested command and return its exit status; print an error as a sentence on stderr, no traceback."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for encodings without ° or µ
@@ -86,7 +86,7 @@ def command() -> int:
     gc.set_threshold(COLLECTION_OBJECTS)
     try:
         name = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
-        outcome = application(name)(standalone_mode=False, prog_name="bayescal")
+        outcome = build_application(name)(standalone_mode=False, prog_name="bayescal")
         if isinstance(outcome, Command):
             outcome.refuse_overwriting()
             outcome = outcome.run()
@@ -102,13 +102,13 @@ def command() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        return _report_failure(_user_message(error), 2)
+        return _report_failure(_format_user_error(error), 2)
 
 
-def _user_message(error: BaseException) -> str:
-    """Format an error that the user can resolve; re-raise any other."""
-    short = isinstance(error, MemoryError) or OUT_OF_MEMORY.search(str(error))
-    if short or getattr(error, "errno", None) == errno.ENOMEM:
+def _format_user_error(error: BaseException) -> str:
+    """Return the message for an error that the user can resolve; re-raise any other error."""
+    is_memory = isinstance(error, MemoryError) or OUT_OF_MEMORY.search(str(error))
+    if is_memory or getattr(error, "errno", None) == errno.ENOMEM:
         return "out of memory: average the readings (--average), or provide more memory"
     if isinstance(error, OSError):
         return f"{error.filename or 'standard output, or a file'}: {error.strerror or error}"
@@ -125,7 +125,7 @@ def _user_message(error: BaseException) -> str:
 
 
 def _report_failure(message: str, status: int, listed: bool = False) -> int:
-    """Print a message on stderr and return the status."""
+    """Print a message on stderr, on one line unless it is `listed`, and return the exit status."""
     with contextlib.suppress(OSError):  # stderr may be closed
         text = message if listed else " ".join(message.split())
         text = "\n".join(map(one_line, text.split("\n")))  # escapes control characters

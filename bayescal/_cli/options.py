@@ -30,7 +30,7 @@ Texts = list[str] | None
 
 
 def parse_values(texts: Texts, option: str) -> dict[str, list[str]]:
-    """Parse repeated name=value options to lists of values by name; raise InputError for a malformed option."""
+    """Parse name=value options to the list of values of each name; raise InputError for a malformed option."""
     values = dict[str, list[str]]()
     for text in texts or []:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -77,13 +77,13 @@ def parse_channels(texts: str | None) -> list[str]:
     """Split the names of --channels; raise InputError for a single name or duplicates."""
     names = split_names(texts)
     if texts is not None and (len(names) < 2 or len(set(names)) < len(names)):
-        why = f"--channels {texts!r}: give two or more different names, such as gyro_x,gyro_y"
-        raise InputError(why)
+        message = f"--channels {texts!r}: give two or more different names, such as gyro_x,gyro_y"
+        raise InputError(message)
     return names
 
 
 def check_files_exist(files: list[Path] | None) -> list[Path] | None:
-    """Raise InputError for missing files; called before the instrument loads, which takes seconds."""
+    """Return the files; raise InputError if one is missing. Called before the instrument loads, which takes seconds."""
     if files and not all(map(os.path.isfile, files)):
         from bayescal._tables.open_table import check_files
 
@@ -99,7 +99,7 @@ def check_time_limit(seconds: float | None) -> float | None:
 
 @dataclass_transform(kw_only_default=True)
 class Options:
-    """Options of a command: fields of a data class, with typer's option objects as defaults."""
+    """Options of a command, as fields of a data class whose defaults are typer's option objects."""
 
     def __init_subclass__(cls) -> None:
         """Convert a command to a data class: its own options first, then those of its base classes."""
@@ -148,10 +148,10 @@ class Answer:
         return self.drawn and not (self.why or self.warning)
 
 
-def draw_safely(make: Callable[..., Any], *arguments: Any) -> bool:
-    """Call a function that draws figures or a page; return False, with a note on stderr, if it raises NotDrawn."""
+def draw_safely(draw: Callable[..., Any], *arguments: Any) -> bool:
+    """Call a function that draws; return whether all figures were drawn, and print a note if it raised NotDrawn."""
     try:
-        make(*arguments)
+        draw(*arguments)
     except NotDrawn as error:
         print_notes([str(error)])
         return False
@@ -185,16 +185,14 @@ class Command(Options):
         for name in OUTPUTS:
             out = str(getattr(self, name, None) or "")
             inputs = (v for n, v in options.items() if (name, n) != ("out", self.in_place))
-            existing = filter(
-                os.path.isfile, (path for value in inputs for path in _files_in(value))
-            )
-            if os.path.isfile(out) and any(os.path.samefile(out, path) for path in existing):
+            paths = (path for value in inputs for path in _files_in(value) if os.path.isfile(path))
+            if os.path.isfile(out) and any(os.path.samefile(out, path) for path in paths):
                 option = f"--{name.replace('_', '-')}"
                 raise InputError(f"{option} {out} is an input file: give another name")
 
 
 def _files_in(value: Any) -> Iterator[Path]:
-    """Yield the files that an option value may refer to: path, result folder, gyro_x=a.nc, my.py:INSTRUMENT."""
+    """Yield the files to which a value may refer: a path, a result folder, gyro_x=a.nc, my.py:INSTRUMENT."""
     for item in value if isinstance(value, list) else [value]:
         names = (str(item).rpartition("=")[2], str(item).rpartition(":")[0])
         for path in (item,) if isinstance(item, Path) else (Path(name) for name in names if name):
@@ -277,7 +275,7 @@ class ColumnOptions(Options):
     save_mapping: Path | None = opt("TOML file to save these options to, for --mapping.")
 
     def read_options(self) -> dict[str, Any]:
-        """Return the arguments of `read`; options override the mapping. Raises InputError for a malformed option."""
+        """Return arguments of `read`, options before those of --mapping; raise InputError for a malformed option."""
         saved = {} if self.mapping is None else load_mapping(self.mapping)
         columns = parse_values(self.columns, "--columns")
         repeated: dict[str, dict[str, Any]] = {
@@ -293,8 +291,8 @@ class ColumnOptions(Options):
         single_values = {n: v for n in single.split() if (v := getattr(self, n)) is not None}
         return {"missing": "refuse", "decimal": "", **saved, **single_values}
 
-    def keep(self) -> None:
-        """Save the options to a mapping file, if --save-mapping is given."""
+    def save_options(self) -> None:
+        """Save these options to a mapping file, if --save-mapping is given."""
         if self.save_mapping is not None:
             save_mapping(self.save_mapping, self.read_options())
 
@@ -331,7 +329,7 @@ class FitRequest(Options):
 
 
 class SearchRequest(FitRequest, ModelOptions, ReadRequest):
-    """Options of a search."""
+    """Options of a search for missing effects."""
 
     holdout: list[Path] | None = opt(
         "Hold-out data, read after the last step; repeatable.", callback=check_files_exist
@@ -351,7 +349,7 @@ class SearchRequest(FitRequest, ModelOptions, ReadRequest):
 
 
 class DefinitionOptions(Options):
-    """Options with the user-defined effects and instrument of a saved calibration."""
+    """Options for the user's files that define the effects and the instrument of a saved calibration."""
 
     effects_file: Path | None = Shared.effects
     instrument_file: str | None = opt(
@@ -370,7 +368,7 @@ class StructureOptions(DefinitionOptions):
 
 
 class MemberOptions(StructureOptions):
-    """Options of an instrument in use: its device, run or cell."""
+    """Options for the group members in use: the device, run or cell."""
 
     member: Texts = opt("device=A17: device (or run, cell) in use; repeatable.")
 

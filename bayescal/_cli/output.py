@@ -29,9 +29,10 @@ MAX_STRUCTURES = 2  # structures of a model average that are printed without --v
 MAX_CHECKS = 3  # covariates in the printed residual checks of the first model, the same
 
 
-def format_instruments(listed: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
+def format_instruments(instruments: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
     """Format the installed instruments as text, and as data for JSON."""
-    data = {n: {**_describe(i), "columns": [c.name for c in i.columns]} for n, i in listed.items()}
+    items = instruments.items()
+    data = {n: {**_describe(i), "columns": [c.name for c in i.columns]} for n, i in items}
     rows = [[name, unit_label(about["unit"]), about["title"]] for name, about in data.items()]
     return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40)), data
 
@@ -40,26 +41,27 @@ def _describe(instrument: Instrument) -> dict[str, Any]:
     return {"title": instrument.title, "source": instrument.source, "unit": instrument.unit}
 
 
-def format_instrument(chosen: Instrument) -> tuple[str, dict[str, Any]]:
+def format_instrument(instrument: Instrument) -> tuple[str, dict[str, Any]]:
     """Format the columns and effects of an instrument as text, and as data for JSON."""
     columns, rows = [], []
-    for c in chosen.columns:
+    for c in instrument.columns:
         is_needed = c.required and c.default is None
         entry = {"name": c.name, "unit": c.unit, "needed": is_needed, "meaning": c.meaning}
         columns.append(entry)
         unit = unit_label(c.unit) if c.unit else "label"
         rows.append([c.name, unit, "needed" if is_needed else "optional", c.meaning])
-    baseline, candidates = ([e.name for e in of] for of in (chosen.effects, chosen.candidates))
+    baseline = [e.name for e in instrument.effects]
+    candidates = [e.name for e in instrument.candidates]
     lines = [
-        f"{chosen.name}: {chosen.title}",
+        f"{instrument.name}: {instrument.title}",
         f"effects of the first model: {', '.join(baseline)}",
         f"candidate effects: {', '.join(candidates)}",
-        f"description of the effects: bayescal effects --instrument {chosen.name}",
+        f"description of the effects: bayescal effects --instrument {instrument.name}",
     ]
     title, *notes = map(folded, lines)
     table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
-    data = {**_describe(chosen), "columns": columns, "baseline": baseline, "candidates": candidates}
-    return "\n\n".join([title, str(table), "\n".join(notes)]), data
+    data = {"columns": columns, "baseline": baseline, "candidates": candidates}
+    return "\n\n".join([title, str(table), "\n".join(notes)]), _describe(instrument) | data
 
 
 def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
@@ -84,7 +86,7 @@ def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
 
 
 def convert_fit(calibration: Calibration) -> dict[str, Any]:
-    """Convert a fit to data for JSON."""
+    """Convert the results of a fit to data for JSON."""
     verdict = calibration.verdict
     coefficients, hyperparameters = summary(calibration)
     return {
@@ -113,23 +115,23 @@ def _section(heading: str, *parts: object) -> str:
 
 
 class ConsoleReporter:
-    """Prints the progress of a search: the first table, then a line per new best structure or every ten seconds."""
+    """Printer of a search's progress: the first table, then a line at each new best structure or every ten seconds."""
 
     def __init__(self, started: bool, verbose: bool = False, channels: Sequence[str] = ()) -> None:
-        self.begun, self.verbose, self.channels = started, verbose, [*channels]
+        self.has_begun, self.verbose, self.channels = started, verbose, [*channels]
         self._printed = dict[str, tuple[int, str]]()
 
     def follow(self, name: str, path: SearchPath) -> None:
         """Print the progress of the search of channel `name` ("" for a single output)."""
-        if not self.begun:
+        if not self.has_begun:
             print(format_first_model(path, self.verbose), flush=True)
-            self.begun = True
+            self.has_begun = True
         if line := path.progress:
             assert path.search is not None  # a progress line implies a search
             state = (len(path.steps), str(path.search.structures[0]))
             if state != self._printed.get(name) or progress.silence() >= progress.INTERVAL_SECONDS:
-                number_of = self.channels.index(name) + 1 if name else 0
-                prefix = f"{name}, channel {number_of} of {len(self.channels)}: " * bool(name)
+                channel_number = self.channels.index(name) + 1 if name else 0
+                prefix = f"{name}, channel {channel_number} of {len(self.channels)}: " * bool(name)
                 progress.tell(prefix + line)
                 self._printed[name] = state
 
@@ -167,15 +169,15 @@ def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) 
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
-    """Format the coefficients of the model average; only if verbose, those absent from the most probable structure."""
-    final = trail.final.calibration
-    tables = unknowns_parts(trail.calibration, None if verbose else final.model.names)
+def coefficients_text(path: SearchPath, verbose: bool = False) -> str:
+    """Format the coefficients of the model average; if verbose, also those that the most probable structure lacks."""
+    final = path.final.calibration
+    tables = unknowns_parts(path.calibration, None if verbose else final.model.names)
     return "\n".join([*map(str, tables), final.remarks])
 
 
 def format_average(path: SearchPath, verbose: bool = False) -> str:
-    """Format the structures of a model average with their probabilities; "" without an average."""
+    """Format the structures of a model average with their probabilities; return "" without an average."""
     if path.average is None:
         return ""
     shares = [(" + ".join(s.effects) or "nothing added", s.probability) for s in path.shares]
@@ -195,7 +197,7 @@ def _reason_not_tested(step: Step) -> str:
 
 
 def _missing_lines(path: SearchPath) -> list[str]:
-    """Format the missing effects of each step, except those added singly, and questions about units."""
+    """Format the effects missing at each step, except those that a step added, and questions about units."""
     lines, questions = list[str](), dict[Claim, None]()
     model, threshold = path.final.calibration.model, settings().found_probability
     added_alone = {

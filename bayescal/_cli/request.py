@@ -1,4 +1,4 @@
-"""Objects that command-line options request: instrument, model, readings, method, calibrations, corrections.
+"""Loading of what command-line options request: instrument, model, readings, method, calibrations, corrections.
 
 Invalid files are refused before JAX loads; samplers and other heavy modules load with the first calibration.
 """
@@ -46,7 +46,7 @@ LONG_LOG_READINGS = 20_000  # number of readings above which averaging loses lit
 
 
 def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]:
-    """Return the requested instrument, adapted to the readings, the model and the readings."""
+    """Return the requested instrument and model, both adapted to the readings, and the readings."""
     _, models, readings = open_channels((), request)
     return models[""].instrument, models[""], readings[""]
 
@@ -54,7 +54,7 @@ def open_request(request: ReadRequest) -> tuple[Instrument, Model, Measurements]
 def open_channels(
     names: Sequence[str], request: ReadRequest
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
-    """Return the instrument, and models and readings by channel (a single output: ""), models adapted to readings."""
+    """Return the instrument, and for each channel ("" if single) its readings and a model adapted to them."""
     instrument = instrument_named(request.instrument)
     readings = _read(request.files, instrument, request, names)
     for record in readings.values():
@@ -70,14 +70,14 @@ def open_channels(
         models[name] = compose(tailored, request, load_effects(request, tailored, record))
         flags = (f"{e.slot}: {e.source}" for e in models[name].effects if e.is_reference_error)
         readings[name] = replace(record, flags=(*record.flags, *flags))
-    request.keep()
+    request.save_options()
     return instrument, models, readings
 
 
 def load_effects(
     request: Any, instrument: Instrument, readings: Measurements | None
 ) -> tuple[Effect, ...]:
-    """Load user-defined effects from --effects and --effect; raise InputError for an invalid file or formula."""
+    """Return the user's effects of --effects and --effect; raise InputError for an invalid file or formula."""
     effects = (bc.effect(t, readings=readings, instrument=instrument) for t in request.typed or ())
     return (*load_user_effects(request.effects_file), *effects)
 
@@ -85,16 +85,18 @@ def load_effects(
 def _read(
     files: Sequence[Path], kind: Any, request: ReadRequest, names: Sequence[str], **options: Any
 ) -> dict[str, Measurements]:
-    """Read files, for one output (name "") or for the channels `names`; average them if requested."""
+    """Read files as readings of one output (name "") or of the channels `names`; average them if requested."""
     options |= {"outputs": list(names)} if names else {}
     with stage("reading"):
         readings: Any = bc.read(list(files), kind, **request.read_options(), **options)
-    records = readings if names else {"": readings}
-    return {n: average(r, request.average, request.keep_spikes) for n, r in records.items()}
+    records = (readings if names else {"": readings}).items()
+    return {n: average_readings(r, request.average, request.keep_spikes) for n, r in records}
 
 
-def average(readings: Measurements, average: str | None, keep_spikes: bool = False) -> Measurements:
-    """Exclude clipped readings and spikes, then average by --average; return the readings unchanged without it."""
+def average_readings(
+    readings: Measurements, average: str | None, keep_spikes: bool = False
+) -> Measurements:
+    """Return means over the time `average` without clipped readings and spikes; if None, the readings unchanged."""
     if average is None:
         return readings
     from bayescal._data.set_aside import set_aside
@@ -103,7 +105,7 @@ def average(readings: Measurements, average: str | None, keep_spikes: bool = Fal
 
 
 def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) -> Model:
-    """Compose the requested model: a structure or the baseline, with added effects and fixed coefficients."""
+    """Return the requested model: a structure or the baseline, with added effects and fixed coefficients."""
     effects = {effect.name: effect for effect in added}
     structures = {"": instrument.baseline, **dict(instrument.structures)}
     structure = request.structure or ""
@@ -123,7 +125,7 @@ def compose(instrument: Instrument, request: Any, added: Sequence[Effect] = ()) 
 
 
 def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
-    """Return the noise law of a name: the model's, or one that a search would compare for these readings."""
+    """Return a noise law by name: that of the model, or one that a search would compare for these readings."""
     from bayescal._model.frame import build_frame
     from bayescal._model.frame import reference_of as constants_of
     from bayescal._search.noise_laws import laws_over
@@ -132,21 +134,21 @@ def find_noise_law(name: str, model: Model, readings: Measurements) -> Noise:
     models = {model.noise.name: model.noise, **laws_over(model, frame)}
     if name not in models:
         raise InputError(
-            f"--noise {name!r} is not one of {', '.join(models)}. Your own law is loaded from its file: "
+            f"--noise {name!r} is not one of {', '.join(models)}. For your own law, also give its file: "
             "--effects my_law.py"
         )
     return models[name]
 
 
 def create_method(name: MethodName) -> Method:
-    """Return the method of inference of a command-line name, with default settings."""
+    """Return the method of inference that a command-line name stands for, with default settings."""
     return {"marginal": bc.Marginal, "least-squares": bc.LeastSquares, "nuts": bc.NUTS}[name]()
 
 
 def open_search(
     names: Sequence[str], request: SearchRequest
 ) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
-    """Return models, readings and hold-out data by channel ("": a single output); print the readings' flags."""
+    """Return models, readings and hold-out data by channel ("" if single); print the flags of the readings."""
     instrument, models, readings = open_channels(names, request)
     holdout = {}
     if request.holdout:
@@ -157,7 +159,7 @@ def open_search(
 
 
 def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
-    """List the flags of readings: once if common to all channels, else with the channel's name."""
+    """List the flags of readings, each once; a flag that not all channels have is preceded by their names."""
     names_by_flag = dict[str, list[str]]()
     for name, record in readings.items():
         for flag in record.flags:
@@ -193,12 +195,9 @@ def split_records(readings: Mapping[str, Measurements]) -> dict[str, Measurement
     return records
 
 
-# saved calibrations ---------------------------------------------------------------------------------------------------
-
-
-def describe_reliability(names: Mapping[str, bc.Compensator | CorrectionInUse]) -> str:
-    """Return the reasons why results are not fit for use; empty if all are."""
-    return "; ".join(f"{name} {c.why_not}".strip() for name, c in names.items() if c.why_not)
+def describe_reliability(corrections: Mapping[str, bc.Compensator | CorrectionInUse]) -> str:
+    """Return why corrections, by name, are not fit for use; empty if all are."""
+    return "; ".join(f"{name} {c.why_not}".strip() for name, c in corrections.items() if c.why_not)
 
 
 def _load_user_parts(parts: DefinitionOptions) -> dict[str, Any]:
@@ -209,10 +208,10 @@ def _load_user_parts(parts: DefinitionOptions) -> dict[str, Any]:
 
 
 def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
-    """Load a saved calibration, or that of a result folder.
+    """Load a saved calibration.
 
     Args:
-        path: file or folder.
+        path: the file, or a result folder.
         user: user-defined effects and instrument, and whether to load the average over structures, if there is one.
 
     Raises:
@@ -220,7 +219,7 @@ def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
     """
     if (path / CHANNELS).is_file():
         raise InputError(
-            f"{path} contains several channels: give the folder of one, such as {of_units([path])[0]}"
+            f"{path} contains several channels: give the folder of one, such as {expand_channels([path])[0]}"
         )
     path = inside if (inside := path / CALIBRATION).is_file() else path
     files, structure = [path.name], getattr(user, "one_structure", "best")
@@ -231,7 +230,7 @@ def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
 
 
 def load_compensator(path: Path, user: MemberOptions) -> bc.Compensator:
-    """Load the compensator of one output from a saved calibration."""
+    """Load the compensator of a saved calibration; raise InputError if it has three axes."""
     correction = load_correction(path, user)
     if not isinstance(correction, bc.Compensator):
         raise InputError(
@@ -248,8 +247,8 @@ def load_correction(path: Path, user: MemberOptions) -> bc.Compensator | Correct
     return load_entry("corrected", f"{path} has three axes: their correction")(calibration)
 
 
-def of_units(paths: list[Path], file: str = "") -> list[Path]:
-    """Replace each folder of several channels by the channels' folders, or by a file in each."""
+def expand_channels(paths: list[Path], file: str = "") -> list[Path]:
+    """Return paths, where each folder of several channels is replaced by its subfolders, or by `file` in each."""
     folders: list[Path] = []
     for path in paths:
         unit = (path / CHANNELS).is_file()
@@ -261,6 +260,6 @@ def load_chapters(paths: list[Path], user: DefinitionOptions) -> list[Chapter]:
     """Load the chapters of a report, from saved calibrations and result folders."""
     from bayescal._report.result_json import chapters, read_chapter
 
-    parts, files = _load_user_parts(user), of_units(paths)
+    parts, files = _load_user_parts(user), expand_channels(paths)
     loaded = (read_chapter(p, **parts) if p.is_dir() else load_saved(p, user) for p in files)
     return chapters(loaded, parts["effects"])

@@ -35,7 +35,7 @@ DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread d
 
 
 @contextmanager
-def own_style(**settings: Any) -> Iterator[None]:
+def use_own_style(**settings: Any) -> Iterator[None]:
     """Apply Matplotlib's defaults and `settings` inside the block, instead of a user's configuration file.
 
     The settings are global to the process: one thread draws at a time.
@@ -45,31 +45,31 @@ def own_style(**settings: Any) -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure without a window; width and height in inches."""
+    """Return an empty figure that opens no window; width and height in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def open_axes(ax: Any, width: float, height: float) -> Any:
-    """Hide the upper and right spines of axes; create a figure (width and height in inches) if `ax` is None."""
+    """Return axes without upper and right spines: `ax`, or those of a new figure (width and height in inches)."""
     ax = new_figure(width, height).subplots() if ax is None else ax
     ax.spines[["top", "right"]].set_visible(False)
     return ax
 
 
 def format_label(text: str) -> str:
-    """Format text from a file as a label: shortened, and its dollar signs escaped."""
+    """Return text from a file as a label: shortened to `MAX_LABEL` characters, with escaped dollar signs."""
     return escape(text if len(text) <= MAX_LABEL else f"{text[: MAX_LABEL - 1]}…")
 
 
 def escape(text: str) -> str:
-    """Escape dollar signs, so that Matplotlib draws no formula."""
+    """Escape dollar signs, which Matplotlib would read as marks of a formula."""
     return text.replace("$", r"\$")
 
 
 def axis_label(name: str, unit: str) -> str:
-    """Format a name with its unit, "temperature [°C]"; a pure number has "[1]"."""
+    """Format a name with its unit, as in "temperature [°C]"; that of a pure number is "[1]"."""
     return f"{format_label(name)} [{unit_label(unit) or '1'}]"
 
 
@@ -93,12 +93,12 @@ DERIVED_UNITS = {"order": "row"}  # units of covariates that are no columns
 def residuals(
     calibration: Calibration, found: Check | None = None, against: str | None = None
 ) -> Figure:
-    """Plot residuals against every covariate: runs by colour, the noise in grey, the worst region in red.
+    """Plot residuals against covariates: runs in different colours, the noise in grey, the worst region in red.
 
     Args:
         calibration: a fit.
         found: residual checks of the fit; computed if None.
-        against: name of one covariate; if None, up to six are plotted, the worst first.
+        against: name of a single covariate to plot; if None, up to six are plotted, the worst first.
     """
     found = check(calibration) if found is None else found
     entries = [e for e in found.entries if not e.by_group][:MAX_PANELS]
@@ -108,18 +108,18 @@ def residuals(
     figure = new_figure(4.2 * columns, 3.0 * rows)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, entry in zip(axes, entries, strict=False):
-        residual_panel(ax, calibration, found, entry)
+        plot_residual_panel(ax, calibration, found, entry)
     for ax in axes[len(entries) :]:
         ax.set_visible(False)
     return figure
 
 
-def residual_panel(
+def plot_residual_panel(
     ax: Any, calibration: Calibration, check: Check, entry: Entry, title: str = ""
 ) -> None:
-    """Plot residuals against one covariate in axes `ax`."""
+    """Plot residuals against the covariate of a check's `entry` in axes `ax`."""
     values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
-    body_temperatures = body_temperature(calibration, entry.against)
+    body_temperatures = compute_body_temperature(calibration, entry.against)
     values = values if body_temperatures is None else body_temperatures
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
@@ -153,10 +153,10 @@ def residual_panel(
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
 
 
-def body_temperature(calibration: Calibration, column: str) -> np.ndarray | None:
-    """Return the temperature T̃ of the body that lags `column` in the model, (n,), at the mode; None without one.
+def compute_body_temperature(calibration: Calibration, column: str) -> np.ndarray | None:
+    """Return the temperature T̃ (n,), at the mode, of the body that lags behind `column` in the model.
 
-    With several bodies, the body of the last effect is used.
+    None is returned if the model has no such body; of several bodies, that of the last effect is used.
     """
     problem, values = calibration.problem, None
     hyper = problem.hyper(calibration.mode.v)
@@ -176,7 +176,7 @@ COLOURS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
-    """Plot the error of each step, with the decrease from the step before, and the noise floor.
+    """Plot the errors of each step of a search with their change from the step before, and the noise floor.
 
     Args:
         found: a search path, or its data in result.json.
@@ -216,19 +216,19 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.set_xlabel(axis_label("rms error", last_step["unit"]))
     handles, _ = ax.get_legend_handles_labels()
     handles.sort(key=lambda handle: handle is line)  # the floor last, as in the tables
-    _legend_below(ax, handles, 2)
+    _place_legend_below(ax, handles, 2)
     return ax.figure
 
 
-def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
-    """Place a legend below the axis' label, however tall the axes are."""
+def _place_legend_below(ax: Any, handles: list[Any], columns: int) -> None:
+    """Place a legend `LEGEND_INCHES` below the axes, whatever their height, so that the axis label fits between."""
     transform = ax.transAxes + ScaledTranslation(0, -LEGEND_INCHES, ax.figure.dpi_scale_trans)
     options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": transform}
     ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **options)
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
-    """Plot the log Bayes factor of each candidate effect: the model with it against the model without it.
+    """Plot the log Bayes factor of each candidate effect, of the model with the effect against that without it.
 
     Args:
         found: a discovery, or one entry of `missing` in result.json.
@@ -253,15 +253,15 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor, model with the effect against without it [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
-    grey_label = "not needed with the findings" if "finding" in kinds else "no evidence"
-    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or grey_label)) for k in kinds]
+    other_label = "not needed with the findings" if "finding" in kinds else "no evidence"
+    names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or other_label)) for k in kinds]
     if names:
-        _legend_below(ax, names, len(names))
+        _place_legend_below(ax, names, len(names))
     return ax.figure
 
 
 def loop(found: SearchPath) -> Figure:
-    """Plot a search in one figure: residuals before and after, missing effects, the error of each step."""
+    """Plot a search in one figure: residuals of the first and the last model, missing effects, errors by step."""
     height = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
     figure = new_figure(11.0, 3.7 + height)
     (first_ax, bars), (last_ax, error_ax) = figure.subplots(2, 2, height_ratios=(3.7, height))
@@ -269,10 +269,10 @@ def loop(found: SearchPath) -> Figure:
     first_entry = next((e for e in first_step.check.entries if not e.by_group), None)
     if first_entry is not None:
         title = "1  residuals of the first model"
-        residual_panel(first_ax, first_step.calibration, first_step.check, first_entry, title)
+        plot_residual_panel(first_ax, first_step.calibration, first_step.check, first_entry, title)
         last_entry = next(e for e in last_step.check.entries if e.against == first_entry.against)
         title = "3  residuals of the last model"
-        residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
+        plot_residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
         last_ax.set_ylabel(axis_label("residual (another scale)", last_step.check.unit))
     if first_step.discovery is not None:
         missing(first_step.discovery, bars)
@@ -321,7 +321,7 @@ def _plot_allan(ax: Any, m: AllanDeviation, **options: Any) -> None:
 
 
 def _label_allan(ax: Any, unit: str, terms: Sequence[str]) -> Figure:
-    """Label the axes of an Allan deviation in `unit`, with noise parameters in the title."""
+    """Label the axes of a plotted Allan deviation (in `unit`), with noise parameters as title; return the figure."""
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(axis_label("averaging time τ", "s"))

@@ -1,7 +1,7 @@
 """The report for sign-off: one self-contained HTML file.
 
-All text from files (names of files, devices, effects) is escaped; the page has no script. Figures are inline SVG, in
-the colour of the text, with unique ids and without external references.
+All text from files (names of files, devices, effects) is escaped; the page has no script. Figures are inline SVG in
+the text's colour, with unique ids and without external references.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ MAX_RESIDUAL_PANELS = 4  # pictures of residuals in a chapter
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page."""
+    """A figure of the page, with its caption."""
 
     html: Markup
     caption: str  # text below the figure
 
 
 class Pictures:
-    """Pictures of one page, with unique ids."""
+    """Figures of one page, drawn with unique ids; `failed` are the errors of those that could not be drawn."""
 
     def __init__(self) -> None:
         self.count, self.failed = 0, list[NotDrawn]()
@@ -58,9 +58,9 @@ class Pictures:
     def draw(self, plot: Callable[[], Figure], caption: str) -> Picture:
         self.count += 1
         try:
-            with plots.own_style(**SVG):
+            with plots.use_own_style(**SVG):
                 return Picture(
-                    embed(render_svg(plot()), f"f{self.count}-", caption + ALT_SUFFIX), caption
+                    embed_svg(render_svg(plot()), f"f{self.count}-", caption + ALT_SUFFIX), caption
                 )
         except InputError:
             raise
@@ -68,8 +68,8 @@ class Pictures:
             self.failed.append(NotDrawn(f"A picture ({caption})", error))
             return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
-    def residuals(self, calibration: Calibration, checks: Check) -> list[Picture]:
-        """Draw the residuals of the last model against each covariate, the worst first."""
+    def draw_residuals(self, calibration: Calibration, checks: Check) -> list[Picture]:
+        """Draw the residuals of the last model against each covariate, at most `MAX_RESIDUAL_PANELS`, worst first."""
 
         def panel(against: str) -> Figure:
             figure = plots.residuals(calibration, checks, against)
@@ -81,14 +81,14 @@ class Pictures:
             self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
         ]
 
-    def missing(self, found: dict[str, Any], title: str) -> Picture | None:
-        """Draw the log Bayes factors of an entry of `missing` in result.json; None without any."""
+    def draw_missing(self, found: dict[str, Any], title: str) -> Picture | None:
+        """Draw the log Bayes factors of an entry of `missing` in result.json; return None if it has none."""
         if all(c["log_bayes_factor"] is None for c in found["candidates"]):
             return None
         return self.draw(lambda: plots.missing(found), f"Effects missing from {title}")
 
-    def error(self, steps: Sequence[dict[str, Any]]) -> Picture:
-        """Draw the errors of each search step, from the steps of result.json."""
+    def draw_errors(self, steps: Sequence[dict[str, Any]]) -> Picture:
+        """Draw the errors of the steps of a search, from `steps` in result.json."""
         return self.draw(lambda: plots.trail({"steps": steps}), "The error, step by step")
 
 
@@ -96,7 +96,7 @@ ALT_SUFFIX = ". The tables of this report contain the same data."
 
 
 def render_svg(figure: Figure) -> str:
-    """Render a figure as an SVG without a background."""
+    """Return a figure as SVG text without a background."""
     for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
         patch.set_visible(False)
     out = io.StringIO()
@@ -105,7 +105,7 @@ def render_svg(figure: Figure) -> str:
     return out.getvalue()
 
 
-def embed(svg: str, prefix: str, alt: str) -> Markup:
+def embed_svg(svg: str, prefix: str, alt: str) -> Markup:
     """Convert Matplotlib's SVG, whose labels are already escaped, to inline SVG for the page.
 
     Black becomes the page's text colour, fonts become the page's, ids are prefixed by `prefix`, and `alt` becomes the
@@ -144,11 +144,11 @@ def report(
     """Write the report for sign-off.
 
     Args:
-        given: a calibration or a search path, or several, with a chapter each. For a calibration, missing effects are
-            searched, which takes a few seconds; a search path includes them.
+        given: a calibration or a search path, or a list of them: each has a chapter. The missing effects of a
+            calibration are searched for, which takes a few seconds; a search path includes them.
         path: file to write, ending in .html.
         title: title of the report.
-        effects: user-defined effects, additional candidates of the search for missing effects.
+        effects: user-defined effects, further candidates of the search for missing effects.
         certificate: TOML file of a certificate's statements: device, serial number, place, operator, ambient
             conditions, standards, dates.
         decisions: conformity decisions and their rule, from `bc.decide`, for the first section.
@@ -157,8 +157,8 @@ def report(
         The path.
 
     Raises:
-        InputError: no calibration, another suffix, a file that cannot be written, or a certificate with an unknown
-            entry.
+        InputError: `given` has no calibration, `path` has another suffix or cannot be written, or `certificate` has an
+            unknown entry.
         NotDrawn: a figure could not be drawn; the page is written with a note instead.
     """
     path = Path(path)
@@ -182,7 +182,7 @@ def render_page(
     title: str = "",
     forewords: Sequence[Foreword] = (),
 ) -> str:
-    """Render the report as HTML."""
+    """Return the report as HTML, with `forewords` as sections before the first chapter."""
     filters = {
         "number": number,
         "unit_label": unit_label,
@@ -211,7 +211,7 @@ def render_page(
 
 
 def compute_budget(chapter: Chapter) -> tuple[Budget | None, str]:
-    """Compute the uncertainty budget at mid-range of all inputs; or return the reason why there is none."""
+    """Return a chapter's uncertainty budget at mid-range of all inputs and "", or None and why there is none."""
     if not chapter.data["verdict"]["ok"]:
         return None, "There is no uncertainty budget, since the result is not reliable."
     if chapter.used.model.instrument.use is None:

@@ -1,4 +1,4 @@
-"""The tables of a report as plain data, which a template formats, and its conclusion in one paragraph."""
+"""The tables of a report, which a template formats, and the summary of a chapter in one paragraph."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ OUTPUT_ROLE = "the reading of the instrument"
 DERIVED_ROLE = "derived from the above"
 
 
-def with_unit(value: float, unit: str, digits: int = 4) -> str:
+def format_with_unit(value: float, unit: str, digits: int = 4) -> str:
     return f"{number(value, digits)} {unit_label(unit)}".strip()
 
 
-def ranges(calibration: Calibration) -> ResultTable:
-    """Tabulate the covered range of each numeric covariate and each rate of a temperature, with its role."""
+def tabulate_ranges(calibration: Calibration) -> ResultTable:
+    """Tabulate range and role in the model of each numeric column, each rate of a temperature, and the elapsed time."""
     readings, model = calibration.readings, calibration.model
     used_columns = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used_columns |= find_response_columns(model.instrument, calibration.frame)
@@ -72,14 +72,14 @@ def ranges(calibration: Calibration) -> ResultTable:
     return plain_table(["quantity", "unit", "from", "to", "role"], rows, left=2, fold=1)
 
 
-def group_sizes(data: dict[str, Any]) -> str:
-    """List the numbers of runs, cells, axes and devices of a result.json that are above one."""
+def format_group_sizes(data: dict[str, Any]) -> str:
+    """Format the numbers of runs, cells, axes and devices in a result.json, except those below two."""
     counts = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     return ", ".join(f"{n} {'axes' if k == 'axis' else k + 's'}" for k, n in counts if n > 1)
 
 
-def files(chapter: Chapter) -> ResultTable:
-    """List the files that were read, and the hold-out data."""
+def tabulate_files(chapter: Chapter) -> ResultTable:
+    """Tabulate the files of readings and of hold-out data, with number of readings and SHA-256."""
 
     def join_names(names: str | list[str]) -> str:
         return names if isinstance(names, str) else ", ".join(names)
@@ -91,8 +91,8 @@ def files(chapter: Chapter) -> ResultTable:
     return plain_table(["file", "readings", "SHA-256"], rows, fold=1)
 
 
-def coefficients(chapter: Chapter) -> ResultTable:
-    """Tabulate coefficients, then hyperparameters, with k = 2 interval and 95 % credible interval."""
+def tabulate_coefficients(chapter: Chapter) -> ResultTable:
+    """Tabulate coefficients, then hyperparameters, with their k = 2 intervals and 95 % credible intervals."""
     not_measured = find_coefficients_not_measured(chapter.used)
     summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
     for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
@@ -124,7 +124,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
 
 
 def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
-    """Tabulate the unknowns on the signed page, with nonlinear parameters (shapes) last, and fixed values."""
+    """Tabulate the unknowns for the signed page, nonlinear parameters (shapes) last, and then the fixed values."""
     ungrouped = [r for r in table.rows if "(" not in r["name"]]
     names = {e.shape_name(shape) for e in model.effects for shape in e.shapes}
     shapes = [r for r in ungrouped if r["name"] in names][:MAX_SIGNED_ROWS]
@@ -139,7 +139,7 @@ def _format_percent(share: float | None) -> str:
     return "–" if share is None else "> 99.9 %" if share > 0.999 else percent
 
 
-def steps(chapter: Chapter) -> ResultTable:
+def tabulate_steps(chapter: Chapter) -> ResultTable:
     """Tabulate the errors of every step, as `SearchPath` prints them."""
     steps_data = chapter.data["steps"]
     complete = {m["step"]: m["nothing_missing_probability"] for m in chapter.data["missing"]}
@@ -155,8 +155,8 @@ def steps(chapter: Chapter) -> ResultTable:
     return steps_table(rows)
 
 
-def convergence(chapter: Chapter) -> ResultTable:
-    """Tabulate the convergence of each fit."""
+def tabulate_convergence(chapter: Chapter) -> ResultTable:
+    """Tabulate the convergence diagnostics of the fit of each step."""
 
     def entry(key: str) -> Callable[[Any], Any]:
         return lambda row: row[1]["verdict"][key]
@@ -173,7 +173,7 @@ def convergence(chapter: Chapter) -> ResultTable:
     return ResultTable(columns, [*enumerate(chapter.data["steps"])])
 
 
-def effects(chapter: Chapter) -> ResultTable:
+def tabulate_effects(chapter: Chapter) -> ResultTable:
     """Tabulate the effects of the model: equation, unknowns with priors, source, the step that added the effect."""
     added_at, model = dict[str, str](), chapter.used.model
     for i, step in enumerate(chapter.data["steps"]):
@@ -226,8 +226,8 @@ PRIORS: dict[type, Callable[[Any], str]] = {
 MAX_NAMED = 4  # number of effects of the first model, and of unknowns of an effect, listed by name
 
 
-def conclusion(chapter: Chapter) -> str:
-    """Summarise the effects found, the error before and after, the residuals, and open questions, in one paragraph."""
+def summarise_chapter(chapter: Chapter) -> str:
+    """Summarise in one paragraph the effects found, the first and last error, the residuals, and open questions."""
     texts = [f(chapter) for f in (_describe_additions, _format_errors, _describe_residuals)]
     open_questions = [*_list_untested(chapter), *_list_undecided(chapter)]
     return " ".join([*_list_failed_checks(chapter), *texts, *open_questions])
@@ -241,7 +241,7 @@ def _list_failed_checks(chapter: Chapter) -> Iterator[str]:
 
 
 def _describe_additions(chapter: Chapter) -> str:
-    """Describe the effects of the last model that the first lacks, with their coefficients."""
+    """Describe the effects of the last model that the first model lacks, with their coefficients."""
     c, data = chapter.calibration, chapter.data
     latent_names = [set(m.get("latent", ())) for m in data["missing"]] or [set()]
     first_effects = set(data["steps"][0]["effects"]) | latent_names[0] & latent_names[-1]
@@ -268,7 +268,7 @@ def _describe_additions(chapter: Chapter) -> str:
     return f"Found in addition to the first model{unit_note}: {'; '.join(texts)}."
 
 
-PHYSICS = {  # description of an effect by the form of its dependence
+PHRASES = {  # phrase by an effect's kind
     "linear": "a linear term in",
     "quadratic": "a quadratic term in",
     "cubic": "a cubic term in",
@@ -286,10 +286,10 @@ PHYSICS = {  # description of an effect by the form of its dependence
 
 
 def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
-    """Describe an effect by name and by the range of a curve or its unknowns, conditional on inclusion."""
+    """Describe an effect: kind of dependence, name, and range of its curve or values of its unknowns if present."""
     base = c.model.instrument.known.get(effect.family_name, effect)  # forms share its text
     along = effect.covariate if effect.is_placeholder else base.columns[-1] if base.columns else ""
-    text = f"{PHYSICS[base.kind]} {along.replace('_', ' ')}, " if base.kind in PHYSICS else ""
+    text = f"{PHRASES[base.kind]} {along.replace('_', ' ')}, " if base.kind in PHRASES else ""
     if (per := effect.coefficients[0].per) and not effect.shapes:
         text = f"differences from {per} to {per}, "
     return text + _describe_size(c, effect, name)
@@ -298,7 +298,8 @@ def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
 def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
         _, largest, location = curve_range(c, effect.name)
-        return f"{effect.name}, up to {with_unit(abs(largest), c.unit, 2)}, most at {location}"
+        size = format_with_unit(abs(largest), c.unit, 2)
+        return f"{effect.name}, up to {size}, most at {location}"
     texts = list[str]()
     for row in chain(*summary(c)):
         name = row["name"].removeprefix(effect.name).removeprefix(".")
@@ -323,7 +324,7 @@ def _first_probability(chapter: Chapter, effect: Effect) -> float | None:
 
 
 def _format_errors(chapter: Chapter) -> str:
-    """Format the errors of the first and the last model: on hold-out data, else left-out groups, else as fitted."""
+    """Compare the rms errors of first and last model: on hold-out data, else left-out groups, else as fitted."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     first_step, last_step = steps[0], steps[-1]
     left_out_errors = [s["leave_one_group_out"] for s in (first_step, last_step)]
@@ -351,14 +352,14 @@ def _format_errors(chapter: Chapter) -> str:
 
 
 def _describe_residuals(chapter: Chapter) -> str:
-    """Describe the residuals: covariates on which they depend, or agreement with the noise model."""
+    """State on which covariates the residuals depend, or else whether they agree with the noise model."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
     covariates = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
     if covariates:
         return f"The residuals still depend on {join_words(covariates[:3])}."
     noise_text = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
-    noise = with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
+    noise = format_with_unit(chapter.data["steps"][-1]["rmse_fitted"], c.unit, 2)
     first_code = next(iter(gate.get("claims", ())), {"code": ""})["code"]
     if first_code in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"The residuals, {noise} rms, do not agree with the noise model."
@@ -372,17 +373,17 @@ def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
 
 
 def _list_untested(chapter: Chapter) -> Iterator[str]:
-    """Yield sentences on columns that were left out, and effects without a required column."""
+    """Yield sentences on columns that were left out, and on effects that could not be tested."""
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
         yield f"Columns not used: {', '.join(names)}."
     if by_reason := group_untested(_last_candidates(chapter)):
-        untested = "; ".join(f"{join_words(names)} ({why})" for why, names in by_reason.items())
+        untested = "; ".join(f"{join_words(n)} ({reason})" for reason, n in by_reason.items())
         yield f"Not tested: {untested}."
 
 
 def _list_undecided(chapter: Chapter) -> Iterator[str]:
-    """Yield sentences on alternatives that these readings do not decide between."""
+    """Yield sentences on alternatives between which these readings do not decide."""
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
@@ -395,9 +396,8 @@ def _list_undecided(chapter: Chapter) -> Iterator[str]:
         yield f"Not decided: {'; '.join(dict.fromkeys(questions))}."
     if chapter.data["other_path"] is not None:
         rival = chapter.data["other_path"]
-        what = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"
-        factor = f"log Bayes factor {rival['log_bayes_factor']:.1f}"
-        yield f"Undecided: {what}, is nearly as probable ({factor})."
+        text = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"
+        yield f"Undecided: {text}, is nearly as probable (log Bayes factor {rival['log_bayes_factor']:.1f})."
 
 
 def join_words(words: list[str]) -> str:

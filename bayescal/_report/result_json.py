@@ -117,7 +117,7 @@ def result(path: SearchPath) -> dict[str, Any]:
 
 
 def search_data(path: SearchPath) -> dict[str, Any] | None:
-    """Convert the compared structures and the reason of the search's end to plain data."""
+    """Convert the evaluated structures and the reason why the search ended to plain data; None without a search."""
     search = path.search
     if search is None:
         return None
@@ -140,19 +140,19 @@ def search_data(path: SearchPath) -> dict[str, Any] | None:
 
 @cache
 def versions(*further: str) -> dict[str, str]:
-    numbers = {"python": platform.python_version()}
+    texts = {"python": platform.python_version()}
     for name in (*PACKAGES, *further):
         try:
-            numbers[name] = version(name)
+            texts[name] = version(name)
         except PackageNotFoundError:
-            numbers[name] = "not installed"
-    return numbers
+            texts[name] = "not installed"
+    return texts
 
 
 def _source_data(readings: Measurements) -> dict[str, Any]:
-    """Return names and SHA-256 digests of the readings files (lists for several files), and the number of rows."""
-    files, sums = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
-    file, sha256 = (names[0] if len(names) == 1 else names for names in (files, sums))
+    """Return name and SHA-256 of the file of readings (lists for several files), and the number of readings."""
+    files, hashes = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
+    file, sha256 = (texts[0] if len(texts) == 1 else texts for texts in (files, hashes))
     return {"file": file, "sha256": sha256, "rows": len(readings)}
 
 
@@ -235,7 +235,7 @@ PICTURE = "loop.png"
 
 @dataclass(frozen=True)
 class Foreword:
-    """A section before all chapters."""
+    """A section of a report before its chapters."""
 
     name: str  # id of the section in the page
     title: str  # heading
@@ -248,15 +248,15 @@ class Foreword:
     table: tuple[str, ResultTable] | None = None  # with its caption
 
 
-class Foreworded(Protocol):
-    """Source of a section before a report: a laboratory's statements, decisions about limits."""
+class ForewordSource(Protocol):
+    """Interface of what supplies a section before the chapters: a laboratory's statements, decisions on limits."""
 
     def foreword(self, chapters: Sequence[Chapter]) -> Foreword: ...
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """The results of one set of readings."""
+    """The results of a calibration, or of the search that led to it, as a chapter of a report."""
 
     calibration: Calibration  # of the last model
     check: Check  # residual checks of the last model
@@ -266,7 +266,7 @@ class Chapter:
 
     @property
     def used(self) -> Calibration:
-        """Return the calibration whose numbers the report states: the average over structures, if there is one."""
+        """Return the calibration whose values the report states: the average over structures, if there is one."""
         return self.calibration if self.average is None else self.average
 
 
@@ -279,8 +279,8 @@ def chapters(results: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Cha
             f"a report needs calibrations or search paths, not {', '.join(wrong_types) or 'an empty list'}: give the "
             "results of bc.fit, bc.calibrate or bc.load"
         )
-    search_paths = (path_of(g, user_effects) if isinstance(g, Calibration) else g for g in items)
-    return [t if isinstance(t, Chapter) else build_chapter(t) for t in search_paths]
+    paths = (to_search_path(g, user_effects) if isinstance(g, Calibration) else g for g in items)
+    return [t if isinstance(t, Chapter) else build_chapter(t) for t in paths]
 
 
 def build_chapter(path: SearchPath) -> Chapter:
@@ -292,7 +292,7 @@ def build_chapter(path: SearchPath) -> Chapter:
 def read_chapter(
     folder: Path, effects: Iterable[Effect] = (), instruments: Iterable[Instrument] = ()
 ) -> Chapter:
-    """Read a result folder's chapter; raise InputError if files are missing, unreadable or of two results."""
+    """Read the chapter of a result folder; raise InputError if files are missing, unreadable or of different fits."""
     missing = [n for n in (RESULT, CALIBRATION) if not (folder / n).is_file()]
     if missing:
         raise InputError(
@@ -304,23 +304,23 @@ def read_chapter(
         if (schema := data.get("schema")) != SCHEMA:
             raise ValueError(f"its schema is {schema!r}, not {SCHEMA!r}")
     except (OSError, ValueError, AttributeError) as error:
-        message = f"{folder / RESULT} is no result of this version ({error}): calibrate again"
+        message = f"{folder / RESULT} is not a result of this version ({error}): calibrate again"
         raise InputError(message) from None
     refuse_mixed(folder)
     user_parts = {"effects": tuple(effects), "instruments": tuple(instruments)}
     calibration = load(folder / CALIBRATION, **user_parts)
-    if (fitted := identity(calibration)) != (saved := data.get("calibration")):
+    if (loaded_hash := identity(calibration)) != (stated_hash := data.get("calibration")):
         raise InputError(
-            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {saved} and {fitted}. Calibrate "
-            f"again, or give {CALIBRATION} alone"
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits (SHA-256 {stated_hash} and {loaded_hash}): "
+            f"calibrate again, or give {CALIBRATION} alone"
         )
     has_average = AVERAGED in files_of(folder)
     average = load(folder / AVERAGED, **user_parts) if has_average else None
     return Chapter(calibration, check(calibration), data, average)
 
 
-def path_of(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
-    """Build a search path of one step from a calibration, its checks and missing effects (also `effects`)."""
+def to_search_path(calibration: Calibration, effects: tuple[Effect, ...] = ()) -> SearchPath:
+    """Build a search path of one step, a checked calibration; missing effects are also sought among `effects`."""
     catalogue = calibration.model.instrument.known
     candidates = (*(e for e in calibration.model.effects if e.name not in catalogue), *effects)
     discovery = discover(calibration, effects=candidates) if calibration.verdict.ok else None

@@ -1,7 +1,7 @@
-"""Saving of a search to a folder: result.json, the last calibration and a figure: `SearchPath.save(folder)`.
+"""Saving of a search to a folder (`SearchPath.save`): result.json, the last calibration and a figure.
 
-Channels of a unit have a folder each, and channels.json their shared effects. The classes are defined in packages that
-this one depends on: their method `save` is attached here, and `bayescal` imports them from this module.
+Each channel of a device has a subfolder; channels.json has their shared effects. The classes are defined in packages on
+which this one depends: their method `save` is attached here, and `bayescal` imports them from this module.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from bayescal._calibration.storage import identity
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.json_data import as_json, write_json
-from bayescal._report.report_text import conclusion
+from bayescal._report.report_text import summarise_chapter
 from bayescal._report.result_json import PICTURE, RESULT, build_chapter, result
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
     channel_folders,
     drawing,
-    folders_of,
+    name_folders,
     whole_folder,
 )
 from bayescal._search.calibrate import calibrate as calibrate
@@ -50,7 +50,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
     folder, searches = Path(folder), dict[str, SearchPath]()  # by subfolder
     if isinstance(self, Channels):
         paths = self.search_paths
-        searches = {subfolder: paths[name] for name, subfolder in folders_of(paths).items()}
+        searches = {subfolder: paths[name] for name, subfolder in name_folders(paths).items()}
     else:
         searches[""] = self
     with whole_folder(folder) as hidden:
@@ -66,7 +66,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
 
 
 def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
-    """Draw the figure of each search (subfolder → search), unless time is up.
+    """Draw the figure of each search (subfolder → search) unless the deadline has passed.
 
     Raises:
         NotDrawn: a figure could not be drawn.
@@ -74,10 +74,10 @@ def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     if deadline.current().over:
         return
     with drawing(PICTURE), whole_folder(folder, keep_results=True) as hidden:
-        from bayescal._report.plots import loop, own_style, save
+        from bayescal._report.plots import loop, save, use_own_style
 
         for subfolder, path in searches.items():
-            with own_style():
+            with use_own_style():
                 save(loop(path), hidden / subfolder / PICTURE)
 
 
@@ -97,13 +97,13 @@ def write_search(path: SearchPath, folder: Path) -> None:
 
 SearchPath.save = Channels.save = save_search
 SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
-    lambda self: conclusion(build_chapter(self))
+    lambda self: summarise_chapter(build_chapter(self))
 )
 
 
 def channels_data(channels: Channels) -> dict[str, Any]:
-    """Convert the channels of a unit and their shared effects to plain data; results of each are in its result.json."""
-    folders = folders_of(channels.search_paths)
+    """Convert an overview of channels and their shared effects to plain data, the content of channels.json."""
+    folders = name_folders(channels.search_paths)
     return as_json(
         {
             "schema": CHANNELS_SCHEMA,

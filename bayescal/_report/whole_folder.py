@@ -1,7 +1,7 @@
 """Atomic folders of results: written to a hidden subfolder, then moved, with `manifest.json` last.
 
-Files that do not agree with the manifest are refused on reading, so that a partly moved result, of a process that was
-killed, is never used.
+Files that do not agree with the manifest are refused on reading, so that a result that was moved in part, by a process
+that was killed, is never used.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ SCHEMA = "bayescal.manifest/2"
 REPAIR_ADVICE = "Use a backup of the whole folder, or calibrate again"
 
 
-def folders_of(names: Iterable[str]) -> dict[str, str]:
-    """Name a folder for each channel, without characters that a file system may not accept."""
+def name_folders(names: Iterable[str]) -> dict[str, str]:
+    """Return the name of a folder for each channel, without characters that file systems may reject."""
     folders: dict[str, str] = {}
     for name in names:
         base_name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "channel"
@@ -38,7 +38,7 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def channel_folders(folder: Path) -> list[str]:
-    """Return the names of the channel folders inside a unit's result folder."""
+    """Return the names of the channels' subfolders; raise InputError if channels.json cannot be read."""
     file = folder / CHANNELS
     try:
         names = [c["folder"] for c in read_json(file)["channels"].values()]
@@ -58,8 +58,8 @@ def is_inside(name: str) -> bool:
 def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
     """Yield a hidden folder to write to; move its files to `folder` once all are written.
 
-    Unmodified results of an earlier run are removed from `folder`, other files kept. The same applies to subfolders,
-    each with its own manifest; an empty one is removed.
+    Unmodified results of an earlier run are removed from `folder`; other files are kept. The same applies to
+    subfolders, each with its own manifest; a subfolder that is then empty is removed.
 
     Args:
         folder: an existing folder.
@@ -86,8 +86,8 @@ def whole_folder(folder: Path, *, keep_results: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def drawing(what: str) -> Iterator[None]:
-    """Convert any exception raised while drawing `what` to NotDrawn.
+def drawing(subject: str) -> Iterator[None]:
+    """Convert any exception raised while drawing `subject` to NotDrawn.
 
     Raises:
         NotDrawn: for any cause: a font, LaTeX, Matplotlib, a full disk.
@@ -95,7 +95,7 @@ def drawing(what: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        raise NotDrawn(what, error) from error
+        raise NotDrawn(subject, error) from error
 
 
 def files_of(folder: Path) -> dict[str, str]:
@@ -128,7 +128,7 @@ def refuse_mixed(folder: Path, *names: str) -> None:
             )
 
 
-def _unmodified(folder: Path) -> dict[str, str]:
+def _find_unmodified(folder: Path) -> dict[str, str]:
     """Return the unmodified result files of an earlier run, name → SHA-256."""
     try:
         hashes = files_of(folder)
@@ -161,8 +161,8 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
 
 
 def _write_manifest(source: Path, target: Path, keep_results: bool) -> tuple[list[str], list[str]]:
-    """Write the manifest; return the names to move, manifest last, and to remove."""
-    paths, old = sorted(p for p in source.iterdir() if p.is_file()), _unmodified(target)
+    """Write a manifest of the new files; return the names of files to move, manifest last, and of files to remove."""
+    paths, old = sorted(p for p in source.iterdir() if p.is_file()), _find_unmodified(target)
     new = {p.name: sha256_of(p) for p in paths}
     if not new:
         return [], [] if keep_results else [*old, *[MANIFEST] * bool(old)]

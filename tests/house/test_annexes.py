@@ -93,13 +93,13 @@ class Removed:
 
 sys.meta_path.insert(0, Removed())
 import bayescal
-from bayescal._cli.main import command
+from bayescal._cli.main import run_command
 
 def called(*words):
     sys.argv[1:] = words
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-        status = command()
+        status = run_command()
     print(status, " ".join(said.getvalue().split()))
 
 called("{command}", "readings.csv")

@@ -80,13 +80,13 @@ def outcomes(*commands: Sequence[object]) -> list[tuple[int, str, list[str]]]:
     """Of commands, one after another in one process: status, what each says, what of `COMPUTING` is imported then."""
     code = f"""
 import contextlib, io, json, sys
-from bayescal._cli.main import command
+from bayescal._cli.main import run_command
 told = []
 for words in json.loads(sys.stdin.read()):
     sys.argv[1:] = words
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-        status = command()
+        status = run_command()
     told.append((status, said.getvalue(), [n for n in {COMPUTING!r} if n in sys.modules]))
 print(json.dumps(told))
 """

@@ -86,13 +86,13 @@ def run(*arguments: object) -> Ran:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            status = main.command()
+            status = main.run_command()
     return Ran(status, out.getvalue(), err.getvalue())
 
 
 def commands() -> dict[str, Any]:
     """Every command by its name, as typer has it."""
-    group: Any = typer.main.get_command(main.application())
+    group: Any = typer.main.get_command(main.build_application())
     return group.commands
 
 

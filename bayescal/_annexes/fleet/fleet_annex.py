@@ -53,7 +53,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
                 find=self.find,
                 effects=effects,
             )
-        self.keep()
+        self.save_options()
         n_failed, n_unread = len(batch) - batch.fitted, len(batch.missing)
         messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
         messages += [f"{n_unread} files have no result"] * bool(n_unread)

@@ -432,7 +432,7 @@ def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compens
 
 def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     """Export parameters of an autopilot, from calibrations of single axes or of a triad."""
-    loaded = cmd.load_corrections(ws.of_units(cmd.calibrations, ws.CALIBRATION))
+    loaded = cmd.load_corrections(ws.expand_channels(cmd.calibrations, ws.CALIBRATION))
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         cmd.refuse_unused("axis", "device_id", "local_gravity", subject=" of three axes")
         return cmd.write_corrections([compensator for _, compensator in loaded])

@@ -154,7 +154,7 @@ class ImuCommand(TriadOptions, ws.Command):
                 else:
                     problems += error.problems or [ws.Objection("", str(error))]
         problems.refuse()
-        self.keep()
+        self.save_options()
         return logs
 
 
