@@ -67,33 +67,32 @@ def calibrate(
 ) -> SearchPath:
     """Fit and check a model, find missing effects, add them and fit again, up to the most probable structure.
 
-    Structures differ by their added effects and their noise law. An effect more probable than not is in the last model,
-    and called missing from a probability of 0.95; the calibration to use is averaged over structures. The steps lead
-    from the given model to the last, each by the change with the highest evidence.
+    Structures differ by their added effects and their noise law. An effect is in the last model if its probability is
+    above one half, and called missing if it reaches 0.95; the calibration to use is averaged over structures. The steps
+    lead from the given model to the last one, each by the change of highest evidence.
 
     Args:
         model: the first model. Its effects beyond the instrument's baseline are evaluated anew, like all candidates, so
-            that the result does not depend on them. Always kept are effects that are no candidates of the instrument,
-            that these readings cannot test, or that have a fixed unknown; all named effects of a model that lacks a
-            part of the baseline; and all effects where `max_effects` is 0.
+            that the result does not depend on them. An effect is always kept if it is not a candidate of the
+            instrument, if these readings cannot test it, or if it has a fixed unknown; all named effects are kept if
+            the model lacks a part of the baseline, and all effects if `max_effects` is 0.
         readings: readings to fit.
-        holdout: hold-out data, compared after the last step and never used to choose an effect.
+        holdout: hold-out data, predicted after the last step and never used to choose an effect.
         effects: user-defined effects, additional candidates.
         method: inference method of the last fit; None: `Marginal()`. Earlier steps are fitted by least squares.
         max_effects: largest number of effects to add.
         widen_noise: False keeps the given noise law, whatever the distribution of the residuals.
-        keep_spikes: False sets aside, and flags, single readings far from both neighbours and readings with a wrong
-            value of a thermometer that the model needs. Clipped readings are set aside in any case.
+        keep_spikes: False excludes, with a flag, single readings far from both neighbours, and readings with a wrong
+            value of a thermometer that the model needs. Clipped readings are always excluded.
         seed: seed of all random numbers.
         reference: constants of the basis functions, instead of those computed from the readings.
-        time_limit: seconds for everything; the search has two thirds of the time after the first fit, and the result
-            names what was left out. The first model and the most probable evaluated structure are fitted in any case,
-            which may take longer. Ctrl-C ends the search with the best structure so far; pressed again, no result.
-        accept_conflicts: coefficients or effects that may differ greatly from their priors; others prevent a search.
-        ignore: columns to exclude as causes.
-        covariates: columns that the instrument does not declare and that may be causes; None: all but other channels.
-        follow: called with the search path so far: once a second during the search, at its end, and after each fit that
-            follows.
+        time_limit: limit on the call, s. The search has two thirds of the time after the first fit; the result states
+            what was omitted. The first model and the most probable evaluated structure are always fitted, which may
+            take longer. Ctrl-C ends the search with the best structure so far; pressed again, without a result.
+        accept_conflicts: coefficients or effects that may differ greatly from their priors; others prevent the search.
+        ignore: columns that no candidate effect may depend on.
+        covariates: undeclared columns that candidate effects may depend on; None: all but other outputs.
+        follow: called with the search path so far, once a second, at the end of the search and after each later fit.
 
     Raises:
         ModelError: the readings lack what the model needs.
@@ -167,7 +166,7 @@ class StepwiseSearch:
         return has_baseline and effect.name in catalogue_names and is_free and is_testable
 
     def list_structures(self, step: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
-        """List the structures to search beyond a fitted step."""
+        """Set the structures to search (`library`) and the untestable candidates, from a fitted first step."""
         self.started = time.monotonic()
         self.steps, c = [step], step.calibration
         # Probabilities need a converged fit; a published calibration that fails its check is not extended by effects.
@@ -182,10 +181,10 @@ class StepwiseSearch:
         self.library = Library(structures)
 
     def free_contradicted(self, step: Step) -> tuple[Effect, ...]:
-        """Return the effects of the first model whose stated values the readings contradict, with wide priors.
+        """Return, with wide priors, the effects of the first model whose stated values the readings contradict.
 
-        Nothing is returned if the model also fails for another reason. Either the stated value is wrong, or an effect
-        is missing: the search compares both.
+        Either the stated value is wrong or an effect is missing; the search compares both. No effect is returned if the
+        model also fails for another reason.
         """
         if any(claim.code != judgement.PRIOR_CODE for claim in step.failures):
             return ()
@@ -200,7 +199,7 @@ class StepwiseSearch:
         return tuple(freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in named.items())
 
     def step_method(self, model: Model) -> Method | None:
-        """Return the method of all steps but the last: least squares; `method` for heavy tails without a deadline."""
+        """Return the method of steps before the last: least squares, or `method` for heavy tails without deadline."""
         has_limit = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or has_limit else self.method
 
@@ -245,7 +244,7 @@ class StepwiseSearch:
                 previous = structure
 
     def fit_path(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
-        """Fit every model on the path to the selected structure; only the best one if the search ended early."""
+        """Fit each model on the path to the selected structure, or the best one after an early end; return the path."""
         if self.library is None:
             reason = f"The search was not run. {' '.join(map(str, self.steps[0].failures))}"
             search = Search((), 0, complete=True, stopped=reason)
@@ -269,7 +268,7 @@ class StepwiseSearch:
     def average_path(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Return the search path of given steps, with the last one assessed and averaged over evaluated structures."""
+        """Return the search path of given steps, the last of which is assessed and averaged over the structures."""
         structures, (*earlier, last) = self.structures, steps
         if (discovery := last.discovery) is not None:
             if reason := "" if self.stopped else self.why_incomplete(steps):
@@ -347,7 +346,7 @@ class StepwiseSearch:
         return SearchPath(steps, UNFINISHED, self.holdout, None, search or self.summarise_search())
 
     def why_incomplete(self, steps: Sequence[Step]) -> str:
-        """Return the reason why P(complete) of the last model is not stated; empty if it can be stated."""
+        """Return why the probability that the last model is complete is not stated; empty if it can be stated."""
         added, last = sum(s.added is not None for s in steps), steps[-1]
         candidates = last.discovery.candidates if last.discovery else ()
         tested = any(c.probability is not None for c in candidates)
@@ -408,22 +407,22 @@ def prepare_readings(
     keep_spikes: bool,
     *causes: Any,
 ) -> tuple[Measurements, Measurements | None]:
-    """Return readings and hold-out data on one clock, outliers set aside, with a flag where both have the same run."""
+    """Return readings and hold-out data on a common clock, without outliers, with a flag if they share a run."""
     readings = discover.restrict_causes(readings, model.instrument, *causes)
-    used = set_aside(readings, keep_spikes, model.columns)
+    clean = set_aside(readings, keep_spikes, model.columns)
     if holdout is None:
-        return used, None
+        return clean, None
     model.require(holdout)
-    purpose = "effects that may be found, such as a drift" * readings.has("time")
-    aligned_holdout = holdout.align_clock(readings.since, lambda: purpose)
-    heldout = set_aside(aligned_holdout, keep_spikes, model.columns)
-    flag = flag_fitted_holdout(used, heldout)
-    if not flag and (runs := used.find_continuations(heldout)):
+    time_effects = "effects that may be found, such as a drift" * readings.has("time")
+    aligned_holdout = holdout.align_clock(readings.since, lambda: time_effects)
+    clean_holdout = set_aside(aligned_holdout, keep_spikes, model.columns)
+    flag = flag_fitted_holdout(clean, clean_holdout)
+    if not flag and (runs := clean.find_continuations(clean_holdout)):
         flag = (
-            f"{used.file}: {sum(map(len, runs.values()))} readings of the hold-out data continue its run "
+            f"{clean.file}: {sum(map(len, runs.values()))} readings of the hold-out data continue its run "
             f"{', '.join(runs)}: they are predicted with the record's past (lags, hysteresis, correlated noise)"
         )
-    return (replace(used, flags=(*used.flags, flag)) if flag else used), heldout
+    return (replace(clean, flags=(*clean.flags, flag)) if flag else clean), clean_holdout
 
 
 def _other_path(structures: Structures) -> OtherPath | None:

@@ -114,7 +114,7 @@ def _split_table(rows: Sequence[Sequence[str]]) -> Iterator[ResultTable]:
 
 
 def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
-    """Return an effect's posterior mean and standard deviation; None and 0 where the model lacks it."""
+    """Return the posterior mean and standard deviation of an effect's size; (None, 0) if the model lacks it."""
     model = path.final.calibration.model
     if name not in model.names:
         return None, 0.0
@@ -157,7 +157,7 @@ def calibrate_channels(
 
     Each channel has its own effects, coefficients and noise. A shape parameter that the instrument declares shared (the
     time constant of a lag, the time of a step) is common to the unit: given it, channels are independent, and the
-    evidence of each is a prior of the others. If the unit has such an effect, a fraction of its channels has it.
+    evidence of each is a prior for the others. If the unit has such an effect, an unknown fraction of channels has it.
 
     Args:
         models: first model of each channel, by name.
@@ -165,8 +165,8 @@ def calibrate_channels(
         holdout: hold-out data of each channel.
         follow: called with a channel's name and its search path so far, as `calibrate` calls it.
         effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts, ignore,
-            covariates: as in `calibrate`. A search that ends early returns every channel with its most probable
-            evaluated structure: the first model, where there was no time for others.
+            covariates: as in `calibrate`. If the search ends early, each channel has its most probable evaluated
+            structure, which is the first model if there was no time for others.
 
     Raises:
         InputError: models, readings and holdout have different channels.

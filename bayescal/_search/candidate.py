@@ -1,4 +1,4 @@
-"""Evidence on one effect that is not in a model: by a fit where the effect was added, else by its score."""
+"""Evidence on an effect that is not in a model: from a fit with the effect, or else from its score."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ SPREAD_FACTORS = np.geomspace(1 / 30, 30, 61)  # a group's sd over that of the b
 
 @dataclass(frozen=True)
 class Candidate:
-    """Evidence of the readings on one effect that is not in the model.
+    """Evidence of the readings on an effect that is not in the model.
 
     Attributes:
         effect: canonical name; for a family of forms, the family's name.
-        form: the most probable form, where there are several.
+        form: the most probable form, if there are several.
         probability: probability that the effect is missing from the model; None if it cannot be tested.
         log_bayes_factor: log Bayes factor of the model with the effect against the model without it, natural logarithm.
         source: "refit" where the model was fitted with the effect, else "score".
         z: size over its standard uncertainty (for a group, the z with the tail probability of its chi-square).
-        size, size_sd: posterior mean and standard deviation of the coefficient, in `unit`; for a group effect: of the
-            standard deviation between members; for an unknown dependence: of its amplitude.
+        size, size_sd: posterior mean and standard deviation, in `unit`, of the coefficient; of the between-member
+            standard deviation of a group effect; of the amplitude of an unknown dependence.
         shape: shape parameters, in their units.
         visibility: ratio of the information on the effect with nuisances marginalised to that with them known.
         minimum_detectable: size in `unit` that would be found with 80 % power.
         kind: "finding", "lead", "not visible", "not testable", or None for no evidence.
-        indistinguishable_from: other candidates that these readings cannot tell from it.
+        indistinguishable_from: other candidates that these readings cannot distinguish from it.
         reason: why it is not testable or not visible.
-        role: "named", "unnamed" for an unknown function of a covariate, "freed" for an effect whose stated value is
-            estimated: `frees` is its name.
+        role: "named", "unnamed" for an unknown function of a covariate, or "freed" for an effect of the model (`frees`)
+            with an estimate in place of its stated value.
     """
 
     effect: str
@@ -235,7 +235,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
 
 
 def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float) -> float | None:
-    """Return the amplitude of a group with which 80 % of draws reach a log Bayes factor; None if none does."""
+    """Return the amplitude of a group at which 80 % of draws reach `nats` of evidence; None if there is none."""
     values = np.maximum(np.linalg.eigvalsh(information), 0.0)
     if values.max(initial=0.0) <= 1e-12:
         return None
@@ -251,7 +251,7 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float
 
 
 def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
-    """Return, for each candidate, the others whose fitted contributions are parallel to its own."""
+    """Return for each candidate the other candidates whose fitted contributions are parallel to its own."""
     columns, projections = [], []
     top_points = [scores[0] for scores in points.values()]
     rows = top_points[0].scorer.linear_for([point.point for point in top_points])
@@ -271,7 +271,7 @@ def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
 
 
 def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
-    """Return the candidate with its kind (see `Candidate`); `effect`: the scored effect, None without a score."""
+    """Return the candidate with its kind (see `Candidate`); `effect` is the scored effect, None without a score."""
     if is_found:
         return replace(candidate, kind="finding")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:

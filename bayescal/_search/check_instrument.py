@@ -47,7 +47,7 @@ class Recovery(NamedTuple):
 
 @dataclass(repr=False)
 class InstrumentCheck(Printed):
-    """Result of `check_instrument`."""
+    """True and recovered values of an instrument's unknowns, with errors: the result of `check_instrument`."""
 
     instrument: str
     unit: str  # unit of the output
@@ -98,7 +98,7 @@ def check_instrument(
 
     Args:
         instrument: the instrument.
-        readings: readings whose columns are used, except the output; simulated by the instrument if not given.
+        readings: readings whose columns, except the output, are used; simulated by the instrument if not given.
         seed: seed of the random-number generator.
 
     Raises:
@@ -142,7 +142,7 @@ def _fit_simulated(
     readings: Measurements,
     seed: int,
 ) -> None:
-    """Simulate readings, coefficients alternately at mean ± plausible size, group members at random, and fit them."""
+    """Simulate readings, with coefficients at mean ± plausible size in turn and random group members, and fit them."""
     model.require(readings)
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)

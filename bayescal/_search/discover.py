@@ -76,19 +76,19 @@ class Discovery(Printed):
 
     Attributes:
         nothing_missing: probability that the model is complete: that no testable candidate is missing and no unnamed
-            effect is substantial; None where the search cannot state it.
+            effect is substantial; None if the search cannot state it.
         findings: sets of effects of which at least one is missing, the most probable first.
         candidates: all candidates, the most probable first.
         best: effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise: all noise laws with their probabilities, the most probable first; empty if only one was evaluated.
-        stopped: why the search ended early; empty where it was completed.
-        unstated: why `nothing_missing` is None, in words; empty where it is stated.
-        unnamed: substantial unnamed effects in the model: they describe a missing effect that no candidate names.
-        off_scale: candidates a million times smaller or larger than the noise at their plausible size.
-        rivals: effects to tell apart by another experiment: the members of the first finding; with the leads if it has
-            only one member; without a finding, the leads.
-        latent: effects that these readings cannot distinguish from other effects of the model, and so belong to it.
-        equivalent: sets of effects that these readings cannot tell apart, those of the model first.
+        stopped: why the search ended early; empty if it was completed.
+        unstated: why `nothing_missing` is None; empty if it is stated.
+        unnamed: substantial unnamed effects in the model, which describe a missing effect that is not a candidate.
+        off_scale: claims on candidates a million times smaller or larger than the noise at their plausible size.
+        rivals: effects to distinguish by another experiment: members of the first finding, and leads if it has only
+            one member; without a finding, the leads.
+        latent: effects added to the model because these readings cannot distinguish them from others in it.
+        equivalent: claims on sets of effects that these readings cannot distinguish, those of the model first.
     """
 
     nothing_missing: float | None
@@ -120,7 +120,7 @@ class Discovery(Printed):
             seed: seed of the random-number generator.
 
         Raises:
-            ModelError: it is part of a `SearchPath`, whose `calibration` is the average, or of another process.
+            ModelError: it is part of a `SearchPath` (use its `calibration`), or was made by another process.
         """
         if self._average is None:
             raise ModelError(
@@ -140,7 +140,7 @@ class Discovery(Printed):
 
     @property
     def complete_in_words(self) -> str:
-        """Return in words the probability that the model is complete, and how many effects are unseen."""
+        """Return as text the probability that the model is complete, and the number of effects not tested."""
         text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
             return text
@@ -153,7 +153,7 @@ class Discovery(Printed):
         return sum(probabilities) if probabilities else None
 
     def _parts(self) -> list[str | ResultTable]:
-        """Return the summary of missing effects and the table of candidates, the most probable first."""
+        """Return the summary of missing effects, and the table of candidates in order of probability."""
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += map(folded, _describe_findings(self))
         if self.noise:
@@ -168,14 +168,14 @@ class Discovery(Printed):
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
         lines += [folded(f"partly collinear: {', '.join(g)}") for g in group_confounded(rows)]
         by_reason = group_untested(rows).items()
-        lines += [folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
+        lines += [folded(f"not testable, {r}: {', '.join(names)}") for r, names in by_reason]
         return [line for line in lines if line]
 
     def _brief(self) -> str:
         return "; ".join(_describe_findings(self))
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return a row for each candidate, also for those that are not printed; sizes in `unit`."""
+        """Return columns with a row for each candidate, including those not printed; sizes in `unit`."""
         names = ("effect", "probability", "log_bayes_factor", "size", "size_sd", "unit")
         names = (*names, "minimum_detectable", "kind", "reason")
         return {name: [getattr(c, name) for c in self.candidates] for name in names}
@@ -197,10 +197,10 @@ def discover(
         calibration: a converged fit.
         effects: user-defined effects, additional candidates.
         max_effects: largest number of missing effects.
-        widen_noise: whether other noise laws than the model's are evaluated.
+        widen_noise: whether noise laws other than the model's are evaluated.
         time_limit: limit on the call, s; the search then ends with the best structure so far, as it does at Ctrl-C.
-        ignore: columns to exclude as causes.
-        covariates: undeclared columns that may be causes; None for all but other output channels.
+        ignore: columns that no candidate effect may depend on.
+        covariates: undeclared columns that candidate effects may depend on; None: all but other outputs.
 
     Raises:
         InputError: a column of `ignore` or `covariates` does not exist.
@@ -254,7 +254,7 @@ def enumerate_structures(
 ) -> tuple[Structures, list[Candidate]]:
     """Return the structures to search over a model, and the effects that these readings cannot test, with reasons.
 
-    If `latent`, the structures have latent effects, which these readings cannot tell from the others.
+    If `latent`, the structures include latent effects: those that these readings cannot distinguish from others.
     """
     instrument = model.instrument
     instrument_effects = (*instrument.candidates, *instrument.effects)
@@ -302,7 +302,7 @@ def restrict_causes(
     ignore: Collection[str],
     covariates: Collection[str] | None,
 ) -> Measurements:
-    """Exclude the columns to ignore as causes; if covariates are given, all other undeclared columns, too."""
+    """Return readings without the columns to ignore and, if `covariates` is given, other undeclared columns."""
     if names := sorted({*ignore}.intersection(covariates or ())):
         raise InputError(f"{', '.join(names)}: in both ignore and covariates: remove it from one")
     if covariates is not None:
@@ -315,7 +315,7 @@ def restrict_causes(
 
 
 def list_placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """Return the unknown dependences on each covariate, in all their forms."""
+    """Return the unknown dependences on each covariate, in each of their forms."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
@@ -336,8 +336,8 @@ def summarise_discovery(
 ) -> Discovery:
     """Summarise the effects missing from a structure, by the posterior and by the candidates' scores.
 
-    Scores take time: without them (`scored` False) only evaluated structures count. After a search that `stopped` early
-    nothing further is evaluated, and P(complete) is not stated.
+    Scores take time; without them (`scored` False) only evaluated structures count. After a search that `stopped`
+    early, no further structure is evaluated, and the probability that the model is complete is not stated.
     """
     structures = library.structures
     posterior = Posterior.from_structures(structures, structure.effects)
@@ -453,7 +453,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def is_quiet(c: Mapping[str, Any]) -> bool:
-    """Return whether a candidate is an unknown dependence without evidence, which tables and plots leave out."""
+    """Return whether a candidate is an unknown dependence without evidence, which tables and plots omit."""
     return c["role"] == "unnamed" and c["kind"] in (None, "not visible")
 
 

@@ -1,4 +1,4 @@
-"""Equivalent effects, which the readings cannot distinguish: found by linear algebra before any fit.
+"""Equivalent effects, which the readings cannot distinguish, found by linear algebra before any fit.
 
 Columns at the prior means are whitened by the noise floor and scaled by plausible sizes. Deviations of groups count as
 noise; all other columns of the model are projected out. An effect with hardly any remainder cannot be decided by
@@ -83,7 +83,7 @@ def _residual_sd(structures: Structures) -> float:
 
 
 class _CandidateColumns(NamedTuple):
-    """Whitened columns of an effect at its plausible size, on all readings and, projected, on a subset."""
+    """Whitened columns of an effect at its plausible size: of all readings, and two projections of a subset's."""
 
     columns: Array
     without_groups: Array  # group deviations counted as noise
@@ -150,7 +150,7 @@ def find_equivalents(spans: Spans) -> list[Equivalent]:
 def list_equivalence_claims(structures: Structures, structure: Structure) -> tuple[Claim, ...]:
     """Return claims on sets of equivalent effects; sets with effects of the structure's model come first.
 
-    A claim is against the model where the readings cannot tell which of its terms act in use.
+    A claim is against the model if the readings cannot determine which of its terms act in use.
     """
     latent = structures.latent_effects(structure)
     claims = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
@@ -168,7 +168,7 @@ def list_equivalence_claims(structures: Structures, structure: Structure) -> tup
 
 
 def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
-    """Return the experiment that separates each set of equivalent effects best, and by how many nats; cached."""
+    """Return for each set of equivalent effects the experiment that separates them best, and its nats; cached."""
     if structures.experiments:
         return structures.experiments
     instrument, sets = structures.base.instrument, find_equivalents(structures.spans)

@@ -18,7 +18,7 @@ WORSE = "step.predicts_worse"
 
 
 def assess_last(steps: Sequence[Step]) -> Gate:
-    """Return whether the last model is fit for use, with all reasons if it is not, those of earlier checks first."""
+    """Return the outcome of the last model's acceptance checks, with all reasons if it fails, earlier ones first."""
     last = steps[-1]
     claims = dict.fromkeys([*freed_value_claims(steps), *(last.failures or _claims_of_last(steps))])
     earlier_claims = (as_claim(w) for w in last.calibration.verdict.against if w not in claims)
@@ -48,7 +48,7 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
 
 
 def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
-    """Run the acceptance checks of the last step; return the steps, its verdict completed, and the outcome."""
+    """Run the acceptance checks of the last step; return the steps with its verdict updated, and the outcome."""
     last_step, outcome = steps[-1], assess_last(steps)
     notes = [*list_profile_claims(last_step.calibration)]
     if last_step.calibration.verdict.ok:
@@ -64,14 +64,14 @@ def assess_steps(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
 
 
 def freed_value_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield claims against a model in which a coefficient is freed of its stated value."""
+    """Yield claims against a model that estimates a coefficient although its value was stated."""
     if freed_names := [e.frees for e in steps[-1].calibration.model.effects if e.frees]:
         yield Claim("value.freed", *freed_names)
         yield from (c for c in steps[0].failures if not set(c.subjects).isdisjoint(freed_names))
 
 
 def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
-    """Compare terms of the first model, and for unnamed effects of the last model without any, with the last model."""
+    """Compare the last model's terms with those of the first model and of the last model without unnamed effects."""
     last, terms = steps[-1].calibration, list[TermComparison]()
     names = {e.name for e in last.model.effects if e.unnamed}
     fits = [s.calibration for s in steps[:-1] if names.isdisjoint(s.calibration.model.names)]
@@ -83,7 +83,7 @@ def _compare_terms(steps: Sequence[Step]) -> list[TermComparison]:
 
 
 def thermometer_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where the last model's thermal terms may be errors of the thermometer or the data logger.
+    """Yield a claim if the last model's thermal terms may be errors of the thermometer or the data logger.
 
     A thermometer delay τ makes c·T appear as c·T + c·τ·dT/dt of the recorded T, as does an output time-stamped too
     early by τ; a drifting thermometer resembles a warm-up or another effect in time.
@@ -105,7 +105,7 @@ def equivalent_claims(steps: Sequence[Step], severity: str) -> list[Claim]:
 
 
 def find_two_levels(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where the output steps within the record: coefficients are means over two levels."""
+    """Yield a claim if the output has a step within the record: coefficients are then means over two levels."""
     calibration = steps[-1].calibration
     jumps = (e for e in calibration.model.effects if e.kind == "jump" and e.covariate == "time")
     if (jump := next(jumps, None)) is not None:
@@ -126,7 +126,7 @@ def _choose_remedy(step: Step) -> dict[str, str]:
 
 
 def undecided_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where the model is incomplete and no finding says which effect is missing."""
+    """Yield a claim if the model is probably incomplete, but no finding states which effect is missing."""
     discovery = steps[-1].discovery
     if discovery is None or discovery.nothing_missing is None:
         return
@@ -140,7 +140,7 @@ def undecided_claims(steps: Sequence[Step]) -> Iterator[Claim]:
 
 
 def worsened_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield claims on errors that the last effect increased: as fitted, leave-one-group-out, hold-out."""
+    """Yield claims on rms errors that the last effect increased: as fitted, leave-one-group-out, hold-out."""
     *earlier, last = steps
     unit, left_out = last.calibration.unit, last.leave_one_group_out
     # Under another noise law readings have other weights, and an effect's part may be noise: the error may be larger.
@@ -212,7 +212,7 @@ def find_better_holdout(last: Step, previous: Sequence[Step]) -> Step | None:
 
 
 def contradicted_claims(steps: Sequence[Step]) -> Iterator[Claim]:
-    """Yield a claim where hold-out data contradict the last model."""
+    """Yield a claim if hold-out data contradict the last model."""
     test, error = steps[-1].holdout_test, steps[-1].holdout_rmse
     if test is None or error is None:
         return

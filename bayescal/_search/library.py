@@ -42,7 +42,7 @@ ShapeValues = tuple[dict[str, float], dict[str, float]]
 
 
 class PriorScale(NamedTuple):
-    """One scale of an effect's prior, with its log prior probability."""
+    """A scale of an effect's prior, with the log prior probability of this scale."""
 
     sd: Float[np.ndarray, "k"]  # prior standard deviations of the coefficients
     start: dict[str, float]  # coordinates of φ at this scale, by name
@@ -51,7 +51,7 @@ class PriorScale(NamedTuple):
 
 
 class GridPoint(NamedTuple):
-    """One candidate at one point of its shapes."""
+    """A candidate at one point of the grid of its shapes."""
 
     name: str  # of the candidate
     shapes: dict[str, float]  # values of the shapes, in their units
@@ -94,7 +94,7 @@ class Library:
                 self.n_columns += sum(widths)
 
     def is_grouped(self, name: str) -> bool:
-        """Return whether a candidate's size is that of many coefficients: their standard deviation, or an amplitude."""
+        """Return whether a candidate has many coefficients with a common scale: standard deviation or amplitude."""
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
@@ -112,7 +112,7 @@ class Library:
         return self._means.linear_model(linear)
 
     def iterate_blocks(self, size: int) -> Iterator[list[GridPoint]]:
-        """Yield all grid points in blocks whose columns fit in memory; separately those scored on all readings."""
+        """Yield all grid points in blocks whose columns fit in memory; those that need all readings separately."""
         for needed, names in itertools.groupby(self.points, lambda name: name in self.unaveraged):
             block, rows = list[GridPoint](), self.structures.record.size if needed else size
             for point in itertools.chain.from_iterable(self.points[name] for name in names):
@@ -139,7 +139,7 @@ class Library:
     def _columns_at(
         self, linear: LinearModel, name: str, points: list[GridPoint], corrections: Corrections
     ) -> Float[np.ndarray, "points k n"]:
-        """Return a candidate's columns at some of its points; of a short record those of all points are cached.
+        """Return a candidate's columns at some of its grid points; those of a short record are cached at all points.
 
         The cache holds two sets: without corrections, and with the latest corrections.
         """
@@ -228,7 +228,7 @@ def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
 
 
 def _shape_values(effect: Effect, grid: np.ndarray) -> list[ShapeValues]:
-    """Return an effect's shapes in their units, and coordinates by full name, at grid points (points, shapes)."""
+    """Return for each grid point (points, shapes) an effect's shapes in their units, and coordinates by full name."""
     shapes, count = effect.column_shapes, len(grid)
     names, full = [s.name for s in shapes], [effect.shape_name(s) for s in shapes]
     pairs = zip(shapes, grid.T, strict=True)
@@ -255,7 +255,7 @@ def _shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
 
 
 def sobol_points(count: int) -> Float[np.ndarray, "k count"]:
-    """Return scrambled Sobol points of a dimension with a fixed seed; for two and three dimensions from a file."""
+    """Return scrambled Sobol points in `count` dimensions, with a fixed seed; those of two and three from a file."""
     with np.load(SOBOL) as tables:  # SciPy's take half a second to load
         if str(count) in tables:
             return tables[str(count)]

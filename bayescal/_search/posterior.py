@@ -82,9 +82,9 @@ class Posterior:
         return next(s for s in self.structures if s in self.evaluated)
 
     def completeness(self, unseen: Iterable[str] = ()) -> float:
-        """Return the probability, over noise laws, that no effect is missing except `unseen` and the condition's.
+        """Return the probability that no effect is missing except `unseen` ones and those of the condition.
 
-        A structure is incomplete where an unnamed effect, given, added or of the noise, is not negligible.
+        A structure is incomplete if an unnamed effect is not negligible, be it given, added, or correlated noise.
         """
         space, base_structure = self.space, Structure(self.condition)
         further_effects = {*unseen, *space.latent_effects(base_structure)}

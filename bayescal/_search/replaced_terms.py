@@ -43,10 +43,10 @@ class TermComparison(NamedTuple):
     def is_measured(self) -> bool:
         """Return whether the last model's coefficient still measures the term.
 
-        A named effect is a cause of its own and may rightly correct the coefficient: it replaces the term if it halved
-        the coefficient, or left it hardly any tolerance, and shifted it significantly (chance grows with 1/√tolerance).
-        An unnamed effect is a description, no cause: if collinear with the term it may describe the term itself, and if
-        it shifts the coefficient significantly, the readings cannot tell which of the two values is right.
+        A named effect is a separate cause and may rightly correct the coefficient. It replaces the term if it shifted
+        the coefficient significantly (chance grows with 1/√tolerance), and halved it or left hardly any tolerance. An
+        unnamed effect describes, but explains nothing: if collinear with the term it may describe the term itself, and
+        if it shifts the coefficient significantly, the readings cannot determine which of the two values is right.
         """
         # Estimates with and without further columns of zero effect differ by chance by √(1/tolerance − 1) former
         # standard uncertainties (J. Hausman, Econometrica 46 (1978) 1251): below 1/√tolerance.
@@ -156,7 +156,7 @@ def list_profile_claims(calibration: Calibration) -> list[Claim]:
 
 
 def suggest_run(calibration: Calibration, columns: Sequence[str]) -> str:
-    """Suggest the run that best separates effects of columns: over the temperature range, from its other end."""
+    """Return advice on the run that best separates effects of columns: one that starts at the other temperature."""
     column, *others = columns
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} independently in another run."

@@ -64,7 +64,7 @@ class Step:
 
     @cached_property
     def multimodality(self) -> tuple[Claim, ...]:
-        """Return claims that the posterior is not Gaussian about the mode or has several modes; usually empty."""
+        """Return claims that the posterior has several modes or is not Gaussian about its mode; usually empty."""
         return tuple(multimodality(self.calibration))
 
     @property
@@ -73,7 +73,7 @@ class Step:
         return self.description or "baseline" if self.added is None else f"+ {self.added}"
 
     def row(self, previous: Step | None) -> dict[str, Any]:
-        """Return the step's row of a table: errors, whether the hold-out error rises, evidence, P(complete)."""
+        """Return the step's table row: errors, whether the hold-out error rises, log evidence, P(complete)."""
         evidence, discovery = self.calibration.log_evidence, self.discovery
         return {
             **self.errors(),
@@ -83,7 +83,7 @@ class Step:
         }
 
     def errors(self) -> dict[str, Any]:
-        """Return title and errors as plain data, output unit, for result.json and plots."""
+        """Return title and errors (output unit) as plain data, for result.json and plots."""
         out = self.leave_one_group_out
         return {
             "title": self.title,
@@ -141,7 +141,7 @@ class SearchPath(Printed):
 
     @property
     def progress(self) -> str:
-        """Return the search's progress as text: time, structures, the best; empty before the first."""
+        """Return the progress of the search as text: time, structures, the best one; empty before the first."""
         search, unit = self.search, unit_label(self.final.calibration.unit)
         if search is None or not search.structures:
             return ""
@@ -218,7 +218,7 @@ class SearchPath(Printed):
 
     @property
     def added(self) -> dict[str, float | None]:
-        """Return effects added to the first model, by name with their probability (in any form) or None."""
+        """Return the effects added to the first model: name → probability in any form, or None if unknown."""
         first_model, model = self.steps[0], self.final.calibration.model
         names, discovery = set(first_model.calibration.model.names), first_model.discovery
         names |= {*self.final.discovery.latent} if self.final.discovery else set()

@@ -153,7 +153,7 @@ class Structures:
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
-        """Return prior log odds of each candidate to be missing, in this form."""
+        """Return the prior log odds that each candidate, in its form, is missing."""
         forms = self.forms.values()
         unknown = [f for f in forms if self.candidates[f[0]].is_placeholder]
         named = [f for f in forms if not self.candidates[f[0]].is_placeholder]
@@ -169,19 +169,19 @@ class Structures:
 
     @cached_property
     def forms(self) -> dict[str, tuple[str, ...]]:
-        """Return the candidates of each family, by the name under which it is reported."""
+        """Return the candidates of each family, by the name of the family."""
         forms: dict[str, tuple[str, ...]] = {}
         for name, effect in self.candidates.items():
             forms[effect.family_name] = (*forms.get(effect.family_name, ()), name)
         return forms
 
     def family(self, name: str) -> str:
-        """Return the name under which a candidate, or an effect of the base, is reported."""
+        """Return the family's name, under which a candidate or an effect of the base is reported."""
         effect = self.candidates.get(name)
         return name if effect is None else effect.family_name
 
     def families(self, names: Iterable[str]) -> frozenset[str]:
-        """Return the names under which effects are reported."""
+        """Return the names of the families to which effects belong."""
         return frozenset(map(self.family, names))
 
     def corrects_column(self, name: str) -> bool:
@@ -195,13 +195,13 @@ class Structures:
         return tuple(name for forms in families for name in forms)
 
     def other_forms(self, structure: Structure, name: str) -> list[Structure]:
-        """Return the structures in which another form replaces one effect of a structure."""
+        """Return structures that differ from a given one by another form of one of its effects."""
         reduced = structure.without_effects(name)
         forms = {*self.forms[self.family(name)]} - {name}
         return [reduced.with_effects(n) for n in self.candidates_for(reduced) if n in forms]
 
     def is_special_case(self, structure: Structure) -> bool:
-        """Return whether an effect's general form, its shape free, was evaluated in its place."""
+        """Return whether the structure with a more general form of an effect, with a free shape, was evaluated."""
         for name in structure.effects:
             if general := self.candidates[name].general:
                 fit = self.visited.get(structure.without_effects(name).with_effects(general))
@@ -219,7 +219,7 @@ class Structures:
         return self.spans.implied(structure.effects)
 
     def with_wide_priors(self, model: Model, names: Iterable[str]) -> Model:
-        """Return a model with candidates whose sizes the readings do not determine, under wide priors."""
+        """Return a model with further candidates, under wide priors since readings do not determine their sizes."""
         for name in names:
             effect = self.candidates[name]
             model = model if name in model.names else model + effect
@@ -241,7 +241,7 @@ class Structures:
         return self.noise_laws.get(structure.noise, self.base.noise)
 
     def excluded_candidates(self, structure: Structure) -> set[str]:
-        """Return candidates that may not be added: other forms, a second body, time curves under correlated noise."""
+        """Return candidates that may not be added: other forms, second bodies, time curves with correlated noise."""
         candidates, excluded = self.candidates.items(), set[str]()
         if not self.noise_law(structure).independent:
             excluded = {n for n, e in candidates if e.kind == "curve" and e.covariate == "time"}
@@ -269,7 +269,7 @@ class Structures:
         neighbour: EvaluatedStructure | None = None,
         starts: Sequence[Mapping[str, float]] = (),
     ) -> EvaluatedStructure:
-        """Fit a structure unless it was visited, from the φ̂ of a neighbour and from `starts` (coordinates by name)."""
+        """Return a structure's evidence; fit it, if new, from a neighbour's φ̂ and `starts` (name → coordinate)."""
         if structure not in self.visited:
             # Its own fit of the previous round, with another prior range of a shape, is nearer than any neighbour.
             neighbour = self.previous_round.get(structure, neighbour)
@@ -396,7 +396,7 @@ class Structures:
 
     @property
     def window_nats(self) -> float:
-        """Return the largest deficit of log posterior, nats, with which a neighbour of the best is fitted."""
+        """Return the deficit of log posterior, nats, up to which a neighbour of the best structure is fitted."""
         return OCCAM_WINDOW_NATS / 2 if self.near_best_only else OCCAM_WINDOW_NATS
 
     def is_in_window(self, log_posterior: float, nats: float = OCCAM_WINDOW_NATS) -> bool:
@@ -426,7 +426,7 @@ def map_hessian(problem: Problem, source: Problem, mode: Mode, exact: bool) -> H
 def starting_points(
     problem: Problem, source: Problem, mode: Mode, starts: Sequence[Mapping[str, float]]
 ) -> list[Float[np.ndarray, "d"]]:
-    """Return starting coordinates of φ: the mode of a source problem, changed to given starts, and along shapes."""
+    """Return starting coordinates of φ: a source problem's mode, copies with given starts, and steps along shapes."""
     base, others = dict[str, float](), dict[str, tuple[float, ...]]()
     for h in problem.hypers:
         # Shapes are tried to either side; a new spread or noise parameter below and above its scale.
@@ -446,7 +446,7 @@ def starting_points(
 
 
 def has_prior_scale(effect: Effect) -> bool:
-    """Return whether an effect has a prior scale: coefficients with a stated, informative prior."""
+    """Return whether an effect has a prior scale, that is, coefficients with a stated, informative prior."""
     scaled = (c for c in effect.coefficients if c.group_sd is None and not (c.flat or c.known))
     return not effect.is_placeholder and any(True for _ in scaled)
 

@@ -78,7 +78,7 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
     Args:
         library: the candidates; evaluated structures are cached in `library.structures`.
         max_effects: largest number of effects to add.
-        start: structure to evaluate after the search without it, which then continues from it if it is probable.
+        start: structure to evaluate once the search without it has ended; the search continues from it if probable.
     """
     structures = library.structures
     start_fit = structures.evaluate(Structure())
@@ -300,7 +300,7 @@ def _known_changes(
 
 
 def _repeat_move(structures: Structures, fit: EvaluatedStructure, other: Structure) -> Evaluations:
-    """Repeat the moves from `other`, a structure with other forms of the same effects, that led near the best one."""
+    """Repeat those moves from `other`, the same effects in other forms, that led to nearly the best log posterior."""
     effects, others = fit.structure.effects, other.effects
     for s, known_fit in [*structures.visited.items()]:
         is_near = structures.is_in_window(known_fit.log_posterior, structures.window_nats)
@@ -313,8 +313,8 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
     """Evaluate a structure with other forms of its effects that have no score, one form replaced at a time.
 
     Nothing is evaluated if the structure is too improbable for any form to matter. The `last` pass also evaluates forms
-    with several shapes, which take ten times as long, and forms that lost much log posterior beside other effects: so
-    much that this structure would leave Occam's window.
+    with several shapes, which take ten times as long, and forms that earlier passes omitted because the same change
+    of form had made other structures much less probable.
     """
     structure = fit.structure
     window = structures.window_nats if structures.near_best_only else LAW_WINDOW_NATS
