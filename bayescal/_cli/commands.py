@@ -326,9 +326,9 @@ class DiscoverCommand(DefinitionOptions, AsJson, Command):
             text += f"\n\nnext experiment: omitted ({limit.why})"
         elif self.next_experiment:
             rivals = discovery.rivals
-            ranked = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: none (no second candidate is probable)'}"
-            data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+            ranking = bc.next_experiment(calibration, rivals) if len(rivals) > 1 else None
+            text += f"\n\n{ranking or 'next experiment: none (no second candidate is probable)'}"
+            data["next_experiment"] = None if ranking is None else experiment_data(ranking)
         return Answer(text, data)
 
 
@@ -557,9 +557,11 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
     def load_corrections(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
         """Load corrections with their paths; raise InputError if those of one output and of three axes are mixed."""
         corrections = [(p, request.load_correction(p, self)) for p in paths or self.calibrations]
-        paths = [path for path, c in corrections if isinstance(c, bc.Compensator)]  # of one output
-        if 0 < len(paths) < len(corrections):
-            raise InputError(f"{paths[0]} has one output, not three axes: export it separately")
+        one_output = [path for path, c in corrections if isinstance(c, bc.Compensator)]
+        if 0 < len(one_output) < len(corrections):
+            raise InputError(
+                f"{one_output[0]} has one output, not three axes: export it separately"
+            )
         return corrections
 
     def write_corrections(self, corrections: Sequence[Any]) -> Answer:

@@ -64,7 +64,7 @@ def build_application(name: str | None = None) -> typer.Typer:
 
 
 def main() -> NoReturn:
-    """Run the command line and exit without Python's clean-up at exit.
+    """Run the command line and exit without Python's clean-up.
 
     Files are closed and workers have ended; the clean-up of Python and JAX would take 0.9 s and only free memory.
     """

@@ -221,7 +221,7 @@ def load_saved(path: Path, user: DefinitionOptions) -> bc.Calibration:
         raise InputError(
             f"{path} contains several channels: give the folder of one, such as {expand_channels([path])[0]}"
         )
-    path = inside if (inside := path / CALIBRATION).is_file() else path
+    path = inner_path if (inner_path := path / CALIBRATION).is_file() else path
     files, structure = [path.name], getattr(user, "one_structure", "best")
     if (path.name, structure) == (CALIBRATION, "average") and AVERAGED in files_of(path.parent):
         files.append(AVERAGED)
@@ -251,8 +251,8 @@ def expand_channels(paths: list[Path], file: str = "") -> list[Path]:
     """Return paths, where each folder of several channels is replaced by its subfolders, or by `file` in each."""
     folders: list[Path] = []
     for path in paths:
-        unit = (path / CHANNELS).is_file()
-        folders += [path / name / file for name in channel_folders(path)] if unit else [path]
+        is_unit = (path / CHANNELS).is_file()
+        folders += [path / name / file for name in channel_folders(path)] if is_unit else [path]
     return folders
 
 

@@ -42,8 +42,8 @@ def channel_folders(folder: Path) -> list[str]:
     file = folder / CHANNELS
     try:
         names = [c["folder"] for c in read_json(file)["channels"].values()]
-        if invalid := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
-            raise ValueError(f"{invalid[0]!r} is not the name of a folder in it")
+        if invalid_names := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
+            raise ValueError(f"{invalid_names[0]!r} is not the name of a folder in it")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{file} cannot be read ({error}): calibrate again") from None
     return names
@@ -149,12 +149,12 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
                 f"{path} cannot be written: {obstacle} of that name exists. Move it, or choose another --out"
             )
     manifests = {p: _write_manifest(hidden / p, visible / p, keep_results) for p in subfolders}
-    for subfolder, (new_names, obsolete) in manifests.items():
+    for subfolder, (new_names, obsolete_names) in manifests.items():
         source, target = hidden / subfolder, visible / subfolder
         target.mkdir(exist_ok=True)
         for name in new_names:
             os.replace(source / name, target / name)
-        for name in obsolete:
+        for name in obsolete_names:
             (target / name).unlink()
         if not any(target.iterdir()):
             target.rmdir()

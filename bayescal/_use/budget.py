@@ -292,10 +292,10 @@ def _split_by_source(
 ) -> tuple[SourceShare, ...]:
     """Return the variance due to each source: noise, priors, deviations of new group members, and a remainder."""
     calibration, equation = correction.calibration, correction.equation
-    unlikely = {e.name for e in calibration.model.effects} - calibration.likeliest_effects
+    unlikely_effects = {e.name for e in calibration.model.effects} - calibration.likeliest_effects
     variances, total = dict[tuple[str, str], float](), variance
-    if unlikely:
-        calibration = calibration.without(unlikely)
+    if unlikely_effects:
+        calibration = calibration.without(unlikely_effects)
         correction = compensator(calibration, members=dict(equation.members))
         equation, (*_, gradient) = correction.equation, _linearise(correction, point)
         total = float(gradient @ correction._moments.covariance @ gradient)
@@ -335,7 +335,7 @@ def _split_by_source(
     rows = sorted(variances.items(), key=lambda p: -p[1])
     remainder = total - sum(variances.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
-    rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely)
+    rows += [((STRUCTURES, ""), variance - total)] * bool(unlikely_effects)
     sources = ((label, value, float(np.sign(value) * abs(value) ** 0.5)) for label, value in rows)
     return tuple(SourceShare(*label, u, v / (variance or np.inf)) for label, v, u in sources)
 

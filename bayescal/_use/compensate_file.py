@@ -207,12 +207,12 @@ def _append_fields(line: bytes, fields: list[str], text: CsvText) -> str:
 
 
 def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
-    with pq.ParquetFile(path) as opened:
-        schema, row_count = opened.schema_arrow, 0
+    with pq.ParquetFile(path) as file:
+        schema, row_count = file.schema_arrow, 0
         for name in added.headers if " [" in header else added.names:  # with the unit
             schema = schema.append(pa.field(name, pa.float64(), metadata={"units": added.unit}))
         with pq.ParquetWriter(partial, schema) as writer:
-            for batch in opened.iter_batches(batch_size=ROWS_PER_BATCH):
+            for batch in file.iter_batches(batch_size=ROWS_PER_BATCH):
                 batch_values = added.values[:, row_count : row_count + batch.num_rows]
                 columns = [*batch.columns, *map(pa.array, batch_values)]
                 writer.write_table(pa.Table.from_arrays(columns, schema=schema))
