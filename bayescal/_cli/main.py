@@ -119,9 +119,8 @@ def _format_user_error(error: BaseException) -> str:
     if usage is None:
         raise error
     context = getattr(error, "ctx", None)
-    usage_text = (usage() or "Give a command, such as: bayescal demo").rstrip(".")
-    usage_text = usage_text.replace("Value error, ", "")
-    return f"{usage_text}. See: {context.command_path if context else 'bayescal'} --help"
+    text = (usage() or "Give a command, such as: bayescal demo").replace("Value error, ", "")
+    return f"{text.rstrip('.')}. See: {context.command_path if context else 'bayescal'} --help"
 
 
 def _report_failure(message: str, status: int, listed: bool = False) -> int:
