@@ -31,7 +31,7 @@ from bayescal._core.settings import Settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._report import plots, report_text
-from bayescal._report.result_json import Chapter, Foreword, Foreworded, chapters
+from bayescal._report.result_json import Chapter, Foreword, ForewordSource, chapters
 from bayescal._search.discover import candidates_table, group_confounded, group_untested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
@@ -138,8 +138,8 @@ def report(
     *,
     title: str = "",
     effects: Iterable[Effect] = (),
-    certificate: str | Path | Foreworded | None = None,
-    decisions: Foreworded | None = None,
+    certificate: str | Path | ForewordSource | None = None,
+    decisions: ForewordSource | None = None,
 ) -> Path:
     """Write the report for sign-off.
 
@@ -189,7 +189,7 @@ def render_page(
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
         "lines": lambda text: Markup("<br>").join(text.split("\n")),
-        "measured": report_text.with_unit,
+        "measured": report_text.format_with_unit,
     }
     functions = (
         *(list_average_claims, candidates_table, check_table, compute_budget, group_confounded),

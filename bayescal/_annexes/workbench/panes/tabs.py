@@ -56,7 +56,7 @@ class ErrorPane(Pane):
         """Show the tree of states, and a figure of the errors on the path to the current state."""
         states, current = self.session.states, state.number
         steps = [states[n].step.errors() for n in path_to(states, current)]
-        self.picture.object = str(ws.Pictures().error(steps).html)
+        self.picture.object = str(ws.Pictures().draw_errors(steps).html)
         self.rows.head, self.rows.rows = step_rows(states, current)
 
     def busy(self, busy: bool) -> None:
