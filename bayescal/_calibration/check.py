@@ -51,9 +51,9 @@ class Region:
 class Entry:
     """Log Bayes factor and worst region of a dependence on a covariate, or (`by_group`) a run, cell, axis or device."""
 
-    against: str
+    against: str  # name of the covariate or group
     log_bayes_factor: float
-    worst: Region
+    worst: Region  # region with the largest |z|
     by_group: bool = False
 
     def data(self, unit: str) -> dict[str, Any]:
@@ -67,7 +67,7 @@ class Entry:
 class Pair:
     """Log Bayes factor of a residual interaction of two covariates."""
 
-    against: tuple[str, str]
+    against: tuple[str, str]  # names of the covariates
     log_bayes_factor: float
 
 

@@ -20,18 +20,18 @@ class Criterion(NamedTuple):
     """Severity, message template, remedies and thresholds of a claim code, from `claims.toml`."""
 
     severity: str
-    says: str
-    cures: dict[str, str]  # by name; "" where there is one
+    template: str  # of the message
+    remedies: dict[str, str]  # by name; "" if there is only one
     limits: dict[str, float]  # thresholds, by name
 
 
 def _parse_criteria(tables: dict[str, dict[str, Any]]) -> Iterator[tuple[str, Criterion]]:
     for code, table in tables.items():
-        cures = tables[table.get("cures_of", code)].get("cures", {})
-        cures = {"": table["cure"]} if "cure" in table else cures
-        cures = {name: " ".join(cure.split()) for name, cure in cures.items()}
-        says = " ".join(table["says"].split())
-        yield code, Criterion(table["severity"], says, cures, table.get("limits", {}))
+        remedies = tables[table.get("cures_of", code)].get("cures", {})
+        remedies = {"": table["cure"]} if "cure" in table else remedies
+        remedies = {name: " ".join(remedy.split()) for name, remedy in remedies.items()}
+        template = " ".join(table["says"].split())
+        yield code, Criterion(table["severity"], template, remedies, table.get("limits", {}))
 
 
 _CRITERIA_FILE = Path(__file__).with_name("claims.toml")
@@ -67,11 +67,11 @@ class Claim(Flag):
 
     numbers: dict[str, Any]
 
-    def __new__(cls, code: str, *of: str, **numbers: Any) -> Self:
-        criterion = CRITERIA[code]
-        template = f"{criterion.says} {criterion.cures.get(numbers.get('cure', ''), '')}".rstrip()
-        text = _TemplateFormatter().vformat(template, (), {"of": of, **numbers})
-        claim = super().__new__(cls, text, code, *of)
+    def __new__(cls, code: str, *subjects: str, **numbers: Any) -> Self:
+        criterion, cure = CRITERIA[code], numbers.get("cure", "")
+        template = f"{criterion.template} {criterion.remedies.get(cure, '')}".rstrip()
+        text = _TemplateFormatter().vformat(template, (), {"of": subjects, **numbers})
+        claim = super().__new__(cls, text, code, *subjects)
         claim.numbers = numbers
         return claim
 

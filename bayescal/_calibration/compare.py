@@ -56,8 +56,8 @@ class Comparison(Printed):
 
     Attributes:
         rows: scores, one row per model.
-        group: kind of the left-out groups: device, run, cell, block or reading.
-        groups: number of groups.
+        group, groups: kind of the left-out groups (device, run, cell, block or reading), and their number.
+        unit: output unit.
         chosen_by: ranking criterion: "leave-one-group-out", "log evidence" or "pointwise leave-one-out".
         warnings: undecided rankings, disagreement of criteria, unreliable PSIS-LOO.
     """
@@ -87,7 +87,7 @@ class Comparison(Printed):
             TableColumn("log evidence", "log_evidence", format_score),
             TableColumn("stacking weight", "weight", "{:.2f}".format),
         )
-        count = f" ({self.groups} of them)" if self.chosen_by == GROUP_SCORE else ""
+        count = f" ({self.groups} groups)" if self.chosen_by == GROUP_SCORE else ""
         table = ResultTable(columns, [vars(r) for r in self.rows])
         heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {NOTE}"
         return [table, *(folded(line, "") for line in (heading, *self.warnings))]

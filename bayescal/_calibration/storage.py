@@ -39,7 +39,7 @@ from bayescal._model.prior import KINDS
 from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
-REPAIR_ADVICE = "Give what fit or calibrate saved (--out), or a backup of it"
+REPAIR_ADVICE = "Give the file that fit or calibrate saved (--out), or a backup of it"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
@@ -60,7 +60,7 @@ def save(calibration: Fitted, path: Path) -> Path:
     """Write a calibration to NetCDF; raise InputError if that fails, or the disk is full."""
     path = Path(path)
     if path.suffix != ".nc":
-        raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
+        raise InputError(f"A calibration is saved as NetCDF: name the file *.nc, not {path.name!r}")
     descriptions = {c.name: c.meaning or c.name for c in calibration.model.instrument.columns}
     readings = {
         atomic_file.encode_name(n): v._replace(
@@ -262,7 +262,7 @@ def _restore_instrument(path: Path, metadata, readings: Measurements, instrument
     if name not in (known_names := list(dict.fromkeys([*installed_names(), *by_name]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(known_names)}). Install the package that offers it"
+            f"{', '.join(known_names)}). Install the package that provides it"
         )
     instrument = by_name[name] if name in by_name else installed_instrument(name)
     if not (settings := metadata["settings"]):

@@ -53,7 +53,7 @@ def unknowns_parts(
     ]:
         lines.append("coefficients refer to " + ", ".join(constants))
     if model.noise.law == "white" and "noise.white" in rows:
-        addition = ", beyond its stated one" * calibration.readings.has("output_uncertainty")
+        addition = ", besides the stated one" * calibration.readings.has("output_uncertainty")
         lines.append(f"noise.white: standard deviation of one reading{addition}")
     lag_effects = (e for e in model.effects if any(s.unit == "s" for s in e.column_shapes))
     columns = sorted({column for e in lag_effects for column in e.columns})

@@ -34,13 +34,13 @@ MIN_INCREASE_NATS = 1e-8  # tolerance: increase of the log density per round
 class Mode(NamedTuple):
     """Mode φ̂ of the marginal density, x̂ given φ̂, and the Laplace approximation in φ's coordinates."""
 
-    x: Any  # (p,)
-    v: Any  # (d,)
-    covariance: Any  # (d, d)
+    x: Any  # coefficients x̂ (p,)
+    v: Any  # coordinates of φ̂ (d,)
+    covariance: Any  # of the coordinates of φ (d, d)
     log_density: Any  # log p(y, φ̂), x integrated out
     log_evidence: Any  # by the Laplace approximation
     change: Any  # of φ in the last round, standard deviations
-    flat: Any  # (p,)
+    flat: Any  # scales of coefficients with flat priors (p,)
     indefinite: Any  # whether the Hessian had to be modified to be positive definite
 
 

@@ -20,7 +20,7 @@ CHAINS = 4  # number of chains into which independent draws are split, for tools
 
 @dataclass(frozen=True)
 class Verdict:
-    """Reliability of a fit, with the reasons against it.
+    """Verdict on a fit: convergence, diagnostics of the sampler, and failed acceptance checks.
 
     Attributes:
         ok: whether the fit converged.

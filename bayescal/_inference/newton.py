@@ -109,8 +109,8 @@ def fit_gaussian(
 ) -> GaussianFit:
     """Return the Laplace approximation of a density at its mode, with the log evidence (log marginal likelihood).
 
-    is_group_sd: coordinates flat towards zero, along which clipped eigenvalues do not count as indefinite. exact:
-    compute the Hessian; otherwise take the BFGS estimate of the maximisation.
+    is_group_sd: coordinates in which the density is flat towards zero, so that clipped eigenvalues along them do not
+    count as indefinite. exact: compute the Hessian; otherwise take the BFGS estimate of the maximisation.
     Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
     """
     model = density.evaluate(v, exact)

@@ -30,7 +30,7 @@ from bayescal._model.parameters import Layout, bind
 
 
 class NUTS(Method):
-    """NumPyro's NUTS on every unknown, non-centred for groups with an estimated standard deviation.
+    """Method that runs NumPyro's NUTS on all unknowns, non-centred for groups with an estimated standard deviation.
 
     Attributes:
         warmup, draws: iterations of each chain.

@@ -222,7 +222,7 @@ def adapt_proposal(
         prior: defensive proposal; None if the prior is improper.
         proposals: number of draws per round.
         rounds: largest number of rounds; fewer if the effective sample size is large, or k̂ sound after three.
-        limit: log density that reveals a higher mode, at which adaptation stops.
+        limit: log density above which a draw reveals a higher mode, and adaptation stops.
     """
     # Population Monte Carlo: O. Cappé et al., J. Comput. Graph. Stat. 13 (2004) 907.
     # A kernel at the mode, and a defensive one 1.7 times as wide.

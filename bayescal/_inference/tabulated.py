@@ -74,7 +74,7 @@ class EffectBlock(NamedTuple):
 
 
 class TabulatedDensity:
-    """Marginal density of a structure by cached products; a nonlinear output is linearised at x and φ given."""
+    """Marginal density of φ from cached inner products; a nonlinear output is linearised at a given x and φ."""
 
     def __init__(
         self,

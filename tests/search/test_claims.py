@@ -20,8 +20,8 @@ SEVERAL = ("values", "named", "columns", "taus", "times", "places")  # names, or
 def test_a_claim_is_said_with_each_of_its_cures(code: str) -> None:
     criterion = CRITERIA[code]
     assert criterion.severity in ("stop", "doubt", "note")
-    for cure in criterion.cures or [""]:
-        text = f"{criterion.says} {criterion.cures.get(cure, '')}"
+    for cure in criterion.remedies or [""]:
+        text = f"{criterion.template} {criterion.remedies.get(cure, '')}"
         held = {n for _, n, _, _ in string.Formatter().parse(text) if n and not n.startswith("of")}
         numbers = {n: 7 if n in WHOLE else 12.34567 for n in held} | {"unit": "deg/s"}
         numbers |= dict.fromkeys(held.intersection(SEVERAL), ("a", "b"))
