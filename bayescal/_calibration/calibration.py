@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import MAX_CELLS, Fitted, replicate, to_xarray
-from bayescal._calibration.judgement import Subject, conflicts, group_conflicts, too_few_readings
+from bayescal._calibration.judgement import Subject, check_reading_count, conflicts, group_conflicts
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.atomic_file import encode_name
@@ -105,7 +105,7 @@ class Calibration(Printed, Fitted):
     def conflicts(self) -> tuple[Claim, ...]:
         """Return contradictions of readings and priors, implausible group members, and too few readings."""
         subject = Subject(self)
-        return (*conflicts(subject), *group_conflicts(subject), *too_few_readings(subject))
+        return (*conflicts(subject), *group_conflicts(subject), *check_reading_count(subject))
 
     @cached_property
     def tree(self) -> xr.DataTree:

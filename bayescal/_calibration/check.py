@@ -109,7 +109,7 @@ class Check(Printed):
         return self.free_noise is not None and self.rms > 2 * self.noise
 
     def _parts(self) -> list[str | ResultTable]:
-        return check_parts(self)
+        return format_check(self)
 
     def data(self) -> list[dict[str, Any]]:
         """Return one record per covariate, as in result.json."""
@@ -152,7 +152,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     return ResultTable(columns, rows, fold=25)
 
 
-def check_parts(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
+def format_check(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
     """Format residual checks, the worst covariate first; `max_rows` also omits the tests of the noise model."""
     unit, rows = unit_label(check.unit), check.data()[:max_rows]
     noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"

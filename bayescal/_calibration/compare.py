@@ -131,7 +131,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
                 f"{first_name!r} and {name!r} were fitted to different readings ({first_fit.readings.file}, "
                 f"{c.readings.file}): fit both to the same readings"
             )
-    loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
+    loo = {name: compute_loo(c) for name, c in calibrations.items()}
     best_loo = max((densities for densities, _ in loo.values()), key=np.sum)
     weights = stacking_weights(np.stack([densities for densities, _ in loo.values()], axis=1))
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
@@ -173,7 +173,7 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     )
 
 
-def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
+def compute_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
     """Return the PSIS leave-one-out log predictive density of each reading, and the largest Pareto k."""
     import arviz_stats  # loading takes a second
     import xarray as xr

@@ -96,7 +96,7 @@ def find_confounders(
         score, ratio = float(column @ linear.white_conditional), 1 + remainder
         probability = 1.0 if step else float(expit(0.5 * (score**2 / ratio - math.log(ratio))))
         second_moment = probability * (1 / ratio + (score / ratio) ** 2)
-        shifts = math.sqrt(second_moment) * mode_shifts(linear, column[:, None])[:, 0]
+        shifts = math.sqrt(second_moment) * find_shifts(linear, column[:, None])[:, 0]
         if np.any(is_widened := is_widened_by(linear, shifts)):
             shares = {n: shifts[part].tolist() for n, part in slices.items() if shifts[part].any()}
             widened_names = [n for n, part in slices.items() if is_widened[part].any()]
@@ -115,7 +115,7 @@ def is_single_coefficient(layout: Layout) -> Bool[np.ndarray, "p"]:
     return np.repeat(np.array(is_single, dtype=bool), [b.size for b in layout.x_blocks])
 
 
-def mode_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
+def find_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
     """Return the shift of the posterior mean of x (p, k) that adding each column with coefficient one would cause."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)

@@ -264,7 +264,7 @@ def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     return r, float(2 * stdtr(dof, -abs(r) * statistic))
 
 
-def too_few_readings(subject: Subject) -> Iterator[Claim]:
+def check_reading_count(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if readings are too few to separate an unstated noise from the unknowns."""
     fit, inclusion = subject.fit, subject.fit.inclusion
     # The number of unknowns; in an average over structures, its expectation.
@@ -276,7 +276,7 @@ def too_few_readings(subject: Subject) -> Iterator[Claim]:
         yield Claim("readings.too_few", count=len(fit.readings), free=unknown_count)
 
 
-def implausible_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
+def check_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
     """Return a claim if an effect's prior standard deviation is implausibly small or large in these readings.
 
     `contribution` is prior standard deviation times basis, the maximum over the readings, in the unit of the noise.
@@ -408,7 +408,7 @@ def find_dependence(subject: Subject) -> list[Claim]:
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
     factor, covariates = max(rows, default=(0.0, ()))
-    claims = [*too_few_readings(subject)]
+    claims = [*check_reading_count(subject)]
     if not claims and factor > limit("residuals.depend", "nats"):
         claims = [Claim("residuals.depend", *covariates, factor=factor, **subject.remedy)]
     return claims

@@ -60,13 +60,13 @@ def unknowns_parts(
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
         option = f"(--reference {hold_flag_name(stepped[0])}=0 interpolates linearly instead)"
         lines.append(f"constant between readings (set in steps): {', '.join(stepped)} {option}")
-    texts = {s["name"]: given_text(s) for s in summary(calibration)[0] if s["name"] in rows}
+    texts = {s["name"]: format_given(s) for s in summary(calibration)[0] if s["name"] in rows}
     if text := ", ".join(f"{name} {value}" for name, value in texts.items() if value):
         lines.append(f"if the effect is present: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 
-def given_text(row: dict[str, Any], times: float = 1.0) -> str:
+def format_given(row: dict[str, Any], times: float = 1.0) -> str:
     """Format mean and `times` standard deviations conditional on inclusion of the effect; "" if unchanged."""
     mean, sd = row["given"]["mean"], row["given"]["sd"]
     if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
@@ -90,7 +90,7 @@ def unknown_rows(
         if key in rows or (effects is not None and effect not in (*effects, "noise")):
             continue
         if effect in curve_effects:
-            rms, extreme, place = curve_range(calibration, effect)
+            rms, extreme, place = summarise_curve(calibration, effect)
             extent = f"{number(rms, 2)} rms, {number(extreme, 2)} at {place}"
             rows[effect] = [effect, extent, unit_label(calibration.unit), "–", "–"]
         elif key is not None:
@@ -106,7 +106,7 @@ def unknown_rows(
     return rows
 
 
-def curve_range(calibration: Fitted, name: str) -> tuple[float, float, str]:
+def summarise_curve(calibration: Fitted, name: str) -> tuple[float, float, str]:
     """Return a curve's rms and largest deviation from its mean, output unit, and where: "humidity 0.55"."""
     values, readings = np.asarray(calibration.linear.contribution(name)), calibration.readings
     values = values - values.mean()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import check_parts
+from bayescal._calibration.check import format_check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
@@ -106,7 +106,7 @@ def convert_fit(calibration: Calibration) -> dict[str, Any]:
 
 def format_first_model(path: SearchPath, verbose: bool = False) -> str:
     """Format the output of `calibrate` after the fit of the first model."""
-    parts = check_parts(path.steps[0].check, None if verbose else MAX_CHECKS)
+    parts = format_check(path.steps[0].check, None if verbose else MAX_CHECKS)
     return _section("RESIDUALS OF THE FIRST MODEL", *parts)
 
 

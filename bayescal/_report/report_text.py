@@ -11,7 +11,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import find_coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import curve_range, given_text, summary, unknown_rows
+from bayescal._calibration.summary import format_given, summarise_curve, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -101,7 +101,7 @@ def tabulate_coefficients(chapter: Chapter) -> ResultTable:
             value = f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **empty})
             continue
-        mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], given_text(r, K)
+        mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], format_given(r, K)
         is_held = not sd > 1e-9 * abs(mean)
         note = chapter.used.model.form_note(r["effect"]) + " (held)" * is_held
         note += " (mostly its prior)" * (name in not_measured)
@@ -297,7 +297,7 @@ def _describe_effect(c: Calibration, effect: Effect, name: str) -> str:
 
 def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     if effect.is_placeholder:
-        _, largest, location = curve_range(c, effect.name)
+        _, largest, location = summarise_curve(c, effect.name)
         size = format_with_unit(abs(largest), c.unit, 2)
         return f"{effect.name}, up to {size}, most at {location}"
     texts = list[str]()

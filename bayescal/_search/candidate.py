@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.judgement import implausible_scale
+from bayescal._calibration.judgement import check_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -129,7 +129,7 @@ def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) ->
         effect = structures.candidates[top.name]
         maximum = float(np.max(np.abs(top.scorer.columns(top.scorer.linear, [top.point])[:, 0])))
         contribution = maximum * effect.coefficients[0].size
-        claims += implausible_scale(effect, contribution, noise, structures.base.instrument.unit)
+        claims += check_scale(effect, contribution, noise, structures.base.instrument.unit)
     return tuple(claims)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayescal._calibration.fit import fit
-from bayescal._calibration.judgement import implausible_scale
+from bayescal._calibration.judgement import check_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error
@@ -176,7 +176,7 @@ def _fit_simulated(
         if (b := u.block) is not None:
             c, adds = b.coefficient, float(slopes[:, b.x_slice].max(initial=0.0))
             adds *= c.size
-            check.errors += implausible_scale(b.effect, adds, check.noise, check.unit)
+            check.errors += check_scale(b.effect, adds, check.noise, check.unit)
             if adds == 0.0:
                 remark = "changes no reading"
                 check.errors.append(
