@@ -24,7 +24,7 @@ standard deviations are meaningless, and the fit states that it did not converge
 
 def main() -> None:
     """Measure all sets and write the results."""
-    kinds = {kind: nist_strd.certificates(kind) for kind in ("nonlinear", "linear")}
+    kinds = {kind: nist_strd.load_certificates(kind) for kind in ("nonlinear", "linear")}
     found = {kind: [row for name in names for row in digits(name)] for kind, names in kinds.items()}
     write("certified", {**found, "posteriordb": [posterior_row(n) for n in posteriordb.PROBLEMS]})
 
@@ -33,7 +33,7 @@ def digits(name: str) -> list[dict[str, Any]]:
     """Return the digits reached for one of NIST's sets, from each start."""
     rows = []
     for start, one in enumerate(nist_strd.fit_data_set(name), 1):
-        met = [round(nist_strd.digits(error), 2) for error in one.errors[:2]]
+        met = [round(nist_strd.count_digits(error), 2) for error in one.errors[:2]]
         rows.append({"set": name, "start": start, "parameters": met[0], "sd": met[1]})
     return rows
 

@@ -30,20 +30,20 @@ def test_documents_hold_each_clause_and_its_outcome(tmp_path) -> None:
 
 
 def test_value_that_is_not_met_fails_with_status_1(tmp_path, monkeypatch) -> None:
-    wrong = deepcopy(validation_record.content())
+    wrong = deepcopy(validation_record.load_clauses())
     (clause,) = (c for c in wrong["clauses"] if (c["standard"], c["clause"]) == JCGM_106)
     clause["rows"][0][2] += 0.01
-    monkeypatch.setattr(validation_record, "content", lambda: wrong)
+    monkeypatch.setattr(validation_record, "load_clauses", lambda: wrong)
     done = run(*CONFORMITY, "--out", tmp_path / "validation.html")
     assert done.status == 1 and "1 of 7 values" in done.err
     assert (tmp_path / "validation.html").read_text("utf-8").count("FAILED") == 1
 
 
 def test_refused_example_fails_its_values(monkeypatch) -> None:
-    wrong = deepcopy(validation_record.content())
+    wrong = deepcopy(validation_record.load_clauses())
     for clause in wrong["clauses"]:
         clause["given"]["limit"] = "no limit"
-    monkeypatch.setattr(validation_record, "content", lambda: wrong)
+    monkeypatch.setattr(validation_record, "load_clauses", lambda: wrong)
     done = run(*CONFORMITY)
     assert done.status == 1 and "7 of 7 values" in done.err
 

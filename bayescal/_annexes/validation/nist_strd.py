@@ -37,7 +37,7 @@ ABOUT = " ".join(str(__doc__).split("\n\n")[1].split())
 
 
 @cache
-def certificates(kind: str) -> dict[str, Any]:
+def load_certificates(kind: str) -> dict[str, Any]:
     """Return the certified values of the "linear" or the "nonlinear" sets, by name."""
     return json.loads((FOLDER / kind / f"certified_{kind}.json").read_text("utf-8"))
 
@@ -55,7 +55,7 @@ class Estimate(NamedTuple):
     @property
     def errors(self) -> tuple[float, ...]:
         """Return the largest relative errors of parameters, standard deviations and residual standard deviation."""
-        return tuple(map(relative_error, self[:3], self.certified))
+        return tuple(map(find_relative_error, self[:3], self.certified))
 
     @property
     def performance(self) -> float:
@@ -65,13 +65,13 @@ class Estimate(NamedTuple):
 
 def fit_data_set(name: str) -> list[Estimate]:
     """Fit a data set by least squares; a nonlinear set from both of its starting points."""
-    kind = "linear" if name in certificates("linear") else "nonlinear"
+    kind = "linear" if name in load_certificates("linear") else "nonlinear"
     table = np.loadtxt(FOLDER / kind / f"{name}.csv", delimiter=",", skiprows=1)
     return (_fit_linear if kind == "linear" else _fit_nonlinear)(name, table[:, 0], table[:, 1:])
 
 
 def _fit_linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
-    entry = certificates("linear")[name]
+    entry = load_certificates("linear")[name]
     degrees = [int(t[2:]) for t in entry["terms"] if t.startswith("x^")]
     design = x ** np.array(degrees) if degrees else np.insert(x, 0, 1.0, axis=1)
     matrix, regressors = np.eye(design.shape[1]), design
@@ -89,7 +89,7 @@ def _fit_linear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
 
 
 def _fit_nonlinear(name: str, y: np.ndarray, x: np.ndarray) -> list[Estimate]:
-    entry = certificates("nonlinear")[name]
+    entry = load_certificates("nonlinear")[name]
     lines = itertools.takewhile(lambda line: not line.startswith("Starting"), entry["model"][2:])
     text = " ".join(lines)
     response, _, equation = text[text.index("y") :].partition("=")
@@ -118,13 +118,13 @@ def _estimate(c: bc.Calibration, mean: Any, draws: Any, certified: Any, slopes: 
     return Estimate(mean, draws.std(axis=0, ddof=1), noise, c.verdict.ok, certified, kappa)
 
 
-def relative_error(value: Any, certified: Any) -> float:
+def find_relative_error(value: Any, certified: Any) -> float:
     """Return the largest relative error; the absolute error where the certified value is zero."""
     true = np.asarray(certified, float)
     error = float(np.max(np.abs(value - true) / np.where(true == 0, 1.0, np.abs(true))))
     return math.inf if math.isnan(error) else error
 
 
-def digits(error: float) -> float:
+def count_digits(error: float) -> float:
     """Return the log relative error −log10(error), the number of agreeing digits, from 0 to `MAX_DIGITS`."""
     return MAX_DIGITS if error < 10.0**-MAX_DIGITS else max(0.0, -math.log10(error))

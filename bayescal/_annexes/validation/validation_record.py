@@ -61,7 +61,7 @@ class Section(NamedTuple):
 
 
 @cache
-def content() -> dict[str, Any]:
+def load_clauses() -> dict[str, Any]:
     """Load clauses.toml."""
     return tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))
 
@@ -110,7 +110,7 @@ class ValidationRecord:
         """Yield the sections of the document: the installation, each standard, NIST's sets."""
         summary = f"{len(self.rows)} values: {len(self.failed) or 'none'} failed."
         yield Section("Installation", [summary], ["", ""], [*self.installation.items()], [0.2, 0.8])
-        for standard in content()["standards"]:
+        for standard in load_clauses()["standards"]:
             rows = self.rows_of(standard["name"])
             texts = [None, *(row.tested for row in rows)]
             is_same = [row.tested == text for row, text in zip(rows, texts, strict=False)]
@@ -135,15 +135,15 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
     Raises:
         InputError: a standard has no examples here.
     """
-    names = [*(item["name"] for item in content()["standards"]), NIST]
+    names = [*(item["name"] for item in load_clauses()["standards"]), NIST]
     if unknown := [name for name in standards if name not in names]:
         raise bc.InputError(f"--standard {unknown[0]!r} is not one of {', '.join(names)}")
     chosen = tuple(name for name in names if name in (standards or names))
-    clauses = [item for item in content()["clauses"] if item["standard"] in chosen]
+    clauses = [item for item in load_clauses()["clauses"] if item["standard"] in chosen]
     rows = [row for clause in clauses for row in _evaluate_clause(clause)]
     performance = dict[str, tuple[float, float]]()
     kinds = ("linear", "nonlinear") if NIST in chosen else ()
-    for name in (name for kind in kinds for name in nist_strd.certificates(kind)):
+    for name in (name for kind in kinds for name in nist_strd.load_certificates(kind)):
         with ws.stage(f"{NIST}, {name}"):
             estimates = nist_strd.fit_data_set(name)
         performance[name] = estimates[0].condition_number, max(e.performance for e in estimates)
@@ -152,7 +152,7 @@ def validate(standards: Sequence[str] = ()) -> ValidationRecord:
         rows.append(Row(*labels, "parameters", 0.0, largest[0], PARAMETER_RTOL))
         if name not in nist_strd.NOISELESS:
             rows.append(Row(*labels, "standard deviations", 0.0, largest[1], SD_RTOL))
-    return ValidationRecord(tuple(rows), performance, chosen, installation())
+    return ValidationRecord(tuple(rows), performance, chosen, describe_installation())
 
 
 def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
@@ -170,7 +170,7 @@ def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
         yield Row(*labels, float(examples.resolve(certified)), value, tolerance)
 
 
-def installation() -> dict[str, str]:
+def describe_installation() -> dict[str, str]:
     """Return date, versions, machine and digests."""
     entries = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
     entries |= ws.versions("jaxlib")
@@ -179,12 +179,12 @@ def installation() -> dict[str, str]:
     )
     specs = (find_spec(name) for name in ("bayescal", "bayescal_models"))
     roots = [Path(str(spec.origin)).parent for spec in specs if spec is not None]
-    entries["SHA-256 of the package's files"] = digest(*roots)
+    entries["SHA-256 of the package's files"] = hash_folders(*roots)
     entries["SHA-256 of the certified data"] = digest(examples.DATA)
     return entries
 
 
-def digest(*folders: Path) -> str:
+def hash_folders(*folders: Path) -> str:
     """Return a SHA-256 over paths and digests of all files of some folders, in the order of their paths."""
     file_digests = hashlib.sha256()
     for folder in folders:
