@@ -62,7 +62,7 @@ def fit(
         time_limit: seconds, after which the partial result is returned: the draws so far, or the Laplace approximation
             at the mode, which is always computed; the verdict says so. Ctrl-C does the same once the mode is found.
         start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
-            `calibration.samples(name)`: a starting point for the mode besides draws of their priors.
+            `calibration.samples(name)`; the search for the mode starts from them and from draws of their priors.
 
     Raises:
         InputError: `reference` has a name that is not a reference constant of these readings.

@@ -72,7 +72,7 @@ class Fitted:
     unfound_spreads: dict[str, float] = field(default_factory=dict)
 
     def with_verdict(self, **changes: Any) -> Self:
-        """Return a copy with another verdict; other cached attributes are kept."""
+        """Return a copy with changes of the verdict; cached attributes that do not depend on it are kept."""
         copy = object.__new__(type(self))
         vars(copy).update(vars(self), verdict=replace(self.verdict, **changes))
         for name in ("tree", "why_not"):
@@ -236,7 +236,7 @@ class Fitted:
 
     @cached_property
     def inclusion_masks(self) -> dict[str, Bool[np.ndarray, "draws"]]:
-        """Mask, for each effect, the draws whose structure includes it (in an average, not all)."""
+        """Return for each effect a mask of draws whose structure includes it, all draws unless models were averaged."""
         x, blocks = self.draws().x, self.layout.x_blocks
         return {e.name: has_effect(x, blocks, e.name) for e in self.model.effects}
 

@@ -1,7 +1,7 @@
 """Prior influence: the shares of a variance due to priors and to readings; prior-dominated quantities.
 
 For a quantity q of jointly normal unknowns c with prior variances D, the priors contribute Σ cov(q, c)²/D to var(q),
-and the noise of the readings the rest: P = P·D⁻¹·P + P·JᵀΣ⁻¹J·P for the posterior covariance P. For a single
+and the noise of the readings the remainder: P = P·D⁻¹·P + P·JᵀΣ⁻¹J·P for the posterior covariance P. For a single
 coefficient the prior's share is one less its contraction.
 """
 

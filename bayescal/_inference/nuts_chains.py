@@ -79,7 +79,7 @@ def run_kernel(kernel: Any, key: Array, arguments: tuple, starts: Any, plan: Pla
     points; None: chosen by the kernel.
 
     Raises:
-        TimeIsUp: the deadline is reached, or would be.
+        TimeIsUp: the deadline is reached, or would be before the last iteration.
     """
 
     def sample(state: Any, _: None) -> tuple[Any, tuple]:

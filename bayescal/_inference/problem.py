@@ -111,7 +111,7 @@ class Problem:
         origin: Float[np.ndarray, "p"],
         normal: Float[np.ndarray, "b p"] | float = 0.0,
     ) -> XDraws:
-        """Map standard normal numbers (0: the mean) to draws of x given each of several φ; with log marginals."""
+        """Map standard normal numbers (0: the mean) to draws of x given each of several φ, and log likelihoods of φ."""
         prior = self.prior(self.hyper(vs.T), flat_scales, (len(vs),))
         normal = np.broadcast_to(normal, (len(vs), self.size))
         return draw_x(gram, self.record.size, prior, origin, normal)
