@@ -179,7 +179,7 @@ def make_common_effects(
         per: group with one coefficient per member; None: one coefficient.
         source: template of the source text, with two {} fields: the fraction of `size`, and the condition for it.
     """
-    source = source or f"ours: {{:g}} of {size:g} {unit}{{}}"
+    source = source or f"assumed: {{:g}} of {size:g} {unit}{{}}"
     half, q, slope = 0.5 * size, 0.25 * size, f"{unit}/degC"
     end = ", from the middle to an end of the temperatures"
     pace_text = " at the mean rate of the temperature"

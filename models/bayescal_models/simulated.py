@@ -132,7 +132,7 @@ def ramp_limited_set_point(
 
 
 SLIP_THRESHOLDS_DEGC = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of stick-slip joints; assumed
-# Supply voltage: mean, standard deviation, and interval of independent values; ours.
+# Supply voltage: mean, standard deviation, and interval of independent values; assumed.
 SUPPLY_V, SUPPLY_SD_V, SUPPLY_INTERVAL_S = 5.0, 0.1, 1200.0
 
 

@@ -87,7 +87,7 @@ EFFECTS = EffectTable.from_rows(
         ("cube.constant", K3, 1.0, "mg/g^3", NONLINEARITY),
         ("misalignment.frame", triad_rotation(LOWER), 20.0, "mrad", MOUNTING),
         ("bias.thermal_lag", thermal_lag(BIAS), 0.5, "mg/degC", TEMPCO),
-        ("bias.drift", drift(BIAS), 1.0, "mg", "ours"),
+        ("bias.drift", drift(BIAS), 1.0, "mg", "assumed by us"),
         ("bias.run", run_offset(BIAS), 1.0, "mg", SCATTER),
     ),
 )

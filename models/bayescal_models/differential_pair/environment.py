@@ -4,7 +4,7 @@ The environment of device k is λd_k·u(t) + v_k(t). Both u and v are smooth ran
 polynomials over the record, of unit rms, with prior standard deviations that decrease by a constant ratio from order
 to order. For orders of u above the fifth, which are small, λd = 1 in every device. Size and ratio of v are estimated;
 its low orders are confounded with scale and sensitivity, and are bounded by its higher orders. The scale of u is
-fixed by the mean of λd, 1. Without v differencing would be exact for every pair (source 3: v = 0; departures ours).
+fixed by the mean of λd, 1. Without v differencing would be exact for every pair (source 3: v = 0; we add departures).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RATIO_RANGE = (0.25, 0.95)  # 95 % prior range of this ratio for v
 DISTURBANCE = 1000.0  # µg rms, of u
 SENSITIVITY_SD = 0.2  # standard deviation of λd over devices of one type
 SHARE_RANGE = (0.012, 0.21)  # 95 % prior range of the rms of v relative to that of u
-SOURCE = "source 3; sizes ours"
+SOURCE = "source 3; sizes assumed by us"
 
 SENSITIVITY_NAME = "environment.shared[sensitivity]"
 DEPARTURE_SHARE_NAME = "departure.device.share"
@@ -107,5 +107,5 @@ DEPARTURE = bc.Effect(
     weights=_departure_sds,
     columns=("device", "time"),
     equation="v[device](t) = Σ c_n[device]·P_n(t),  c_n ~ N(0, share·falling^n, normalised)",
-    source="ours: 5 % of the shared disturbance; size and spectrum estimated",
+    source="assumed: 5 % of the shared disturbance; size and spectrum estimated",
 )

@@ -169,20 +169,20 @@ def _simulate_outputs(
     return output + tilt * (G + tangential) + drift + device_sizes["bias.device"][:, None]
 
 
-def _transient(rng: np.random.Generator, time: Array) -> Array:
+def _simulate_transient(rng: np.random.Generator, time: Array) -> Array:
     """Simulate an exponential transient from 0 with asymptote 1 and a random time constant."""
     return 1.0 - np.exp(-time / rng.uniform(0.2, 0.7))
 
 
-def _wave(rng: np.random.Generator, time: Array) -> Array:
+def _simulate_wave(rng: np.random.Generator, time: Array) -> Array:
     """Simulate a slow oscillation of unit amplitude, with a random period of 1 to 2.5 times the record."""
     return np.sin(2 * np.pi * (time / rng.uniform(1.0, 2.5) + rng.uniform()))
 
 
 def simulate_shared_disturbance(rng: np.random.Generator, time: Array) -> Array:
     """Simulate the shared disturbance, of unit rms over the record."""
-    transient = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.6) * _transient(rng, time)
-    waves = [rng.uniform(0.2, 0.7) * _wave(rng, time) for _ in range(2)]
+    transient = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.6) * _simulate_transient(rng, time)
+    waves = [rng.uniform(0.2, 0.7) * _simulate_wave(rng, time) for _ in range(2)]
     disturbance = transient + waves[0] + waves[1]
     return disturbance / np.sqrt(np.mean(disturbance**2))
 
@@ -192,11 +192,11 @@ def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Ar
     records = []
     for _ in range(count):
         offset, transient_size, wave_size = rng.standard_normal(3) / np.sqrt(3.0)
-        transient = _transient(rng, time)
+        transient = _simulate_transient(rng, time)
         records.append(
             offset
             + transient_size * transient / np.sqrt(np.mean(transient**2))
-            + wave_size * np.sqrt(2.0) * _wave(rng, time)
+            + wave_size * np.sqrt(2.0) * _simulate_wave(rng, time)
         )
     return np.array(records)
 

@@ -10,7 +10,7 @@ given. (G·θ, at most 2 % of θ, is neglected, so that the output is linear in 
 have the same θ, whose uncertainty limits that of the misalignments. By default all readings about one axis, in both
 directions, are one mounting; a column `mounting` overrides this, as for a table of two or three axes (one mounting).
 
-**Moves.** `bayescal.moves` integrates the outputs during a rotation (a move) between two poses at rest, in which
+**Moves.** The function `moves` integrates the outputs during a rotation (a move) between two poses at rest, in which
 accelerometers measure gravity. A reading is the mean output over a move, or a pose, along a direction a(t),
 
     y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
@@ -161,7 +161,7 @@ EFFECTS = EffectTable.from_rows(
         ("bias.g_sensitivity", G_SENSITIVITY, 0.1, "deg/s/g", G_SOURCE),
         ("bias.thermal_lag", thermal_lag(BIAS), 0.03, "deg/s/degC", TEMPCO),
         ("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg", NONLINEARITY),
-        ("bias.drift", drift(BIAS), 0.05, "deg/s", "ours"),
+        ("bias.drift", drift(BIAS), 0.05, "deg/s", "assumed by us"),
         ("bias.run", run_offset(BIAS), 0.1, "deg/s", "assumed: turn-on repeatability"),
     ),
     others=(("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s", EARTH_SOURCE),),

@@ -2,7 +2,7 @@
 
 It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 
-Zero offset S, arcsec, of reading i on axis k in mounting j at the placement angle ω (source 4; mountings ours):
+Zero offset S, arcsec, of reading i on axis k in mounting j at the placement angle ω (source 4; mountings assumed):
 
     S_i = a_k + b_k·ω_i + d_j + e_i,     d_j ~ N(0, s²),     e_i ~ N(0, σ²)
 """

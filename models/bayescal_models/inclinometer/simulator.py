@@ -202,7 +202,7 @@ def simulated_columns(
         "placement_angle": test.placement_set,
         "time": test.time,
         "temperature": test.thermometer,
-        "output": _output(test, effects) + noise,
+        "output": _compute_output(test, effects) + noise,
     }
     if simulated.needs_supply_column(effects):
         columns["supply_voltage"] = test.supply
@@ -213,7 +213,7 @@ def simulated_columns(
     return columns
 
 
-def _output(test: Conditions, effects: Mapping[str, float]) -> np.ndarray:
+def _compute_output(test: Conditions, effects: Mapping[str, float]) -> np.ndarray:
     """Return the noise-free output of each reading, arcsec."""
     accelerometer = test.accelerometer
     mechanical = accelerometer.mechanical(test.placement) + test.mounting_deviation

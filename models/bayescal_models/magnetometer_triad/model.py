@@ -44,10 +44,10 @@ def _response(slots, r):
     return VECTOR.response(slots, r)
 
 
-IRON = "ours: hard and soft iron of a small vehicle"
+IRON = "assumed: hard and soft iron of a small vehicle"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size assumed by us"
-FIELD_DRIFT = "ours: variable field of a battery or motor"
-PACKAGE = "ours: 5 mrad in 50 °C"
+FIELD_DRIFT = "assumed: variable field of a battery or motor"
+PACKAGE = "assumed: 5 mrad in 50 °C"
 
 EFFECTS = EffectTable.from_rows(
     IRON,

@@ -84,7 +84,7 @@ EFFECTS = EffectTable.from_rows(
         ("bias.warm_up", catalogue.warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),
         ("bias.drift", catalogue.drift, 0.1, "deg/s"),
         ("bias.run", catalogue.deviation, 0.05, "deg/s"),
-        ("scale.constant", SCALE_CONSTANT, 10000.0, "ppm", "ours: 1 % of scale factor"),
+        ("scale.constant", SCALE_CONSTANT, 10000.0, "ppm", "assumed: 1 % of scale factor"),
         ("scale.temperature", SCALE_TEMPCO, 300.0, "ppm/degC"),
         *catalogue.make_common_effects("bias", "deg/s", size=0.6, span=25.0, pace=1.0),
     ),

@@ -228,7 +228,7 @@ def simulate_arrays(
     for name, size in effects.items():
         contributions[name] = test.average(size * LAWS[name](test))
     noise_free = np.sum(list(contributions.values()), axis=0)
-    output = noise_free + _noise(test, generators, noise_law)
+    output = noise_free + _draw_noise(test, generators, noise_law)
 
     error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
     columns: dict[str, NDArray[Any]] = {
@@ -250,7 +250,7 @@ def simulate_arrays(
 simulated_columns = simulated.column_simulator(simulate_arrays)
 
 
-def _noise(
+def _draw_noise(
     test: Conditions, generators: Mapping[str, np.random.Generator], noise_law: str
 ) -> Array:
     """Draw the noise of each averaged reading, °/s, (n,)."""

@@ -18,7 +18,7 @@ COLUMNS = (
     bc.Column("output", "ug", "output, or V with the nominal scale"),
     ASSUMED_GRAVITY,
 )
-VOLTS = 5e-4  # V/µg, nominal scale factor: 5 V at 10 mg, ours
+VOLTS = 5e-4  # V/µg, nominal scale factor: 5 V at 10 mg, assumed
 NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,7 @@ The face of the table is tilted by γ and rotated to θ; the specific force alon
     output = K0 + (1 + κ)·a + e,     e ~ N(0, σ²)
 
 K0, κ, γ1, γ2∥ and γ2⊥ are each a constant and a random deviation per *cell* (one temperature point of one run) of
-estimated standard deviation; K0 and κ also have tempcos, and γ2∥ and γ2⊥ tides. Priors: those of a recalibration, ours.
+estimated standard deviation; K0 and κ also have tempcos, and γ2∥ and γ2⊥ tides. Priors: assumed, for a recalibration.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ TRUTH_A: Mapping[str, float] = MappingProxyType(
         "tilt.setting": 0.4,
     }
 )
-"""True coefficients of the simulated instrument A, ours; between cells they vary as in source 0 (60 to 100 ppm)."""
+"""True coefficients of the simulated instrument A, assumed; between cells they vary as in source 0 (60 to 100 ppm)."""
 
 
 class SetUp(NamedTuple):
@@ -52,7 +52,7 @@ class Campaign:
     """Plan of a test on the tilted table, its environment, and the true coefficients of the instrument.
 
     The defaults are source 0's test of instrument A: 12 positions × 5 temperatures × 3 runs = 180 readings.
-    Values that source 0 does not state are ours.
+    Values that source 0 does not state are assumed.
 
     Attributes:
         tilts: tilts γ of the face, rad; each cell has all positions at each tilt.

@@ -13,7 +13,7 @@ the unit vector "up" and the input axis are
     s = ( cos γ1·cos θ,  cos γ1·sin θ,  sin γ1 )
 
 so that a = g·u·s along the input axis, and ap = g·u·n along the normal, the pendulous axis (source 0, sections 2
-and 3; formulas of the exact form ours).
+and 3; the exact form is derived here).
 
 Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_parallel` = γ2∥ and `base_tilt_perp` =
 γ2⊥, rad; `second_order` = K2, µg/mg²; `third_order` = K3, µg/mg³; `cross_coupling` = Kip, 1/g; `rotation`, added
@@ -187,7 +187,7 @@ def _base(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory:
     return family(slots, basis, equation, *columns, parts=TILT_COMPONENTS, **fields)
 
 
-def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
+def _build_tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
     """Build the tidal effect: cosine and sine of each constituent and tilt component; `size` is that of M2."""
     return bc.Effect(
         name,
@@ -303,7 +303,7 @@ EFFECTS = EffectTable.from_rows(
         ("fixture_tilt.position", POSITION_TEMPCO, 0.3, "urad/degC"),
         ("base_tilt.lab_temperature", BASE_LABORATORY, 5.0, "urad/degC"),  # source 0: below 47
         ("base_tilt.temperature", BASE_TEMPCO, 1.0, "urad/degC"),
-        ("base_tilt.tide", _tide, 50.0, "nrad", TIDE_SOURCE),
+        ("base_tilt.tide", _build_tide, 50.0, "nrad", TIDE_SOURCE),
         ("base_tilt.drift", BASE_DRIFT, 5.0, "urad"),
         ("second_order", K2, 0.05, "ug/mg^2"),
         ("third_order", K3, 0.01, "ug/mg^3"),
@@ -321,10 +321,10 @@ EFFECTS = EffectTable.from_rows(
         ),
     ),
 )
-THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
+THERMOMETER = effects.thermometer(0.002, source="assumed: 2 mK of an averaged temperature")
 
 
-def _quadratic_model() -> bc.Model:
+def _build_quadratic() -> bc.Model:
     return INSTRUMENT.baseline() + "bias.temperature_quadratic" + "scale.temperature_quadratic"
 
 
@@ -352,7 +352,7 @@ INSTRUMENT = bc.Instrument(
     nominal_scale=NOMINAL_SCALE,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
-        ("quadratic", _quadratic_model),
+        ("quadratic", _build_quadratic),
         ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
         ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         (

@@ -16,7 +16,7 @@ COLUMNS = (
     bc.Column("frequency_sum", "Hz", "sum of both beams' frequencies", required=False),
     bc.Column("output", "ug", "output; or the beams' frequency difference in Hz"),
 )
-SCALE_FACTOR = 100.0  # Hz/g, nominal; ours (source 2 names none)
+SCALE_FACTOR = 100.0  # Hz/g, nominal, assumed (source 2 states none)
 PER_G = 1e-6  # g/µg
 NOMINAL_SCALE = bc.NominalScale("Hz", gain=SCALE_FACTOR * PER_G)
 

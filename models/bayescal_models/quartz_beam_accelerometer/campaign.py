@@ -5,7 +5,7 @@
     Campaign(repeats=0, ramp_speeds=(1.0, 3.0))   # ramps only, at two rates
     Campaign(device="beams")                      # a device whose errors are no polynomials
 
-Source: source 2 (soak, four-position tumble, two repeats or more); ranges, times and sizes are ours.
+Source: source 2 (soak, four-position tumble, two repeats or more); ranges, times and sizes are assumed.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Measurement equation, a the known input in local g, Kn the nominal scale factor,
 
     f = Kn·[ b + (1 + κ)·a + K2·a² ]
 
-The output is the difference of the two beams' frequencies in Hz; it becomes µg by Kn = 100 Hz/g (ours; another with
+The output is the difference of the two beams' frequencies in Hz; it becomes µg by Kn = 100 Hz/g (assumed; another with
 a nominal scale of your own). Thermometers: t1 at the drive circuit, t2 in the head; δt = t1 − t2.
 
 Both b and κ are, after source 2, sums of 15 columns (its `b_com = b0 − [ … ]`, here the bracket itself):
@@ -42,7 +42,7 @@ from bayescal_models.quartz_beam_accelerometer.simulator import simulated_column
 from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
 
 FREQUENCY_SUM_HZ = 80_000.0  # Hz at 15 °C, nominal; assumed
-FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: converts the sum to a temperature
+FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal, assumed: converts the sum to a temperature
 PLAY_DEGC = 1.0  # °C, half width of the backlash
 
 
@@ -177,7 +177,7 @@ BACKLASH = _factories(
 
 # Rows for both slots: name, factory, size for the bias in µg, divisor of the unit, source. Sizes for the scale factor,
 # in ppm, are a tenth of these, except the constants.
-SCALE_RATIO, OURS = 0.1, "ours"
+SCALE_RATIO, ASSUMED = 0.1, "assumed by us"
 CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
 # The body of the head is common to both slots, and a form of the bias's lag.
 LAGS = {"bias": _lag_effect(20.0, "ug"), "scale": _lag_effect(20.0 * SCALE_RATIO, "ppm", bodies={})}
@@ -209,12 +209,12 @@ CIRCUIT_PRODUCTS = (  # source 2 does not say which thermometer t is
     ("temperature_x_gradient_circuit", _gradient_product(circuit, "t1"), 0.5, "/degC^2"),
 )
 OTHER_ROWS = (
-    ("thermal_lag", LAGS, 20.0, "/degC", OURS),
-    ("hysteresis", BACKLASH, 20.0, "", OURS),
-    ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", OURS),
-    ("drift", catalogue.drift, 10.0, "", OURS),
-    ("run", catalogue.deviation, 20.0, "", OURS),
-    ("cell", catalogue.deviation, 5.0, "", OURS),
+    ("thermal_lag", LAGS, 20.0, "/degC", ASSUMED),
+    ("hysteresis", BACKLASH, 20.0, "", ASSUMED),
+    ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", ASSUMED),
+    ("drift", catalogue.drift, 10.0, "", ASSUMED),
+    ("run", catalogue.deviation, 20.0, "", ASSUMED),
+    ("cell", catalogue.deviation, 5.0, "", ASSUMED),
 )
 SUM_ROWS = (
     ("frequency_sum", _sum_power(1), 50.0, "/degC"),

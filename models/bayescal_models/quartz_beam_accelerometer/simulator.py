@@ -208,7 +208,7 @@ def simulated_columns(
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     g = test.acceleration
     output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
-    output = output + _noise(test, generators)
+    output = output + _draw_noise(test, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
     columns: dict[str, Any] = {
         "run": np.array([str(k + 1) for k in test.run]),
@@ -260,7 +260,7 @@ def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> di
     return {n: generator.standard_normal(k) for n, k in (("run", runs), ("cell", max(cells, 1)))}
 
 
-def _noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> Array:
+def _draw_noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> Array:
     """Draw the noise of each reading, µg."""
     white_noise = test.plan.noise * generators["noise"].standard_normal(test.run.size)
     if test.plan.noise_law == "white":

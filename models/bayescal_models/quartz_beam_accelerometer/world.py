@@ -77,47 +77,47 @@ class _Schedule:
         self.readings: list[tuple[float, int, float, float]] = []  # end, run, point, acceleration
         run = 0
         for tumble in range(int(plan.repeats)):
-            self._tumble(run, plan.temperatures[:: -1 if tumble % 2 else 1])
+            self._add_tumble(run, plan.temperatures[:: -1 if tumble % 2 else 1])
             run += 1
         for rate in plan.ramp_speeds:
             for attitude in plan.attitudes:
-                self._ramp(run, attitude, rate)
+                self._add_ramp(run, attitude, rate)
                 run += 1
 
     def _wait(self, seconds: float) -> None:
         self.now += seconds
         self.knots.append((self.now, self.set_point))
 
-    def _go(self, target: float, rate: float) -> None:
+    def _ramp_to(self, target: float, rate: float) -> None:
         """Ramp the set point to `target`, °C, at `rate`, °C/min."""
         self.now += 60.0 * abs(target - self.set_point) / rate
         self.set_point = target
         self.knots.append((self.now, self.set_point))
 
-    def _tumble(self, run: int, temperatures: tuple[float, ...]) -> None:
+    def _add_tumble(self, run: int, temperatures: tuple[float, ...]) -> None:
         power_on = self.now
         self._wait(self.plan.average)
         self.readings.append((self.now, run, np.nan, TUMBLE_G[0]))
         for temperature in temperatures:
-            self._go(temperature, self.plan.chamber_speed)
+            self._ramp_to(temperature, self.plan.chamber_speed)
             self._wait(self.plan.soak)
             for acceleration in TUMBLE_G:
                 self._wait(POSITION_INTERVAL_S)
                 self.readings.append((self.now, run, temperature, acceleration))
         self._switch_off(power_on)
 
-    def _ramp(self, run: int, attitude: float, rate: float) -> None:
+    def _add_ramp(self, run: int, attitude: float, rate: float) -> None:
         plan, power_on = self.plan, self.now
         self._wait(plan.hold)
         for target in (min(plan.temperatures), max(plan.temperatures)):
-            self._go(target, rate)
+            self._ramp_to(target, rate)
             self._wait(plan.hold)
-        self._go(ROOM_TEMPERATURE_DEGC, rate)
+        self._ramp_to(ROOM_TEMPERATURE_DEGC, rate)
         for end in np.arange(power_on + plan.interval, self.now + 1e-6, plan.interval):
             self.readings.append((float(end), run, np.nan, attitude))
         self._switch_off(power_on)
 
     def _switch_off(self, power_on: float) -> None:
         self.power.append((power_on, self.now))
-        self._go(ROOM_TEMPERATURE_DEGC, self.plan.chamber_speed)
+        self._ramp_to(ROOM_TEMPERATURE_DEGC, self.plan.chamber_speed)
         self._wait(self.plan.pause)

@@ -47,8 +47,8 @@ def _use_output(true_input, slots, r):
     return slots["bias"] + true_input
 
 
-CONSTANT_SOURCE = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
-SIZE_SOURCE = "ours: {:g} of half the range of the record{}; empirical, as there is no data sheet"
+CONSTANT_SOURCE = "empirical: √(median² + (5 × range)²) of the record; there is no data sheet"
+SIZE_SOURCE = "empirical: {:g} of half the range of the record{}; there is no data sheet"
 
 
 @cache  # equal settings give the same instrument object
@@ -97,7 +97,7 @@ def instrument(
         ),
         simulator=simulated_columns,
         use=bc.Use("input", unit, equation=_use_output),
-        source="ours",
+        source="no published source",
         settings=(("unit", unit), *settings.items()),
     )
     return sensor

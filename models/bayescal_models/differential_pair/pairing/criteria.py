@@ -1,11 +1,11 @@
 """Two criteria for pairs of devices, and source 3's estimator of the environment ratio λbd.
 
 Ratio variance (source 3, step 1): records are fitted by polynomials y = Σ c_i·t^i, i = 0 … 3, with t from 0 to 1 over
-the record; the criterion is the variance over i of the ratios c_i(outer)/c_i(inner). The degree 3 is ours (source 3
-leaves it open).
+the record; the criterion is the variance over i of the ratios c_i(outer)/c_i(inner). Source 3 does not state
+the degree; we use 3.
 
-Residual (ours, physical): rms over the record of [env1 − λbd·env2]/(λ1 + λbd·λ2), the environment that remains in the
-pair's measurement with the calibrated λbd.
+Residual (not in source 3): rms over the record of [env1 − λbd·env2]/(λ1 + λbd·λ2), the environment that remains in
+the pair's measurement with the calibrated λbd.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
         pair_fields[f"probability_{name}"] = _fraction_best(criteria.ratio_variance(draws, outer))
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
     low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
-    near_zero_sum = _near_zero(devices.environment[:, outer:].mean(axis=-1))
+    near_zero_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
     ratio_fields = {
         "median": median,
         "low": low,
@@ -96,10 +96,10 @@ def evaluate_pairs(devices: Devices) -> Scores:
         "document": criteria.document_ratio(env_records, outer),
         "document_reliable": np.broadcast_to(np.logical_not(near_zero_sum), median.shape),
     }
-    return Scores(pair_fields, ratio_fields, residual, near_zero=_near_zero(env[:, outer:]))
+    return Scores(pair_fields, ratio_fields, residual, near_zero=_is_near_zero(env[:, outer:]))
 
 
-def _near_zero(draws: Array) -> Array:
+def _is_near_zero(draws: Array) -> Array:
     """Return whether quantities are near zero relative to their sd, from draws (d, …)."""
     return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
