@@ -7,7 +7,7 @@ the body at time t to the body at the end, and T the duration of the move:
 
     qᵀ(u_B − C₀ᵀ·u_A) = ∫ aᵀ(δM·ω + δb + Γ·f + K2·ω² + ω_E)·dt,     a(t) = −M₀⁻ᵀ·P(t)ᵀ·(q × u_B)
 
-A move thus gives two readings, each a time mean of the outputs along the direction a/T, which rotates with the unit;
+A move thus gives two readings, each a time mean of the outputs along the direction a/T, which is fixed in space;
 each pose gives three more, its outputs at rest. The heading need not be known: a rotation about the vertical leaves the
 up direction unchanged.
 

@@ -11,7 +11,7 @@ have the same θ, whose uncertainty limits that of the misalignments. By default
 directions, are one mounting; a column `mounting` overrides this, as for a table of two or three axes (one mounting).
 
 **Moves.** The function `moves` integrates the outputs during a rotation (a move) between two poses at rest, in which
-accelerometers measure gravity. A reading is the mean output over a move, or a pose, along a direction a(t),
+accelerometers measure gravity. A reading is the mean output over a move, or a pose, along a space-fixed direction a(t),
 
     y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
 
@@ -91,7 +91,7 @@ VECTOR = bc.Vector(
 
 
 def _mean_over_move(slots, r):
-    """Return outputs averaged over rotations between poses, along axes fixed in the unit; linear in all slots."""
+    """Return outputs averaged over rotations between poses, along directions fixed in space; linear in all slots."""
     identity = xp.eye(3).ravel()
     terms = (
         (SENSING_AXIS, BIAS),

@@ -53,7 +53,7 @@ def derived_columns(unit: str, across: str, axis: str, output: str) -> tuple[bc.
 
 
 def move_columns(unit: str) -> tuple[bc.Column, ...]:
-    """Declare basis columns for outputs averaged over a rotation between poses, along an axis fixed in the sensor."""
+    """Declare basis columns for outputs averaged over a rotation between poses, along a direction fixed in space."""
     return (
         *(
             bc.Column(n, unit, f"mean rate about {n[-1]} times component {n[-2]}", required=False)
