@@ -37,7 +37,7 @@ def save_search(self: SearchPath | Channels, folder: Path) -> None:
     """Write result.json, calibration.nc, loop.png, manifest.json to `folder`, or a subfolder per channel.
 
     calibration.nc is the calibration of the last step. If several structures are probable, averaged.nc is the average
-    over them, which predictions, compensation, budgets and exports from the folder then use. channels.json is written
+    over them; predictions, compensation, budgets and exports from the folder then use it. channels.json is written
     beside the subfolders of channels; unmodified results of other channels from an earlier run are removed.
 
     All files are replaced atomically; other files in the folder are kept. Figures are drawn afterwards, unless a time

@@ -129,7 +129,7 @@ class StepwiseSearch:
     stopped: str = ""  # why the search ended early; empty where it was completed
 
     def fit_first_step(self, model: Model, effects: Sequence[Effect], widen_noise: bool) -> None:
-        """Fit the model without the effects to be evaluated anew, as the first step, and list the structures to search.
+        """Fit the first step, the model without effects that are evaluated anew, and set the structures to search.
 
         An effect kept only because the given model had it would hide substitutes that a search from the baseline finds.
         """
@@ -199,7 +199,7 @@ class StepwiseSearch:
         return tuple(freed(e, 10 ** math.ceil(math.log10(distances[n]))) for n, e in named.items())
 
     def step_method(self, model: Model) -> Method | None:
-        """Return the method of steps before the last: least squares, or `method` for heavy tails without deadline."""
+        """Return the method before the last step: least squares, or `method` for heavy tails without a deadline."""
         has_limit = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or has_limit else self.method
 
@@ -327,7 +327,7 @@ class StepwiseSearch:
     def fit_structure(
         self, structure: Structure, previous: Structure | None, is_last: bool = False
     ) -> Step:
-        """Fit and check a structure as the step after a previous one; the last step by the user's method."""
+        """Fit and check a structure as the step that follows `previous`; fit the last step by the user's method."""
         evaluated = self.structures.evaluate(structure)
         model = evaluated.sized_model
         method = self.method if is_last else self.step_method(model)
@@ -360,7 +360,7 @@ class StepwiseSearch:
     def fit_step(
         self, model: Model, method: Method | None, start: Mapping[str, float] = NO_START
     ) -> Step:
-        """Fit a model, from starting values of φ if given, and check it."""
+        """Fit a model, from starting values of φ if given, and check it; return the step."""
         options: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}
         calibration = fit(model, self.readings, method, strict=False, **options)
         with stage("checking"):

@@ -294,7 +294,7 @@ class _Channel:
         return True
 
     def _set_priors(self, priors: Mapping[str, CavityPrior], shapes: Collection[str]) -> Structures:
-        """Return the channel's structures with new prior odds of effects and new ranges of `shapes`, not evaluated."""
+        """Return the channel's structures, none evaluated, with new prior odds of effects and ranges of `shapes`."""
         base = self.search.structures
         candidates = dict(base.candidates)
         for name in shapes:

@@ -168,7 +168,7 @@ def list_equivalence_claims(structures: Structures, structure: Structure) -> tup
 
 
 def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
-    """Return for each set of equivalent effects the experiment that separates them best, and its nats; cached."""
+    """Return for each set of equivalent effects the experiment with most information on it, if any; cached."""
     if structures.experiments:
         return structures.experiments
     instrument, sets = structures.base.instrument, find_equivalents(structures.spans)

@@ -36,9 +36,9 @@ MAX_READINGS = 1500
 
 @dataclass(frozen=True)
 class Experiment:
-    """One feasible campaign."""
+    """A feasible campaign, with the evidence expected from it."""
 
-    name: str  # description
+    name: str  # description of the campaign
     # (true effect, rival effect) → expected log Bayes factor for the true one
     expected: dict[tuple[str, str], float]
     readings: Measurements = field(repr=False)  # planned readings; their outputs are not used

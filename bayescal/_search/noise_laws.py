@@ -74,7 +74,7 @@ NO_FIT = ResidualFit(-math.inf, {})
 def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT) -> ResidualFit:
     """Fit a law to residuals (`Record.residual_record`) by the Laplace approximation, without effects.
 
-    The log evidence is −∞ where all residuals are zero. A `previous` fit to other residuals gives the start.
+    The log evidence is −∞ if all residuals are zero. The fit starts from a `previous` fit to other residuals, if given.
     """
     starts = _list_starts(law, record, previous.start)
     if not starts:

@@ -92,7 +92,7 @@ def run_file(path: Path) -> ModuleType:
 
 
 def own_file_line(error: BaseException) -> tuple[str, int]:
-    """Return the innermost line of an error in a user's file that this process has run: file and line, or ("", 0)."""
+    """Return file and line of the innermost frame of an error's traceback in a user's file that was run; or ("", 0)."""
     lines = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
         lines.append((error.filename or "", error.lineno))

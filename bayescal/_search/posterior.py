@@ -170,7 +170,7 @@ class Posterior:
         return tuple(findings)
 
     def _next_substitute(self, members: list[str]) -> str | None:
-        """Return the most probable effect of structures that have none of the members."""
+        """Return the most probable effect in the structures that have none of the members."""
         # Other effects of the best structure and of the condition are no substitutes.
         best, condition = map(self.space.families, (self.best.effects, self.condition))
         excluded_families, sets = (best - {members[0]}) | condition, self.reported_families
@@ -182,8 +182,8 @@ class Posterior:
     def median_structure(self) -> Structure:
         """Return the median probability model, with effects selected one after another.
 
-        An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. Of each
-        finding without a chosen effect that of the most probable structure is added. The noise law is that of the most
+        An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. If none of a
+        finding is chosen, its effect in the most probable structure is added. The noise law is that of the most
         probable structure with all chosen effects. A chosen effect need not reach the probability to be called missing.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
@@ -209,7 +209,7 @@ class Posterior:
 
 
 def _sum_by_name(sets: Iterable[frozenset[str]], probability: Iterable[float]) -> dict[str, float]:
-    """Return, for each name, the total probability of the sets that it is in."""
+    """Return, for each name, the total probability of the sets that contain it."""
     sums = dict[str, float]()
     for names, p in zip(sets, probability, strict=True):
         for name in names:
@@ -253,14 +253,14 @@ class StructureSummary:
 
 @dataclass(frozen=True)
 class Search:
-    """State of a search, under way or ended."""
+    """State of a search, running or ended."""
 
     structures: tuple[StructureSummary, ...]  # the most probable ones
     weighed: int  # number of evaluated structures
     complete: bool  # whether the search was completed
-    stopped: str = ""  # why it ended early, in words; empty while under way and when completed
-    seconds: float = 0.0  # since it began
-    max_effects: int | None = None  # most effects that it may add
+    stopped: str = ""  # why it ended early; empty while it is running and if it was completed
+    seconds: float = 0.0  # time since it began, s
+    max_effects: int | None = None  # largest number of effects that it may add
 
     @classmethod
     def summarise(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:

@@ -96,7 +96,7 @@ def find_replaced_terms(
 
 
 def _list_own_columns(effect: Effect) -> set[str]:
-    """Return numeric columns that an effect depends on, without the time of lags and rates."""
+    """Return the numeric columns on which an effect depends, without the time for lags and rates."""
     columns = set(effect.varies) | (set(effect.columns) - {"time"})
     along = strip_rate(effect.along or "")
     return columns | ({along} if along not in ("", "elapsed") else set())

@@ -157,7 +157,7 @@ class SearchPath(Printed):
 
     @property
     def ending(self) -> str:
-        """Return the reason why the search ended: time, the bound on effects, or no further effect probable enough."""
+        """Return why the search ended: the time limit, the number of effects, or no further effect probable enough."""
         search, discovery = self.search, self.final.discovery
         if search is None or not (search.complete or search.stopped):
             return ""

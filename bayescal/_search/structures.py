@@ -113,7 +113,7 @@ class EvaluatedStructure:
         return {c: tuple(phi[n] for n in c.spec.names) for c in corrections}
 
     def log_density_along(self, name: str, v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-        """Return the log density of φ with one entry, by name, at coordinates v, and all others at the mode."""
+        """Return the log density of φ for coordinates v of the entry `name`, with all other entries at the mode."""
         points = np.tile(self.mode.v, (len(v), 1))
         points[:, self.problem.layout.index_in_phi[name]] = v
         density = Density(self.problem, self.mode.x, self.mode.flat, self.mode.v)
@@ -278,14 +278,14 @@ class Structures:
 
     @cached_property
     def on_means(self) -> Structures | None:
-        """Return the structures over block means, on which forms are compared; None if the record is short."""
+        """Return the structures on block means of the readings, to compare forms; None if the record is short."""
         if (count := self.record.size // FORM_ROWS) < 2:
             return None
         record = Means.from_record(self.record, count).record
         return replace(self, record=record, visited={}, scores={}, previous_round={})
 
     def change_on_means(self, neighbour: Structure, fit: EvaluatedStructure) -> float:
-        """Return the change of the log posterior from a fit to a neighbour, on block means; ∞ for a short record."""
+        """Return the change of log posterior from a fit to a neighbour, both on block means; ∞ for a short record."""
         if self.on_means is None:
             return math.inf
         law = self.noise_law(neighbour).refines or neighbour.noise  # the plainer law has a spectrum
@@ -504,7 +504,7 @@ class ScaleEvidence(NamedTuple):
 
     @classmethod
     def from_mode(cls, problem: Problem, mode: Mode, initial: Mapping[str, float]) -> Self | None:
-        """Compute the posterior of the scaled coefficients at a mode; return None where there is no density."""
+        """Compute the posterior of the scaled coefficients at a mode; return None if its evidence is not finite."""
         gaussian = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)[1]
         if gaussian is None or not math.isfinite(mode.log_evidence):
             return None
@@ -518,7 +518,7 @@ class ScaleEvidence(NamedTuple):
         return cls(dict(initial), owner[scaled_indices], gaussian.z[scaled_indices], root @ root.T)
 
     def evidence_change(self, factors: Mapping[str, float]) -> float:
-        """Return the change of log evidence from the initial scale factors to given ones, without their priors."""
+        """Return the change of log evidence from the initial scale factors to given ones, priors not included."""
         if not self.initial:
             return 0.0
         ratio = np.array([factors[n] / f for n, f in self.initial.items()])[self.owner]

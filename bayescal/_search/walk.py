@@ -152,7 +152,7 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
 def _next_in_beam(
     structures: Structures, expanded: set[Structure], scope: Scope
 ) -> EvaluatedStructure | None:
-    """Return the most probable structure of the beam, in a scope, that is not expanded yet; None if there is none.
+    """Return the most probable structure in the beam and in a scope that is not yet expanded; None if there is none.
 
     The beam also has the best structure under each noise law, which is several changes away from the best under
     another law.
@@ -247,11 +247,11 @@ def _evaluate_neighbours(
 
 
 def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStructure) -> bool:
-    """Return whether to fit a neighbour of a structure: False where it is known to be improbable without a fit.
+    """Return whether to fit a neighbour of a structure; False if it can be rated improbable without a fit.
 
-    Under a law without a table, a fit passes over the readings a hundred times, while the evidence of an effect depends
-    little on a law's finer form: the change of the log evidence is taken from the law that it refines. For many devices
-    it is taken from another form of the same effects.
+    The change of log evidence by an effect depends little on a noise law's finer form. Under a law without interpolated
+    inner products (`Record.nodes`), whose fits are slow, it is therefore taken from the law that this one refines. If
+    forms are evaluated near the best structure only, it is taken from the same move with other forms of the effects.
     """
     law, current = structures.noise_law(neighbour), fit.structure
     if neighbour in structures.visited:
@@ -274,7 +274,7 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
 
 
 def _past_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
-    """Return the change of log posterior in the same move with other forms of the effects; None if never evaluated."""
+    """Return the change of log posterior by the same move with other forms of the effects; None if not evaluated."""
     added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
     own_families = structures.families(current.effects)
     adds_form = added and structures.families(neighbour.effects) == own_families
@@ -289,7 +289,7 @@ def _past_change(structures: Structures, neighbour: Structure, current: Structur
 def _known_changes(
     structures: Structures, removed: frozenset[str], added: frozenset[str], noise: str | None = None
 ) -> Iterator[tuple[Structure, float]]:
-    """Yield evaluated structures with the change of log posterior by a swap of effects, and of the law if given."""
+    """Yield evaluated structures and the change of log posterior if effects (and the law, if given) are replaced."""
     for s, fit in structures.visited.items():
         if removed <= s.effects and not added & s.effects:
             neighbour = Structure(s.effects - removed | added, s.noise if noise is None else noise)
@@ -351,9 +351,9 @@ def correlated_laws(structures: Structures) -> list[str]:
 
 
 def _evaluate_finer(structures: Structures) -> Generator[EvaluatedStructure, None, bool]:
-    """Evaluate noise laws of more terms with the best effects and with fewer; return whether any was left.
+    """Evaluate noise laws with more terms for the best effects and for fewer; return whether any was evaluated.
 
-    A law of more terms may explain what an effect explains under the law of fewer terms.
+    A law with more terms may explain what an effect explains under the law with fewer terms.
     """
     best = structures.best
     moves = sorted(_propose_finer(structures, best), key=lambda move: -move.log_posterior)

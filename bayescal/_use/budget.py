@@ -173,7 +173,7 @@ class Budget(Printed):
         return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit_label(b.unit)} (k = {self.k:g})"
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return one row per coefficient, in fixed units."""
+        """Return the columns of a table with a row per coefficient, in fixed units."""
         return {
             f.name: [getattr(c, f.name) for c in self.coefficients] for f in fields(Contribution)
         }
@@ -359,7 +359,7 @@ def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
 
 
 def list_budget_claims(correction: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Return claims on the coverage and omissions of a budget: of a correction, or of a slot (not `of_correction`)."""
+    """Return claims on a budget's coverage and omissions; `of_correction` is False for the budget of a slot."""
     notes = list_clock_claims(correction.equation)
     sources = [f"{name} of a new run" for name in correction.equation.unfound_spreads]
     sources += ["the form of the model"] * (correction.calibration.form_factor > 1)

@@ -372,7 +372,7 @@ def _raise_to_power(x: Symbols, y: Symbols) -> Symbols:
 
 
 def _multiply_matrices(x: Symbols, y: Symbols) -> Symbols:
-    """Multiply an array by a matrix or a vector."""
+    """Return the product of an array and a matrix or a vector."""
     if y.ndim > 2:
         raise NotExportable("matrix products with batch dimensions cannot be exported")
     return np.sum(x * y, axis=-1) if y.ndim == 1 else np.sum(x[..., None] * y, axis=-2)
