@@ -182,8 +182,8 @@ class Posterior:
     def median_structure(self) -> Structure:
         """Return the median probability model, with effects selected one after another.
 
-        An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. If none of a
-        finding is chosen, its effect in the most probable structure is added. The noise law is that of the most
+        An effect is chosen if its inclusion probability, given the effects chosen before, is above one half. If none of
+        a finding is chosen, its effect in the most probable structure is added. The noise law is that of the most
         probable structure with all chosen effects. A chosen effect need not reach the probability to be called missing.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """

@@ -250,7 +250,7 @@ def is_rise(error: float | None, previous: float | None) -> bool:
 
 
 def new_run_differs(rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Return whether the printed errors of a new run and as fitted differ at any step."""
+    """Return whether the printed error of a new run differs from the error as fitted at any step."""
     return any(number(r["rmse"]) != number(r["rmse_fitted"]) for r in rows)
 
 

@@ -216,7 +216,7 @@ def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, see
 
 
 def _draws_by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
-    """Return draws by name of the unknown, in their units, also of coefficients stored in units of their group sd."""
+    """Return draws by unknown, in its unit; coefficients stored in units of their group sd are converted."""
     unknowns = Unknowns.of(layout)
     values = unknowns.values(x, v)
     return {key: unknowns.select(values, key) for key in unknowns.by_key}

@@ -40,7 +40,7 @@ TEMPERATURE_STEP = 30.0  # °C, where all readings are at one temperature
 
 @dataclass(frozen=True)
 class AddedPose:
-    """A reading to add: direction of the stimulus, temperature, °C, if recorded, and a known rate, output unit."""
+    """A reading to add: direction of the stimulus, temperature (°C) if recorded, and a known rate (output unit)."""
 
     direction: tuple[float, float, float]
     temperature: float | None = None

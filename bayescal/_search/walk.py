@@ -379,7 +379,7 @@ def _propose_finer(
 ) -> Iterator[Move]:
     """Yield finer forms of a structure's correlated law, scored by the change of log evidence on its residuals.
 
-    Nothing is yielded where uncorrelated noise is as probable; only `allowed` laws are, if given.
+    No law is yielded if uncorrelated noise is at least as probable; if `allowed` is given, only these laws are.
     """
     structure, laws = fit.structure, structures.noise_laws
     current = structures.noise_law(structure)

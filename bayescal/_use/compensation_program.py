@@ -91,7 +91,7 @@ class Input:
 
     @property
     def middle(self) -> float:
-        """Return the default value of a budget: mid-range, the last reading for time, or zero for rates and lags."""
+        """Return the value at the default operating point: mid-range, the last time, or zero for rates and lags."""
         if self.name == "time":
             return self.high
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
