@@ -523,7 +523,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         writers = {n: write for load in load_entries("exports") for n, write in load().items()}
         formats = [*dict.fromkeys((*(n for kind in iter_kinds() for n in kind.writers), *writers))]
         if self.format_ is None and self.out is None:
-            raise InputError(f"no format was given: --format {', '.join(formats)}")
+            raise InputError(f"give --out, or one of the formats: --format {', '.join(formats)}")
         if self.format_ not in (None, *formats):
             raise InputError(f"--format {self.format_!r} is not one of {', '.join(formats)}")
         if self.format_ in writers:

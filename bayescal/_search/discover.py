@@ -124,8 +124,8 @@ class Discovery(Printed):
         """
         if self._average is None:
             raise ModelError(
-                "only a result of bc.discover can be fitted, in the process that made it: for a search use "
-                "path.calibration, for a discovery of another process fit model + discovery.best"
+                "this discovery belongs to a search or to another process, and cannot be fitted: use path.calibration "
+                "of the search, or fit model + discovery.best"
             )
         return self._average(method, seed)
 
@@ -304,7 +304,9 @@ def restrict_causes(
 ) -> Measurements:
     """Return readings without the columns to ignore and, if `covariates` is given, other undeclared columns."""
     if names := sorted({*ignore}.intersection(covariates or ())):
-        raise InputError(f"{', '.join(names)}: in both ignore and covariates: remove it from one")
+        raise InputError(
+            f"{', '.join(names)} in both ignore and covariates: remove from one of them"
+        )
     if covariates is not None:
         for name in covariates:
             readings[name]

@@ -36,7 +36,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     model, effect = calibration.model, calibration.model.effect(name)
     if not effect.is_placeholder:
         raise ModelError(
-            f"{name!r} is a named effect, not an unknown dependence: it has an equation"
+            f"{name!r} has an equation already: give the name of an unknown dependence"
         )
     covariate, frame = effect.covariate, calibration.frame
     low, high = (float(frame.reference[f"{covariate}_{end}"]) for end in ("low", "high"))

@@ -102,7 +102,7 @@ def next_experiment(
     instrument = calibration.model.instrument
     candidates = [instrument.effect(e) if isinstance(e, str) else e for e in effects]
     if len(candidates) < 2:
-        raise ModelError(f"next_experiment needs two effects or more, not {len(candidates)}")
+        raise ModelError(f"next_experiment needs at least two effects, not {len(candidates)}")
     records = experiments
     if records is None:
         listed = instrument.experiments
