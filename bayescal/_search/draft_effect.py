@@ -35,9 +35,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     """
     model, effect = calibration.model, calibration.model.effect(name)
     if not effect.is_placeholder:
-        raise ModelError(
-            f"{name!r} has an equation already: give the name of an unknown dependence"
-        )
+        raise ModelError(f"{name!r} has an equation already: name an unknown dependence")
     covariate, frame = effect.covariate, calibration.frame
     low, high = (float(frame.reference[f"{covariate}_{end}"]) for end in ("low", "high"))
     x = np.asarray(frame.position(covariate)) - 0.5
