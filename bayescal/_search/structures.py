@@ -369,10 +369,10 @@ class Structures:
             shift[is_other] = solution * linear.sd[is_other]
             residual = contribution - columns @ solution
             ratio = math.sqrt(float(residual @ residual) / linear.size)
-            single = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
-            ungrouped = (t.x_slice.start for t in single if t.effect.weights is None)
+            terms = (t for t in linear.problem.in_x if t.group_sd_name is None and t.per is None)
+            indices = (t.x_slice.start for t in terms if t.effect.weights is None)
             if ratio > MAX_UNNAMED_RMS or any(
-                abs(shift[i]) > linear.uncertainty(i) for i in ungrouped
+                abs(shift[i]) > linear.uncertainty(i) for i in indices
             ):
                 substantial_names.add(name)
         return frozenset(substantial_names)
