@@ -66,7 +66,7 @@ def main(names: list[str]) -> int:
         return 0
     if unknown := [name for name in names if name not in MODULES]:
         benchmark_names = ", ".join((*MODULES, "render", *COMMANDS))
-        text = f"no benchmark is called {', '.join(unknown)}; there are: {benchmark_names}"
+        text = f"unknown benchmark: {', '.join(unknown)}; the benchmarks are: {benchmark_names}"
         print(text, file=sys.stderr)
         return 2
     for name in names or MODULES:

@@ -143,14 +143,14 @@ def main(names: Sequence[str]) -> None:
                 output += page[before : b.first] + (b.anew() if b.difference() else b.shown)
                 before = b.last
         path.write_text(output + page[before:], "utf-8")
-        print(f"docs/{name}: {'as it was' if output + page[before:] == page else 'printed anew'}")
+        print(f"docs/{name}: {'unchanged' if output + page[before:] == page else 'updated'}")
 
 
 def _command(line: str, run: Run) -> str:
     command, _, comment = line.partition("  # exit status ")
     name, *arguments = shlex.split(command)
     if name != "bayescal":
-        raise ValueError(f"{line}: a page runs commands of bayescal alone")
+        raise ValueError(f"{line}: a page may only run commands of bayescal")
     status, printed = run(arguments)
     if status != int(comment or 0):
         raise ValueError(f"{line}: exit status {status}\n{printed}")

@@ -21,7 +21,7 @@ def differing() -> Iterator[str]:
         lines = zip(before.splitlines(), text.splitlines(), strict=False)
         if before != text:
             first = next(((b, a) for b, a in lines if b != a), ("its end", "more or fewer lines"))
-            yield f"{path.name}: it says {first[0][:200]!r}, rendered anew {first[1][:200]!r}"
+            yield f"{path.name}: the page has {first[0][:200]!r}, its results {first[1][:200]!r}"
 
 
 def main(_: Sequence[str] = ()) -> None:
@@ -32,4 +32,4 @@ def main(_: Sequence[str] = ()) -> None:
     """
     if differences := [*differing(), *shown.differing(PRINTED)]:
         sys.exit("\n".join(differences))
-    print(f"the pages are as the results have them, {PRINTED} as it is printed")
+    print(f"all pages agree with the results, and {PRINTED} with present output")

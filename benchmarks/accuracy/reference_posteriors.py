@@ -120,7 +120,7 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
             break
         draws *= 2
     else:
-        raise SystemExit(f"{name}: no reference: see the last figures above; try another sampler")
+        raise SystemExit(f"{name}: the last run above missed its tolerances: try another sampler")
     statistics = ("mean", "sd", "mcse", "mcse_sd")
     return {
         "made_by": f"python -m benchmarks.accuracy.reference_posteriors {name} --sampler {sampler}",

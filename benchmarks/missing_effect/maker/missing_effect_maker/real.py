@@ -195,8 +195,8 @@ def _of_nist(name: str, certified: CertifiedSet, file: Path) -> GeneratedTask:
     spread = float(np.sqrt(np.sum((y - certified.curve(x)) ** 2) / free))
     if abs(spread / certified.residual_sd - 1) > AGREES:
         raise InputError(
-            f"{file} is not NIST's {name}: about the certified model its {y.size} readings scatter by "
-            f"{spread:.10g}, certified are {certified.residual_sd:.10g}. Take the file anew from NIST, or remove it"
+            f"{file} is not NIST's {name}: the residual standard deviation of its {y.size} readings is {spread:.10g}, "
+            f"the certified one {certified.residual_sd:.10g}. Download the file from NIST again, or remove it"
         )
     frame = pd.DataFrame({"x": x, "output": y})
     return _real_task(name, frame, {"x": 9, "output": 9}, certified, certified.curve(x))
