@@ -51,8 +51,8 @@ PARSE_ERRORS = (
     *(OSError, RuntimeError, ModelError),
 )
 UNKNOWNS = "unknowns"  # key of a user-defined noise model's priors
-NOISE_FIX = "Give the file that defines it: --effects my_law.py (in Python: run it before load)"
-EFFECT_FIX = "--effects my_effects.py (in Python: load(path, effects=[…]))"
+NOISE_ADVICE = "Give the file that defines it: --effects my_law.py (in Python: run it before load)"
+EFFECT_ADVICE = "--effects my_effects.py (in Python: load(path, effects=[…]))"
 _PRIORS = {c.__name__: c for c in KINDS}
 
 
@@ -245,7 +245,7 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
     if name not in Noise.registry:
         raise InputError(
             f"{path.name} was fitted with the noise law {name}, which is not loaded (loaded: "
-            f"{', '.join(Noise.registry)}). {NOISE_FIX}"
+            f"{', '.join(Noise.registry)}). {NOISE_ADVICE}"
         )
     for key, value in metadata.items():
         if isinstance(value, list):
@@ -286,7 +286,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     if missing := [n for n in names if n not in catalogue]:
         raise InputError(
             f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
-            f"that defines it: {EFFECT_FIX}"
+            f"that defines it: {EFFECT_ADVICE}"
         )
     model_effects = [catalogue[n].with_ranges(ranges.get(n, {})) for n in names]
     model_effects = [e.averaged if e.name in metadata["averaged"] else e for e in model_effects]
@@ -294,9 +294,9 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     for n, size in metadata["sizes"].items():
         model = model.resize(n, size)
     for user_effect in model.effects:
-        if saved_unknowns[user_effect.name] != (current_unknowns := format_unknowns(user_effect)):
+        if saved_unknowns[user_effect.name] != (new_unknowns := format_unknowns(user_effect)):
             raise InputError(
                 f"{path.name} was fitted with another definition of the effect {user_effect.name!r}: saved "
-                f"{saved_unknowns[user_effect.name]}; given {current_unknowns}. Give the saved definition: {EFFECT_FIX}"
+                f"{saved_unknowns[user_effect.name]}; given {new_unknowns}. Give the saved definition: {EFFECT_ADVICE}"
             )
     return replace(model, fixed=tuple(metadata["fixed"].items()))

@@ -34,17 +34,17 @@ from bayescal._annexes.metrology.decide import Decisions, statement_lines
 SECTIONS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("sections.toml").read_text("utf-8")
 )
-DATES = ("issued", "begin", "end", "valid_until")
-LISTS = ("standards",)
+DATE_KEYS = ("issued", "begin", "end", "valid_until")
+LIST_SECTIONS = ("standards",)
 # Numbers such as a serial number are taken verbatim.
 _TEXT = str | int | float
 _KEYS = {
-    s: TypedDict(s, {k: date if k in DATES else _TEXT for k in keys}, total=False)
+    s: TypedDict(s, {k: date if k in DATE_KEYS else _TEXT for k in keys}, total=False)
     for s, keys in SECTIONS.items()
 }
 CertificateStatement = TypedDict(
     "CertificateStatement",
-    {s: list[keys] if s in LISTS else keys for s, keys in _KEYS.items()}
+    {s: list[keys] if s in LIST_SECTIONS else keys for s, keys in _KEYS.items()}
     | {"conditions": dict[str, _TEXT]},
     total=False,
 )
@@ -126,7 +126,7 @@ REQUIRED_KEYS = (
     *("laboratory.name", "laboratory.country", "laboratory.responsible"),
     *("customer.name", "customer.country"),
 )
-Ends = tuple[float, float] | None  # of a 95 % interval
+IntervalEnds = tuple[float, float] | None  # of a 95 % interval
 COVERAGE_FACTOR, COVERAGE = 2.0, 0.9545  # for a normal distribution (JCGM 100, table G.1)
 
 
@@ -231,7 +231,7 @@ def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[t
 
 
 def dsi_real(
-    value: float, unit: str | None, gravity: float, sd: float = 0, ends: Ends = None
+    value: float, unit: str | None, gravity: float, sd: float = 0, ends: IntervalEnds = None
 ) -> DsiReal:
     """Format a number in D-SI with its expanded uncertainty, or, if given, with the `ends` of its 95 % interval.
 

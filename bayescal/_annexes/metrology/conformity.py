@@ -51,8 +51,8 @@ _CLAUSES = {
         "at temperature = 25 °C",
     ),
 }
-_WRITTEN = {"+/-": "±", "+-": "±", "<=": "≤", ">=": "≥", "−": "-", "–": "-"}
-FORM = (
+_NOTATIONS = {"+/-": "±", "+-": "±", "<=": "≤", ">=": "≥", "−": "-", "–": "-"}
+LIMIT_ADVICE = (
     'write "bias: ±0.5 °/s", "noise.white: ≤ 0.1 °/s", "scale: -300..300 ppm" or "corrected reading: ±0.1 °/s over '
     '-20..60 °C"'
 )
@@ -90,8 +90,8 @@ def parse_limit(text: str) -> StatedLimit:
     """
     quantity, colon, terms = text.rpartition(":")
     if not (colon and quantity.strip() and terms.strip()):
-        raise bc.InputError(f"limit {text!r} lacks a quantity, a colon or limits: {FORM}")
-    for notation, sign in _WRITTEN.items():
+        raise bc.InputError(f"limit {text!r} lacks a quantity, a colon or limits: {LIMIT_ADVICE}")
+    for notation, sign in _NOTATIONS.items():
         terms = terms.replace(notation, sign)
     interval, *clauses = re.split(r"\b(over|at)\b", terms)
     low, high, unit = _parse_tolerance(interval.strip(), text)
@@ -107,7 +107,7 @@ def parse_limit(text: str) -> StatedLimit:
 def _parse_tolerance(interval: str, text: str) -> tuple[float, float, str]:
     match = _TOLERANCE.fullmatch(interval)
     if match is None:
-        raise bc.InputError(f"limit {text!r}: {interval!r} states no limits: {FORM}")
+        raise bc.InputError(f"limit {text!r}: {interval!r} states no limits: {LIMIT_ADVICE}")
     unit = _parse_limit_unit(match["unit"], text)
     if match["half"]:
         centre, half_width = float(match["centre"] or 0.0), float(match["half"])

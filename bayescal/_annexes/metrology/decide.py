@@ -40,15 +40,15 @@ from bayescal._annexes.metrology.conformity import (
     parse_population,
 )
 
-DAY = 86400.0  # s
-YEAR = 365.25 * DAY
-HORIZON = 10 * YEAR  # latest time searched, s
-FIRST_TIME = 60.0  # s, earliest time searched, shorter than any calibration interval
+DAY_S = 86400.0
+YEAR_S = 365.25 * DAY_S
+HORIZON_S = 10 * YEAR_S  # latest time searched
+FIRST_TIME_S = 60.0  # earliest time searched, shorter than any calibration interval
 N_TIMES = 160  # searched, on a logarithmic grid of ratio 1.13
 TIME_RTOL = 1e-6  # of the time found
 MAX_EXTRAPOLATION = 3.0  # of a drift, in spans of the record; beyond it a note is added
 
-CANNOT = "cannot be determined from these readings"
+NOT_DETERMINED = "cannot be determined from these readings"
 ADVICE = (
     "For a recalibration interval, calibrate in runs weeks apart, record their dates, and include a drift term such as "
     "bias.drift."
@@ -87,7 +87,7 @@ def compute_recalibration(
         return quantity.draw(delay).probability(limits)
 
     delay = find_first_below(probability, stated)
-    change = quantity.draw(HORIZON if delay is None else delay).values - quantity.draw().values
+    change = quantity.draw(HORIZON_S if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
     if unmeasured := ws.find_not_measured(calibration, change, max_inclusion=1 - stated):
 
@@ -97,10 +97,10 @@ def compute_recalibration(
             return replace(draws, values=values).probability(limits)
 
         if delay is not None or find_first_below(likelihood_probability, stated) is not None:
-            reason = f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
+            reason = f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
             return Recalibration(stated, None, why_not=reason, notes=(ADVICE,))
     if delay is None:
-        reason = f"not within {HORIZON / YEAR:g} years, with the drift of the model"
+        reason = f"not within {HORIZON_S / YEAR_S:g} years, with the drift of the model"
         return Recalibration(stated, None, why_not=reason)
     time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))
@@ -122,7 +122,7 @@ def find_first_below(probability: Callable[[float], float], stated: float) -> fl
     A temporary decrease between two successive times of the grid (ratio 1.13) is not detected.
     """
     previous = 0.0
-    for time in (0.0, *np.geomspace(FIRST_TIME, HORIZON, N_TIMES).tolist()):
+    for time in (0.0, *np.geomspace(FIRST_TIME_S, HORIZON_S, N_TIMES).tolist()):
         if probability(time) < stated:
             return time and bisect(lambda t: probability(t) >= stated, previous, time, TIME_RTOL)
         previous = time
@@ -147,7 +147,7 @@ def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, state
 
 def format_duration(seconds: float) -> str:
     """Format a duration in a suitable unit."""
-    for size, name in ((YEAR, "years"), (DAY, "days"), (3600.0, "h"), (60.0, "min")):
+    for size, name in ((YEAR_S, "years"), (DAY_S, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {name}"
     return f"{seconds:.3g} s"
@@ -470,7 +470,7 @@ def _decide_limit(
         p2 = replace(draws, values=values).probability(limits)  # with the likelihood alone
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
         if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
-            return UNDECIDED, f"{CANNOT}: {unmeasured}. {unmeasured.cure}"
+            return UNDECIDED, f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
     p_text, q_text = format_percent(p, error), format_percent(1 - p, error)
     if rule == "guarded":
         if p >= 1 - false_accept:

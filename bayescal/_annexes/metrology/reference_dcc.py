@@ -19,7 +19,7 @@ from bayescal._annexes.metrology.certificate import D_SI
 DCC, ERROR = "{https://ptb.de/dcc}", "basic_measurementError"
 ROOT = f"{DCC}digitalCalibrationCertificate"
 REFERENCE, MEASURED = "basic_referenceValue", "basic_measuredValue"
-KINDS = ERROR, REFERENCE, MEASURED
+REF_TYPES = ERROR, REFERENCE, MEASURED
 EXPANDED, STANDARD = ("uncertainty", "valueExpandedMU"), ("standardUnc", "valueStandardMU")
 MAX_BYTES = 50_000_000  # size of a certificate, with its pictures
 MAX_POINTS = 14  # calibration points, limited by the length of a formula
@@ -109,7 +109,7 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
         for kind in quantity.get("refType", "").split():
             name = kind.removesuffix("_error").removesuffix("_correction")
             try:
-                values = _parse_values(quantity, unit, name == ERROR) if name in KINDS else None
+                values = _parse_values(quantity, unit, name == ERROR) if name in REF_TYPES else None
             except (ValueError, KeyError) as error:
                 expected = "numbers, with one uncertainty or one for each"
                 raise _make_error(path, f"dcc:quantity {kind}", str(error), expected) from None

@@ -17,16 +17,16 @@ from bayescal._annexes.validation.validation_record import ValidationRecord
 WIDTH, HEIGHT, MARGIN = 11.69, 8.27, 0.6  # inches, A4 across
 POINTS = 7.0  # font size
 LINE_INCHES, LETTER_INCHES = 1.35 * POINTS / 72, 0.602 * POINTS / 72  # line spacing; letter width
-LETTERS = int((WIDTH - 2 * MARGIN) / LETTER_INCHES)  # in a line
+LETTERS_PER_LINE = int((WIDTH - 2 * MARGIN) / LETTER_INCHES)  # in a line
 LINES = int((HEIGHT - 2 * MARGIN) / LINE_INCHES)  # on a page
-SECTION_LINES = 12  # lines left on a page, below which a section begins on a new one
+MIN_SECTION_LINES = 12  # lines left on a page, below which a section begins on a new one
 SETTINGS = {"pdf.fonttype": 42, "font.family": "DejaVu Sans Mono", "text.parse_math": False}
 TITLE = "Validation of bayescal on this installation"
 
 
 def wrap_row(cells: Sequence[str], widths: Sequence[float]) -> list[str]:
     """Wrap cells to the widths of their columns, shares of the page; return the row's lines."""
-    sizes = [int(width * LETTERS) for width in widths]
+    sizes = [int(width * LETTERS_PER_LINE) for width in widths]
     columns = [textwrap.wrap(c, n - 1) or [""] for c, n in zip(cells, sizes, strict=True)]
     rows = zip_longest(*columns, fillvalue="")
     return ["".join(map(str.ljust, texts, sizes)).rstrip() for texts in rows]
@@ -37,8 +37,8 @@ def write_pdf(record: ValidationRecord, path: Path) -> None:
     pages, bold = [[TITLE]], {TITLE}
     for section in record.sections():
         head = wrap_row(section.head, section.widths)
-        notes = (line for note in section.notes for line in textwrap.wrap(note, LETTERS))
-        if len(pages[-1]) > LINES - SECTION_LINES:
+        notes = (line for note in section.notes for line in textwrap.wrap(note, LETTERS_PER_LINE))
+        if len(pages[-1]) > LINES - MIN_SECTION_LINES:
             pages.append([])
         pages[-1] += ["", section.title, *notes, *head]
         bold |= {section.title, *head}
