@@ -40,7 +40,7 @@ from bayescal._annexes.metrology.conformity import (
     parse_population,
 )
 
-DAY_S = 86400.0
+DAY_S = 86400.0  # a day in seconds
 YEAR_S = 365.25 * DAY_S
 HORIZON_S = 10 * YEAR_S  # latest time searched
 FIRST_TIME_S = 60.0  # earliest time searched, shorter than any calibration interval
