@@ -57,7 +57,7 @@ def test_all_that_can_be_done(session: Session, tmp_path: Path) -> None:
     session.add("bias.thermal_lag")
     session.fix("bias.temperature", 0.054)
     session.resize("bias.thermal_lag", 0.2)
-    session.add_typed(TYPED)
+    session.add_formula(TYPED)
     session.noise("ornstein_uhlenbeck")
     session.free("bias.temperature")
     session.add("unknown(elapsed)")

@@ -27,7 +27,7 @@ def again(session: Session, **given: Any) -> Session:
 @pytest.mark.slow
 def test_the_loop_by_hand(session: Session) -> None:
     """What is found and added brings the hold-out error down to the floor; a step back begins a branch."""
-    found = session.look()
+    found = session.find_missing()
     assert {name for s in found.findings for name in s.effects} == set(HIDDEN)
     assert session.current.discovery is found
     before = session.current.step
@@ -101,7 +101,7 @@ def test_effect_found_by_a_search_is_added_at_its_most_probable_size(tmp_path: P
     stated = instrument.effect("bias.drift").coefficients[0].size
     readings = instrument.simulate({"bias.drift": 10 * stated}, seed=3)
     session = Session.open(instrument.baseline(), readings, folder=tmp_path / "drift")
-    found = session.look()
+    found = session.find_missing()
     (sized,) = (e for e in found.best if e.name.startswith("bias.drift"))  # in one of its forms
     assert sized.coefficients[0].size > 2 * stated
     state = session.add(sized.name)
@@ -112,14 +112,14 @@ def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_sessio
     session: Session,
 ) -> None:
     line = "square: a*(temperature - 40)^2; a = 1e-3 deg/s/degC^2"
-    before, drawn = session.current, session.preview("add", session.typed(line))
+    before, drawn = session.current, session.preview("add", session.parse_formula(line))
     assert session.current is before and not session.effects and np.ptp(drawn.curve) > 0
-    added = session.add_typed(line)
+    added = session.add_formula(line)
     assert added.title == "+ bias.square" and added.step.rmse == pytest.approx(drawn.rms, rel=0.02)
     later = again(session)
     assert later.current.model == added.model
     with pytest.raises(bc.InputError):
-        session.typed("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
+        session.parse_formula("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
 
 
 # Nothing is lost: a folder holds every step, whatever ended the process that made them.
@@ -136,7 +136,7 @@ def same_states(one: Session, other: Session) -> None:
 
 @pytest.mark.slow
 def test_resumed_as_it_was(session: Session) -> None:
-    session.add_typed(TYPED)
+    session.add_formula(TYPED)
     session.resize("bias.temperature", 0.2)
     session.go_to(0)
     session.noise("student_t")

@@ -38,7 +38,7 @@ PAGE = Template(
 )
 
 
-def page(session: Session) -> pn.viewable.Viewable:
+def build_page(session: Session) -> pn.viewable.Viewable:
     """Build the page of a browser tab for a session."""
     document = pn.state.curdoc
     assert document is not None
@@ -49,24 +49,24 @@ def page(session: Session) -> pn.viewable.Viewable:
 EMBEDDING_PATH = "/autoload.js"  # of Bokeh, with which any other site could embed the workbench
 
 
-def answer_only(application: Any, names: Collection[str]) -> None:
-    """Restrict a Tornado application to requests whose Host header is among `names`; others get status 403."""
+def restrict_requests(application: Any, hosts: Collection[str]) -> None:
+    """Reject requests for the embedding script (status 404), or whose Host header is not among `hosts` (403)."""
     find_handler = application.find_handler
 
-    def find(request: Any, **keywords: Any) -> Any:
+    def find_allowed(request: Any, **keywords: Any) -> Any:
         status = 404 if request.path.endswith(EMBEDDING_PATH) else 403
-        if request.host.lower() in names and status != 404:
+        if request.host.lower() in hosts and status != 404:
             return find_handler(request, **keywords)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
 
-    application.find_handler = find
+    application.find_handler = find_allowed
 
 
 FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
 
 
 @contextmanager
-def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
+def open_in_browser(url: str, folder: Path) -> Iterator[None]:
     """Open an address in the browser through a forwarding file that only this user can read.
 
     An address among the browser's arguments would be visible to all users of the computer. The file is in `folder`,
@@ -85,8 +85,8 @@ def serve(session: Session, files: str, folder: Path, *, open_browser: bool) -> 
 
     Args:
         session: session to show.
-        files: names of its files, to print.
-        folder: folder with the session, in which the file that opens a browser is created.
+        files: names of the session's files, which are printed.
+        folder: folder of the session, in which the file that opens a browser is created.
         open_browser: whether to open a browser.
     """
     with socket.socket() as probe:
@@ -95,7 +95,7 @@ def serve(session: Session, files: str, folder: Path, *, open_browser: bool) -> 
     path, hosts = f"/{secrets.token_urlsafe(32)}", [f"{n}:{port}" for n in (LOOPBACK, "localhost")]
     url = f"http://{LOOPBACK}:{port}{path}/"
     server = pn.io.server.get_server(
-        {"/": lambda: page(session)},
+        {"/": lambda: build_page(session)},
         port=port,
         address=LOOPBACK,
         websocket_origin=hosts,
@@ -106,12 +106,12 @@ def serve(session: Session, files: str, folder: Path, *, open_browser: bool) -> 
         keep_alive_milliseconds=10_000,
         title="bayescal workbench",
     )
-    answer_only(server._tornado, hosts)
+    restrict_requests(server._tornado, hosts)
     server.start()
     print(f"bayescal workbench of {files}: {url}")
     print(f"(press Ctrl-C to stop; the session is saved in {folder})", flush=True)
     try:
-        with opened_in_browser(url, folder) if open_browser else nullcontext():
+        with open_in_browser(url, folder) if open_browser else nullcontext():
             server.io_loop.start()
     finally:
         session.stop()

@@ -21,7 +21,7 @@ import numpy as np
 import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.workbench import session_store as store
-from bayescal._annexes.workbench.session_store import Origin, SearchOptions, State, path_to, script
+from bayescal._annexes.workbench.session_store import Origin, SearchOptions, State
 
 
 class Preview:
@@ -31,7 +31,7 @@ class Preview:
         curve: change of the expected output of each reading, all coefficients re-estimated, output unit, (n,).
             Residuals less this curve are the residuals of the new model.
         rms: rms residual of the new model, output unit.
-        in_words: summary, with the size of an added effect.
+        summary: change of the rms residual and the log Bayes factor, with the size of an added effect.
     """
 
     def __init__(self, step: ws.Step, calibration: bc.Calibration, added: str | None) -> None:
@@ -51,7 +51,7 @@ class Preview:
             size = ws.with_error(float(draws.mean()), float(draws.std()))
             unit = ws.unit_label(effect.coefficients[0].unit)
             text = f"{added} would be {f'{size} {unit}'.rstrip()}: {text}"
-        self.in_words = text
+        self.summary = text
 
 
 @dataclass(frozen=True)
@@ -60,21 +60,21 @@ class Change:
 
     model: bc.Model  # the changed model
     added: str | None = None  # name of the added effect; None for another change
-    in_words: str = ""  # description of another change; empty for an added effect
+    description: str = ""  # of another change; empty for an added effect
 
 
 REPORT = "report.html"
 MAX_CACHED_SEARCHES = 4  # the latest ones
 
 
-def _structure_of(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
-    """Return the structure of a search that equals a model, if it is a subset of the chosen structure; else None."""
-    structures, goal = search.structures, search.chosen_structure
+def _find_structure(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
+    """Return the search's structure that `model` is, if it is a subset of the chosen structure, else None."""
+    structures, chosen = search.structures, search.chosen_structure
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}
-    laws = {n: structures.noise_law(ws.Structure(noise=n)) for n in ("", goal.noise)}
+    laws = {n: structures.noise_law(ws.Structure(noise=n)) for n in ("", chosen.noise)}
     law = next((n for n, noise in laws.items() if noise == model.noise), None)
-    if law is None or not names <= goal.effects or model.fixed != base.fixed:
+    if law is None or not names <= chosen.effects or model.fixed != base.fixed:
         return None
     if any(e != model.effect(e.name) for e in base.effects if e.name in model.names):
         return None
@@ -86,7 +86,7 @@ def _structure_of(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | 
 
 
 def _matches_candidate(effect: bc.Effect, form: bc.Effect) -> bool:
-    """Return whether an effect equals a candidate's form, up to a plausible size that the search averages over."""
+    """Return whether an effect equals a candidate's form, apart from plausible sizes that the search averages over."""
     first = form.coefficients[0]
     factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
     return effect.is_placeholder or effect == form or round(factor, 9) in ws.SIZE_FACTORS
@@ -100,7 +100,7 @@ class Session:
     parallel. Every state is saved to disk before it becomes the current one.
 
     Attributes:
-        readings, holdout: readings to fit, and hold-out data, without spikes.
+        readings, holdout: readings to fit, and hold-out data; spikes are set aside unless `settings` keep them.
         folder: folder with the saved states.
         settings: options of the search, as in `calibrate`.
         origin: sources of readings and effects.
@@ -116,13 +116,13 @@ class Session:
     effects: dict[str, bc.Effect]
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
-    _at: int = 0  # number of the current state
-    _loops: list[ws.StepwiseSearch] = field(default_factory=list)  # cached searches
-    _trails: dict[int, bc.SearchPath] = field(default_factory=dict)
-    _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
-    _fitting: threading.Lock = field(default_factory=threading.Lock)
-    _looking: threading.RLock = field(default_factory=threading.RLock)  # of the searches
-    _end: ws.deadline.Deadline | None = None  # deadline of the running search
+    _current_number: int = 0  # number of the current state
+    _searches: list[ws.StepwiseSearch] = field(default_factory=list)  # cached searches
+    _paths: dict[int, bc.SearchPath] = field(default_factory=dict)
+    _tree_lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
+    _fit_lock: threading.Lock = field(default_factory=threading.Lock)
+    _search_lock: threading.RLock = field(default_factory=threading.RLock)  # of the searches
+    _deadline: ws.deadline.Deadline | None = None  # deadline of the running search
 
     @classmethod
     def open(
@@ -170,7 +170,7 @@ class Session:
         return session
 
     def _resume(self, model: bc.Model) -> None:
-        """Load the states in the folder, even after a crash."""
+        """Load the states saved in the folder; remove a state that a crash left incomplete."""
         saved, effects = store.load_session(self.folder), tuple(self.effects.values())
         uninstalled = () if model.instrument.name in ws.installed_names() else (model.instrument,)
         for n, entry in enumerate(saved.states):
@@ -186,39 +186,39 @@ class Session:
             self._states[n] = State(n, entry.parent, step)
             formulas = [e for e in calibration.model.effects if isinstance(e.basis, ws.Formula)]
             self.effects |= {e.name: e for e in formulas}
-        self._at = saved.current
+        self._current_number = saved.current
         store.fit_path(self.folder, len(self._states)).unlink(missing_ok=True)  # incomplete state
 
     @property
     def states(self) -> Mapping[int, State]:
         """Return all states, by number."""
-        with self._lock:
+        with self._tree_lock:
             return MappingProxyType(dict(self._states))
 
     @property
     def current(self) -> State:
-        return self._states[self._at]
+        return self._states[self._current_number]
 
     def path(self, number: int | None = None) -> list[State]:
         """Return the states from the first one to state `number`, by default the current one."""
-        return [
-            self._states[n] for n in path_to(self._states, self._at if number is None else number)
-        ]
+        number = self._current_number if number is None else number
+        return [self._states[n] for n in store.list_path(self._states, number)]
 
     def go_to(self, number: int) -> State:
         """Make another state the current one; further changes branch off from it."""
-        with self._lock:
+        with self._tree_lock:
             return self._set_current(number)
 
     def preview(self, kind: str, *arguments: Any) -> Preview:
-        """Return a preview of `act`: fit the changed model without creating a state."""
-        change, loop, before = self._change(kind, *arguments), self._loop, self.current.step
-        fit = before.calibration
+        """Fit the model changed as by `act` without creating a state; return its results."""
+        change, search, step = self._change(kind, *arguments), self._blank_search, self.current.step
+        fit = step.calibration
         start = {n: float(v) for n, v in fit.problem.hyper(fit.mode.v).items()}
-        options: dict[str, Any] = {"seed": loop.seed, "reference": loop.reference, "start": start}
-        method = loop.step_method(change.model)
-        after = bc.fit(change.model, self.readings, method, strict=False, **options)
-        return Preview(before, after, change.added)
+        options: dict[str, Any] = {"seed": search.seed, "reference": search.reference}
+        options |= {"start": start, "strict": False}
+        method = search.step_method(change.model)
+        changed_fit = bc.fit(change.model, self.readings, method, **options)
+        return Preview(step, changed_fit, change.added)
 
     def _change(self, kind: str, *arguments: Any) -> Change:
         """Apply a change of a kind, such as "add", to the current model."""
@@ -230,21 +230,21 @@ class Session:
             case ("add", bc.Effect() as effect):
                 return Change(model + effect, added=effect.name)
             case ("take_out", str(name)):
-                return Change(model - name, in_words=f"− {name}")
+                return Change(model - name, description=f"− {name}")
             case ("free", str(name)):
-                return Change(model.free(name), in_words=f"{name} freed")
+                return Change(model.free(name), description=f"{name} freed")
             case ("noise", str(name)):
                 first = self.states[0].calibration
                 laws = ws.laws_over(first.model, first.frame)  # that the readings identify
                 law = {first.model.noise.name: first.model.noise, **laws}[name]
-                return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+                return Change(model.with_noise(law), description=f"noise: {law.in_words}")
             case ("fix", str(name), value):
                 text = f"{name} = {ws.number(float(value), 6)} fixed"
-                return Change(model.fix({name: float(value)}), in_words=text)
+                return Change(model.fix({name: float(value)}), description=text)
             case ("resize", str(name), value):
                 unit = ws.unit_label(model.effect(name).coefficients[0].unit)
                 text = f"{name} of plausible size {ws.number(float(value))} {unit}".rstrip()
-                return Change(model.resize(name, float(value)), in_words=text)
+                return Change(model.resize(name, float(value)), description=text)
         raise bc.InputError(
             f"{kind!r} with {len(arguments)} argument(s) is not a change of a model"
         )
@@ -260,17 +260,15 @@ class Session:
         return self._fit_change(self._change(kind, *arguments), self.current.number)
 
     def _effects_by_name(self) -> dict[str, bc.Effect]:
-        """Return the effects that differ from the instrument's, by name.
-
-        They are user-defined effects, and candidates of the discovery in their most probable form and size.
-        """
-        own = {e.name: e for e in ws.with_forms(self.effects.values())}
+        """Return user-defined effects, and candidates of the discovery in their most probable form and size."""
+        effects = {e.name: e for e in ws.with_forms(self.effects.values())}
         if (discovery := self.current.discovery) is None:
-            return own
+            return effects
         library, best = self.current.model.instrument.effect, discovery.best
         candidates, best = discovery.candidates, [e for e in best if not e.open]
-        forms = {c.effect: own.get(c.form) or library(c.form) for c in candidates if c.form}
-        return {**own, **forms, **{e.family_name: e for e in best}, **{e.name: e for e in best}}
+        forms = {c.effect: effects.get(c.form) or library(c.form) for c in candidates if c.form}
+        by_name = {e.family_name: e for e in best} | {e.name: e for e in best}
+        return {**effects, **forms, **by_name}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
@@ -279,42 +277,42 @@ class Session:
     resize = partialmethod(act, "resize")  # (effect, plausible size of its first coefficient)
     noise = partialmethod(act, "noise")  # (name of a noise law that the readings identify)
 
-    def look(self) -> bc.Discovery:
-        """Search for effects missing from the current state; the discovery is cached in the state."""
+    def find_missing(self) -> bc.Discovery:
+        """Search for effects missing from the current state; return the discovery, which is kept in the state."""
         number = self.current.number
-        with self._search_lock():  # another page may run the same search
+        with self._exclude_searches():  # another page may run the same search
             if (discovery := self.states[number].discovery) is None:
-                loop, structure = self._search_at(self.states[number])
-                discovery = loop.find_missing(structure)
+                search, structure = self._search_at(self.states[number])
+                discovery = search.find_missing(structure)
                 self._cache_discovery(number, discovery)
         return discovery
 
     def find_all(self, follow: Callable[[bc.SearchPath], None] = lambda _: None) -> None:
         """Search from the current state as `calibrate` does; each step becomes a state.
 
-        It returns at the end, or soon after `stop`; `follow` is called with the search path so far, as by `calibrate`.
+        The search ends soon after a call of `stop`. `follow` is called with the search path so far, as by `calibrate`.
 
         Raises:
             ModelError: the fit of the current model has failed.
         """
-        begin = self.current
-        if begin.step.failures and not self._loop.free_contradicted(begin.step):
-            raise bc.ModelError(f"no search is possible: {' '.join(begin.step.failures)}")
-        with self._search_lock():
-            loop, structure = self._search_at(begin, follow)
-            steps, number = [begin.step], begin.number
-            for before, to, discovery in loop.iterate_path(loop.chosen_structure, structure):
-                if before is None:
+        state = self.current
+        if state.step.failures and not self._blank_search.free_contradicted(state.step):
+            raise bc.ModelError(f"no search is possible: {' '.join(state.step.failures)}")
+        with self._exclude_searches():
+            search, structure = self._search_at(state, follow)
+            steps, number = [state.step], state.number
+            for last, chosen, discovery in search.iterate_path(search.chosen_structure, structure):
+                if last is None:
                     self._cache_discovery(number, discovery)
                     continue
-                steps.append(loop.fit_structure(to, before))
+                steps.append(search.fit_structure(chosen, last))
                 number = self._append(steps[-1], number, discovery).number
-                follow(loop.build_path(steps=steps))
+                follow(search.build_path(steps=steps))
 
     @contextmanager
-    def _search_lock(self) -> Iterator[None]:
+    def _exclude_searches(self) -> Iterator[None]:
         """Hold the lock of searches, with the time limit as deadline."""
-        with self._looking, ws.deadline.until(self.settings.time_limit) as self._end:
+        with self._search_lock, ws.deadline.until(self.settings.time_limit) as self._deadline:
             yield
 
     def _search_at(
@@ -327,12 +325,12 @@ class Session:
 
         Args:
             state: state to search from.
-            follow: callback with the search path; a stopped search is continued only with a callback.
+            follow: callback with the search path so far; only with it is a stopped search continued.
         """
-        first, loop = self.states[0], self._loop
-        effects = [e for e in first.model.effects if loop.is_reconsidered(e, first.model)]
+        first, blank = self.states[0], self._blank_search
+        effects = [e for e in first.model.effects if blank.is_reconsidered(e, first.model)]
         search = self._search_over(reduce(sub, effects, first.model), effects, follow)
-        if (structure := _structure_of(state.model, search)) is None:
+        if (structure := _find_structure(state.model, search)) is None:
             search, structure = self._search_over(state.model, (), follow), ws.Structure()
         return search, structure
 
@@ -342,44 +340,44 @@ class Session:
         effects: Sequence[bc.Effect],
         follow: Callable[[bc.SearchPath], None] | None,
     ) -> ws.StepwiseSearch:
-        """Evaluate the structures that extend the model `core`, by `effects` and by candidates; cached."""
-        search = next((s for s in self._loops if s.steps[0].calibration.model == core), None)
+        """Return the search over models that add some of `effects` and candidates to `core`; run it unless cached."""
+        search = next((s for s in self._searches if s.steps[0].calibration.model == core), None)
         if is_new := search is None:
             steps = (s.step for s in self.states.values() if s.model == core)
-            search = replace(self._loop, reconsidered=tuple(effects), stopped="not begun")
+            search = replace(self._blank_search, reconsidered=tuple(effects), stopped="not begun")
             first = next(steps, None) or search.fit_step(core, search.step_method(core))
             extra = (*self.effects.values(), *search.free_contradicted(self.states[0].step))
             search.list_structures(first, extra, self.settings.widen_noise)
         if search.stopped and (is_new or follow is not None):
             with ws.deadline.sooner(ws.SEARCH_TIME_SHARE):
                 search.run_search(lambda: None if follow is None else follow(search.build_path()))
-            searches = [*(s for s in self._loops if s is not search), search]
-            self._loops = searches[-MAX_CACHED_SEARCHES:]
+            searches = [*(s for s in self._searches if s is not search), search]
+            self._searches = searches[-MAX_CACHED_SEARCHES:]
         return search
 
     def stop(self) -> None:
         """Stop the running search, with the best model so far."""
-        if self._end is not None:
-            self._end.interrupt.requested = True
+        if self._deadline is not None:
+            self._deadline.interrupt.requested = True
 
-    def typed(self, line: str) -> bc.Effect:
-        """Build the effect of a typed formula, in the syntax of `bc.effect`.
+    def parse_formula(self, line: str) -> bc.Effect:
+        """Return the effect that a formula defines, in the syntax of `bc.effect`.
 
         Raises:
             InputError: the formula is invalid; the message marks the position.
         """
         return bc.effect(line, readings=self.readings, instrument=self.current.model.instrument)
 
-    def add_typed(self, line: str) -> State:
-        """Add the effect of a typed formula to the candidates and to the model; drop cached searches."""
-        effect = self.typed(line)
+    def add_formula(self, line: str) -> State:
+        """Add the effect that a formula defines to the candidates and to the model; discard cached searches."""
+        effect = self.parse_formula(line)
         _ = self.current.model + effect  # raises if its slot or a group does not exist
         self.effects[effect.name] = effect
-        self._loops.clear()
-        self._trails.clear()
-        with self._lock:
+        self._searches.clear()
+        self._paths.clear()
+        with self._tree_lock:
             states = {n: replace(s, discovery=None) for n, s in self._states.items()}
-            self._set_current(self._at, states)
+            self._set_current(self._current_number, states)
         return self.add(effect.name)
 
     def script(self) -> str:
@@ -389,22 +387,22 @@ class Session:
     def trail(self, state: State | None = None) -> bc.SearchPath:
         """Return the search path to a state (None: the current one), in the form that `calibrate` returns; cached.
 
-        Its last model is fitted by the requested method. If the search is complete, the result in use is averaged over
-        the evaluated structures.
+        Its last model is fitted by the requested method. After a complete search, the calibration of the path is an
+        average over the evaluated structures.
         """
         state = state or self.current
-        with self._fitting:
-            if state.number not in self._trails:
-                self._trails[state.number] = self._build_trail(state)
-            return self._trails[state.number]
+        with self._fit_lock:
+            if state.number not in self._paths:
+                self._paths[state.number] = self._build_trail(state)
+            return self._paths[state.number]
 
     def _build_trail(self, state: State) -> bc.SearchPath:
-        loop, path = self._loop, self.path(state.number)
-        step = loop.fit_step(state.model, loop.method, state.calibration.start or {})
+        blank, path = self._blank_search, self.path(state.number)
+        step = blank.fit_step(state.model, blank.method, state.calibration.start or {})
         step = replace(step, added=state.step.added, description=state.step.description)
         search = structure = None
         if step.calibration.verdict.ok:
-            with suppress(ws.deadline.TimeIsUp), self._search_lock():
+            with suppress(ws.deadline.TimeIsUp), self._exclude_searches():
                 search, structure = self._search_at(state)
                 self._cache_discovery(state.number, search.find_missing(structure))
                 path = self.path(state.number)
@@ -412,7 +410,7 @@ class Session:
         steps = [replace(s, discovery=p.discovery) for s, p in zip(steps, path, strict=True)]
         if not search or not structure or structure.effects != search.chosen_structure.effects:
             return bc.SearchPath(*ws.assess_steps(steps), self.holdout)
-        with self._looking:
+        with self._search_lock:
             return search.average_path(steps, structure)
 
     def verdict(self) -> str:
@@ -423,7 +421,7 @@ class Session:
         return "\n\n".join([*(ws.folded(t, "") for t in texts if t), str(trail)])
 
     def compare(self, number: int) -> str:
-        """Compare the current model with that of state `number`: `bc.compare`, then coefficients, noise, shapes ± u.
+        """Compare the current model with that of state `number` by `bc.compare`, and list the unknowns of both.
 
         Raises:
             InputError: they were fitted to different readings.
@@ -439,9 +437,9 @@ class Session:
         return f"{bc.compare(fits)}\n\n{ws.plain_table(['', *fits, 'unit'], rows)}"
 
     def write(self, file: str) -> Path:
-        """Write the report or an export of the current model, as `bayescal report` and `export` do.
+        """Write the report or an export of the current model, as `bayescal report` and `export` do; return its path.
 
-        Its folder also gets the files of `bayescal calibrate --out`.
+        The files of `bayescal calibrate --out` are written to the same folder.
 
         Args:
             file: "report.html", or a file name whose suffix is that of an export's format.
@@ -459,22 +457,24 @@ class Session:
         return bc.compensator(trail.calibration).export(folder / file)
 
     @property
-    def _loop(self) -> ws.StepwiseSearch:
+    def _blank_search(self) -> ws.StepwiseSearch:
+        """Return a search with the session's options, without structures."""
         s = self.settings
         options = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
         return ws.StepwiseSearch(*options, accepted_conflicts=frozenset(s.accept_conflicts))
 
     def _fit_change(self, change: Change, parent: int | None) -> State:
         """Fit the changed model as a child of state `parent`, and make it the current one."""
-        loop = self._loop
-        step = loop.fit_step(change.model, loop.step_method(change.model))
-        return self._append(replace(step, added=change.added, description=change.in_words), parent)
+        search = self._blank_search
+        step = search.fit_step(change.model, search.step_method(change.model))
+        step = replace(step, added=change.added, description=change.description)
+        return self._append(step, parent)
 
     def _append(
         self, step: ws.Step, parent: int | None, discovery: bc.Discovery | None = None
     ) -> State:
         """Save a step as a child of state `parent`, and make it the current one."""
-        with self._lock:
+        with self._tree_lock:
             number = len(self._states)
             state = State(number, parent, step, discovery)
             if (file := store.fit_path(self.folder, number)).exists():
@@ -492,16 +492,16 @@ class Session:
     def _set_current(self, number: int, states: dict[int, State] | None = None) -> State:
         """Make a state the current one; replace all states by `states` if given."""
         states = self._states if states is None else states
-        path = [states[n] for n in path_to(states, number)]
+        path = [states[n] for n in store.list_path(states, number)]
         store.save_session(self.folder, states, number, self._script(path))
-        self._states, self._at = states, number
+        self._states, self._current_number = states, number
         for callback in tuple(self.on_change):
             callback()
         return self.current
 
     def _cache_discovery(self, number: int, discovery: bc.Discovery | None) -> None:
-        with self._lock:
+        with self._tree_lock:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
     def _script(self, path: list[State]) -> str:
-        return script(path, self.origin, self.settings, self.folder.resolve())
+        return store.generate_script(path, self.origin, self.settings, self.folder.resolve())

@@ -1,4 +1,4 @@
-"""Checkpoint of a session, written atomically so that it resumes after the server was killed.
+"""Checkpoint of a session, written atomically, from which the session is resumed even after a crash.
 
 session.json               tree of states, number of the current one
 state_000.nc               fit of state 0, and so on, in the format of `bayescal calibrate`
@@ -70,7 +70,7 @@ class SearchOptions:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One model of the tree, immutable; a search returns the same state with its discovery."""
+    """Fitted model of a session's tree, immutable; a search replaces it by a copy with a discovery."""
 
     number: int  # of the state, from 0
     parent: int | None  # number of the state that was changed; None for the first
@@ -91,7 +91,7 @@ class State:
         return self.step.calibration.model
 
 
-def path_to(states: Mapping[int, Any], number: int) -> list[int]:
+def list_path(states: Mapping[int, Any], number: int) -> list[int]:
     """Return the numbers of the states from the first one to state `number`."""
     path = [number]
     while (parent := states[path[0]].parent) is not None:
@@ -115,7 +115,7 @@ class SavedState:
 
 @dataclass(frozen=True)
 class SavedSession:
-    """Content of session.json; raises ValueError if it is invalid."""
+    """Content of session.json; invalid content raises ValueError."""
 
     schema: str
     states: list[SavedState]
@@ -162,8 +162,10 @@ def load_session(folder: Path) -> SavedSession:
         ) from None
 
 
-def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:
-    """Generate the script that fits the models of a path of states.
+def generate_script(
+    path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path
+) -> str:
+    """Generate a Python script that fits the models of a path of states.
 
     Args:
         path: states, each the parent of the next.
@@ -177,13 +179,13 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         step = {
             "title": ws.one_line(f"{state.number} {state.title}"),
             "file": str(fit_path(folder, state.number)),
-            "method": method_code(ws.QUICK if is_gaussian else settings.method),
+            "method": format_method(ws.QUICK if is_gaussian else settings.method),
             "how": {"seed": c.seed} | ({"start": c.start} if c.start else {}),
         }
         steps.append(step)
     file, _, name = origin.instrument.rpartition(":")
     installed = metadata.entry_points(group="bayescal.instruments")
-    arguments = {"repr": repr, "arguments": _arguments}
+    arguments = {"repr": repr, "arguments": _format_arguments}
     return ws.template("bayescal._annexes.workbench", "script.py.jinja", arguments).render(
         version=bc.__version__,
         file=file,
@@ -197,14 +199,14 @@ def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folde
         spikes={"keep_spikes": True} if settings.keep_spikes else {},
         reference={"reference": dict(settings.reference)} if settings.reference else {},
         steps=steps,
-        method=method_code(settings.method),
+        method=format_method(settings.method),
         seed=settings.seed,
     )
 
 
-def _arguments(values: Mapping[str, Any]) -> str:
+def _format_arguments(values: Mapping[str, Any]) -> str:
     return "".join(f", {name}={value!r}" for name, value in values.items())
 
 
-def method_code(method: Any) -> str:
+def format_method(method: Any) -> str:
     return "bc.Marginal()" if method is None else f"bc.{method!r}"

@@ -1,4 +1,4 @@
-"""Start of the workbench without heavy imports: in a notebook, and refusal of an installation without Panel."""
+"""Start of the workbench in a notebook; heavy modules, such as Panel, are imported on use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import bayescal as bc
 
 
-def refuse_without_panel() -> None:
+def require_panel() -> None:
     """Raise InputError if Panel is not installed."""
     if importlib.util.find_spec("panel") is None:
         raise bc.InputError(
@@ -33,7 +33,7 @@ def workbench(
         readings: readings to calibrate with.
         instrument: instrument whose baseline is the first model, or the first model.
         holdout, effects: as in `calibrate`.
-        folder: folder for the states; default a temporary one. A session in the folder is resumed.
+        folder: folder to save the states in, by default a temporary one. A session in the folder is resumed.
         settings: options of `calibrate`: method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit,
             accept_conflicts.
 
@@ -44,15 +44,15 @@ def workbench(
         InputError: the folder cannot be written to, or Panel is not installed.
         ModelError: the readings lack a column that the model needs.
     """
-    refuse_without_panel()
+    require_panel()
     import panel  # heavy, as are the imports below
 
     from bayescal._annexes.workbench.app import Workbench
     from bayescal._annexes.workbench.session import Session
 
     panel.extension(inline=True)
-    start = instrument
-    model = start if isinstance(start, bc.Model) else start.for_readings(readings).baseline()
+    is_model = isinstance(instrument, bc.Model)
+    model = instrument if is_model else instrument.for_readings(readings).baseline()
     options = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
     session = Session.open(model, readings, **options)
-    return Workbench(session, framed=True).view
+    return Workbench(session, embedded=True).view

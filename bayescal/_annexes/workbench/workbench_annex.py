@@ -22,9 +22,9 @@ class WorkbenchCommand(ws.SearchRequest, ws.Command):
 
     def run(self) -> int:
         """Serve the workbench until Ctrl-C; the time limit applies to each search."""
-        from bayescal._annexes.workbench.start import refuse_without_panel
+        from bayescal._annexes.workbench.start import require_panel
 
-        refuse_without_panel()
+        require_panel()
         # Unusable files raise an error before a browser opens.
         models, readings, holdout = ws.open_search([], self)
         effects = ws.load_effects(self, models[""].instrument, readings[""])

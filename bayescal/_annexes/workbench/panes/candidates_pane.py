@@ -8,7 +8,7 @@ import panel as pn
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, field, row, words
+from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, label, row, widget
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"
@@ -18,79 +18,79 @@ HINT = "Point at a candidate, with the pointer or with Tab and the arrows, to se
 class CandidatesPane(Pane):
     """Pane of the candidate effects, on the right of the page."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self.complete = words("")
-        self.hint = words(HINT, "small", min_height=36)
-        add = lambda effect, _: bench.act("add", effect)  # noqa: E731
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        self.completeness = label("")
+        self.hint = label(HINT, "small", min_height=36)
+        add = lambda effect, _: page.act("add", effect)  # noqa: E731
         self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
-        self.rows.param.watch(lambda event: bench.point(event.new), "pointed")
+        self.rows.param.watch(lambda event: page.draw_candidate(event.new), "pointed")
         options: dict[str, Any] = {"placeholder": "supply: s * (supply_voltage - 5); s = 0.1 mV/V"}
         room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90, "max_length": 500}
-        self.formula = field(
+        self.formula = widget(
             pn.widgets.TextInput, "or type a formula: Enter draws it", **options, **room
         )
-        self.formula.param.watch(lambda _: self._draw(), "value")
-        self.add_typed = button("Add it", lambda _: self._add_typed(), disabled=True, align="end")
-        title = row(words("What is missing", "title"))
-        typed = row(self.formula, self.add_typed, kinds=("spread",))
+        self.formula.param.watch(lambda _: self._preview_formula(), "value")
+        self.add = button("Add it", lambda _: self._add_formula(), disabled=True, align="end")
+        title = row(label("What is missing", "title"))
+        typed = row(self.formula, self.add, kinds=("spread",))
         self.view = column(
-            *(title, self.complete, self.hint, self.rows, typed), kinds=("pane", "missing")
+            *(title, self.completeness, self.hint, self.rows, typed), kinds=("pane", "missing")
         )
 
-    def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
-        """Show the effects missing from a state, or the reason why they are not known."""
+    def show(self, state: Any, reason: str = "Searching for missing effects …") -> None:
+        """Show the effects missing from a state, or the reason why there is no result of a search for them."""
         discovery: bc.Discovery | None = state.discovery
         self.rows.pointed = ""
         self.hint.object = HINT if discovery is not None else ""
         if discovery is None:
-            self.complete.object, self.rows.rows = reason, []
+            self.completeness.object, self.rows.rows = reason, []
             return
         text = f"Probability that the model is complete: {discovery.complete_in_words}"
-        self.complete.object = f"{text}\n{discovery.stopped}" if discovery.stopped else text
-        self.rows.rows = candidate_rows(discovery)
+        self.completeness.object = f"{text}\n{discovery.stopped}" if discovery.stopped else text
+        self.rows.rows = build_candidate_rows(discovery)
 
-    def _draw(self) -> None:
-        """Draw the curve of the typed formula over the residuals with its preview, or report its error."""
-        line, bench = self.formula.value.strip(), self.bench
-        self.add_typed.disabled = True
+    def _preview_formula(self) -> None:
+        """Draw the curve of the typed formula over the residuals and show its preview, or the error in the formula."""
+        line, page, session = self.formula.value.strip(), self.page, self.session
+        self.add.disabled = True
         if not line:
             return
 
-        def draw(preview: Any) -> None:
+        def draw(result: Any) -> None:
             if line == self.formula.value.strip():
-                bench.residuals.preview(preview.curve)
-                self.preview(preview.in_words)
-                self.add_typed.disabled = self.rows.busy
+                page.residuals.preview(result.curve)
+                self.preview(result.summary)
+                self.add.disabled = self.rows.busy
 
-        bench.work.preview(lambda: bench.session.preview("add", bench.session.typed(line)), draw)
+        page.worker.preview(lambda: session.preview("add", session.parse_formula(line)), draw)
 
-    def _add_typed(self) -> None:
-        self.bench.act("add_typed", self.formula.value.strip())
+    def _add_formula(self) -> None:
+        self.page.act("add_formula", self.formula.value.strip())
         self.formula.value = ""
 
     def preview(self, text: str) -> None:
-        """Show the preview of the candidate under the pointer."""
+        """Show the preview of the candidate that is pointed at; without a text, the hint."""
         self.hint.object = text or HINT
 
-    def busy(self, busy: bool) -> None:
+    def set_busy(self, busy: bool) -> None:
         self.rows.busy = busy
-        self.add_typed.disabled = self.add_typed.disabled or busy
+        self.add.disabled = self.add.disabled or busy
 
 
-def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
-    """Return rows: findings (alternatives as "one of these"), leads, others; undetectable and untestable in grey."""
+def build_candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
+    """Return a row per candidate, in groups: findings, leads, others, undetectable ones and untestable ones."""
     by_name = {c.effect: c for c in discovery.candidates}
-    rows, placed = [], set()
+    rows, listed = [], set()
     for i, alternatives in enumerate(discovery.findings):
-        which = "Missing" if i == 0 else "Also missing"
+        heading = "Missing" if i == 0 else "Also missing"
         if len(alternatives.effects) > 1:
-            which = "One of these, which the readings do not distinguish"
-        group = f"{which}: probability {ws.probability(alternatives.probability)}"
-        names = [n for n in alternatives.effects if n in by_name and n not in placed]
-        rows += [_row(by_name[name], group, "found") for name in names]
-        placed |= set(alternatives.effects)
-    others = [c for c in discovery.candidates if c.effect not in placed]
+            heading = "One of these, which the readings do not distinguish"
+        group = f"{heading}: probability {ws.probability(alternatives.probability)}"
+        names = [n for n in alternatives.effects if n in by_name and n not in listed]
+        rows += [_build_row(by_name[name], group, "found") for name in names]
+        listed |= set(alternatives.effects)
+    others = [c for c in discovery.candidates if c.effect not in listed]
     has_found = rows or any(c.kind == "lead" for c in others)
     kinds = {
         "lead": ("Leads", "lead"),
@@ -99,11 +99,12 @@ def candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:
         "not testable": (NOT_TESTABLE, "quiet"),
     }
     for kind, labels in kinds.items():
-        rows += [_row(c, *labels) for c in others if (c.kind if c.kind in kinds else None) == kind]
+        group = [c for c in others if (c.kind if c.kind in kinds else None) == kind]
+        rows += [_build_row(candidate, *labels) for candidate in group]
     return rows
 
 
-def _row(c: Any, group: str, kind: str) -> dict[str, Any]:
+def _build_row(c: Any, group: str, kind: str) -> dict[str, Any]:
     cells: list[dict[str, Any]] = [{"text": c.effect, "kind": "name"}]
     if c.probability is not None:
         text = ws.probability(c.probability)
@@ -114,10 +115,10 @@ def _row(c: Any, group: str, kind: str) -> dict[str, Any]:
             bar["text"] = f"{text} · {size}"
         cells.append({"text": text, "title": f"probability {text}; {factor}", **bar})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
-    note, rivals = c.reason, c.indistinguishable_from
-    if c.kind in ("finding", "lead") and rivals:
-        further = f" and {len(rivals) - 3} more" if len(rivals) > 3 else ""
-        note = f"confounded with {', '.join(rivals[:3])}{further}"
+    note, confounded = c.reason, c.indistinguishable_from
+    if c.kind in ("finding", "lead") and confounded:
+        others = f" and {len(confounded) - 3} more" if len(confounded) > 3 else ""
+        note = f"confounded with {', '.join(confounded[:3])}{others}"
     actions = [] if c.kind == "not testable" else [add]
     row = {"group": group, "cells": cells, "note": note, "kind": kind}
     return {"id": c.effect, **row, "actions": actions}

@@ -1,4 +1,4 @@
-"""The model pane: the equation in words, effects with coefficients, and actions with previews of their results."""
+"""The model pane: equation, effects with coefficients, noise law, and actions with previews of their results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import panel as pn
 
 from bayescal import workshop as ws
-from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, field, row, words
+from bayescal._annexes.workbench.parts.widgets import Pane, Rows, button, column, label, row, widget
 
 NUMBER = {"kind": "value number"}
 
@@ -15,31 +15,31 @@ NUMBER = {"kind": "value number"}
 class ModelPane(Pane):
     """Pane of the model and the actions that change it, on the left of the page."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
         self._calibration: Any = None
-        self._chosen, self._shut = "", False
+        self._effect, self._is_busy = "", False
         room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90}
         layout: dict[str, Any] = {"sizing_mode": "stretch_width", "styles": {}}  # as all their rows
-        open_effect = lambda effect, _: self._open(effect)  # noqa: E731
-        set_law = lambda law, _: bench.act("noise", law)  # noqa: E731
+        open_effect = lambda effect, _: self._open_form(effect)  # noqa: E731
+        set_law = lambda law, _: page.act("noise", law)  # noqa: E731
         self.effects = Rows(open_effect, kind="pair", label="Effects of the model", **layout)
         self.noise = Rows(set_law, kind="pair", label="Noise law", **layout)
-        self.equation, self.verdict = words("", "small"), words("", "small")
-        self.title, self.consequences = words("", "title"), words("", "small")
-        self.coefficient = field(pn.widgets.Select, "unknown", **room)
-        self.value = field(pn.widgets.FloatInput, "held at", **room)
-        self.size = field(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
+        self.equation, self.verdict = label("", "small"), label("", "small")
+        self.title, self.consequences = label("", "title"), label("", "small")
+        self.coefficient = widget(pn.widgets.Select, "unknown", **room)
+        self.value = widget(pn.widgets.FloatInput, "fixed at", **room)
+        self.size = widget(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
         self.buttons = remove, fix, free, resize = (
-            button("Take out", lambda _: self._do("take_out", self._chosen)),
-            button("Fix", lambda _: self._do("fix", self.coefficient.value, self.value.value)),
-            button("Free", lambda _: self._do("free", self.coefficient.value)),
-            button("Resize", lambda _: self._do("resize", self._chosen, self.size.value)),
+            button("Take out", lambda _: self._act("take_out", self._effect)),
+            button("Fix", lambda _: self._act("fix", self.coefficient.value, self.value.value)),
+            button("Free", lambda _: self._act("free", self.coefficient.value)),
+            button("Resize", lambda _: self._act("resize", self._effect, self.size.value)),
         )
         self.form = column(
             self.title,
             self.consequences,
-            row(remove, button("Close", lambda _: self._open(""))),
+            row(remove, button("Close", lambda _: self._open_form(""))),
             row(self.coefficient),
             row(self.value, fix, free),
             row(self.size, resize),
@@ -48,42 +48,42 @@ class ModelPane(Pane):
             sizing_mode="stretch_width",
         )
         self.view = column(
-            words("The model", "title"),
+            label("The model", "title"),
             self.equation,
             self.form,
             self.effects,
-            words("Noise law", "title"),
+            label("Noise law", "title"),
             self.noise,
             self.verdict,
             kinds=("pane", "model", "scrolls"),
         )
-        self.coefficient.param.watch(lambda _: self._other_coefficient(), "value")
+        self.coefficient.param.watch(lambda _: self._show_coefficient(), "value")
 
     def show(self, state: Any) -> None:
         self._calibration = calibration = state.calibration
-        self.equation.object = equation_in_words(calibration.model)
-        self.effects.rows = effect_rows(calibration)
-        self.noise.rows = noise_rows(state)
+        self.equation.object = format_equation(calibration.model)
+        self.effects.rows = build_effect_rows(calibration)
+        self.noise.rows = build_noise_rows(state)
         notes = [f"not measured: {w}" for w in ws.null_directions(calibration)]
         notes += [f"conflict: {w}" for w in calibration.conflicts]
         self.verdict.object = "\n".join([*notes, str(calibration.verdict)])
-        if self._chosen not in calibration.model.names:
-            self._open("")
-        self._open_buttons()
+        if self._effect not in calibration.model.names:
+            self._open_form("")
+        self._enable_buttons()
 
-    def busy(self, busy: bool) -> None:
-        self.effects.busy = self.noise.busy = self._shut = busy
-        self._open_buttons()
+    def set_busy(self, busy: bool) -> None:
+        self.effects.busy = self.noise.busy = self._is_busy = busy
+        self._enable_buttons()
 
-    def _open_buttons(self) -> None:
-        """Enable the buttons; *Free* only if the selected unknown is fixed."""
+    def _enable_buttons(self) -> None:
+        """Enable the buttons unless the page is busy; *Free* only if the selected unknown is fixed."""
         model = self._calibration and self._calibration.model
         is_fixed = model is not None and self.coefficient.value in dict(model.fixed)
-        for widget in self.buttons:
-            widget.disabled = self._shut or (widget.label == "Free" and not is_fixed)
+        for control in self.buttons:
+            control.disabled = self._is_busy or (control.label == "Free" and not is_fixed)
 
-    def _open(self, effect: str) -> None:
-        self._chosen, self.form.visible = effect, bool(effect)
+    def _open_form(self, effect: str) -> None:
+        self._effect, self.form.visible = effect, bool(effect)
         if not effect:
             return
         chosen = self._calibration.model.effect(effect)
@@ -95,26 +95,26 @@ class ModelPane(Pane):
         first = chosen.coefficients[0]
         self.size.label = f"plausible size [{ws.unit_label(first.unit) or '1'}]"
         self.size.value = None if first.flat else float(first.size)
-        self._other_coefficient()
-        tell = lambda p: self.consequences.param.update(object=f"Without it: {p.in_words}")  # noqa: E731
-        self.bench.ask(tell, "take_out", effect)
+        self._show_coefficient()
+        show = lambda p: self.consequences.param.update(object=f"Without it: {p.summary}")  # noqa: E731
+        self.page.preview(show, "take_out", effect)
 
-    def _other_coefficient(self) -> None:
+    def _show_coefficient(self) -> None:
         coefficients, others = ws.summary(self._calibration)
         means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *others)}
         mean, unit = means.get(self.coefficient.value, (None, ""))
         mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
-        self._open_buttons()
+        self._enable_buttons()
         self.value.value = None if mean is None else float(f"{mean:.6g}")
-        self.value.label = f"held at [{ws.unit_label(unit) or '1'}]"
+        self.value.label = f"fixed at [{ws.unit_label(unit) or '1'}]"
 
-    def _do(self, action: str, *arguments: Any) -> None:
+    def _act(self, action: str, *arguments: Any) -> None:
         if None not in arguments:
-            self.bench.act(action, *arguments)
+            self.page.act(action, *arguments)
 
 
-def equation_in_words(model: Any) -> str:
-    """Format a model as sums of terms, slot by slot."""
+def format_equation(model: Any) -> str:
+    """Format a model's equations, one line for each slot as a sum of terms."""
     lines = [model.instrument.title]
     for slot in model.instrument.slots:
         terms = [
@@ -126,11 +126,11 @@ def equation_in_words(model: Any) -> str:
             meaning = f" ({slot.meaning})" if slot.meaning else ""
             lines.append(f"{slot.name}{meaning} = {' + '.join(terms)}")
     fixed = ", ".join(f"{name} = {value:g}" for name, value in model.fixed)
-    return "\n".join([*lines, *([f"held: {fixed}"] if fixed else [])])
+    return "\n".join([*lines, *([f"fixed: {fixed}"] if fixed else [])])
 
 
-def effect_rows(calibration: Any) -> list[dict[str, Any]]:
-    """Return a row per effect: coefficients ± standard uncertainty, contraction as a bar; or the size of a curve."""
+def build_effect_rows(calibration: Any) -> list[dict[str, Any]]:
+    """Return a row per effect: coefficients ± standard uncertainty with bars of contraction, or a curve's size."""
     model, rows = calibration.model, []
     unknowns, curves = [t for r in ws.summary(calibration) for t in r], ws.unknown_rows(calibration)
     for effect in model.effects:
@@ -144,45 +144,45 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
             cells.append({"text": f"{value} [{unit}]", **NUMBER})
         for t in terms:
             suffix = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
-            value = f"{suffix if len(terms) > 1 else ''} {_value(t)}".strip()
-            cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
+            value = f"{suffix if len(terms) > 1 else ''} {_format_value(t)}".strip()
+            cells.append({"text": value, **NUMBER, **_build_bar(t["contraction"])})
         fixed = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
-        cells += [{"text": f"held: {', '.join(fixed)}", **NUMBER}] if fixed else []
+        cells += [{"text": f"fixed: {', '.join(fixed)}", **NUMBER}] if fixed else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})
     return rows
 
 
-def _value(row: dict[str, Any]) -> str:
+def _format_value(row: dict[str, Any]) -> str:
     return f"{ws.with_error(row['mean'], row['sd'])} {ws.unit_label(row['unit'])}".rstrip()
 
 
-def _contraction(contraction: float | None) -> dict[str, Any]:
-    """Return the bar of a posterior contraction."""
+def _build_bar(contraction: float | None) -> dict[str, Any]:
+    """Return the length and the title of a bar for a posterior contraction."""
     if contraction is None:
-        return {"bar": None, "title": "no contraction: flat or learned prior"}
+        return {"bar": None, "title": "no contraction: flat or hierarchical prior"}
     title = f"contraction {contraction:.3f}: 1 − posterior variance / prior variance"
     return {"bar": max(0.0, contraction), "title": title}
 
 
-def noise_rows(state: Any) -> list[dict[str, Any]]:
-    """Return rows: the noise law in use with its parameters and, after a search, the probability of each law."""
+def build_noise_rows(state: Any) -> list[dict[str, Any]]:
+    """Return a row per noise law: the model's law with its parameters; after a search, the probability of each."""
     calibration, discovery = state.calibration, state.discovery
     used, (_, others) = calibration.model.noise, ws.summary(calibration)
     noise = [t for t in others if t["effect"] == "noise"]
-    values = [f"{t['name'].removeprefix('noise.')} {_value(t)}" for t in noise]
+    values = [f"{t['name'].removeprefix('noise.')} {_format_value(t)}" for t in noise]
     laws = {} if discovery is None else {law.law: law for law in discovery.noise}
     rows = []
     for name in dict.fromkeys((used.law, *laws)):
-        law, in_use = laws.get(name), name == used.law
+        law, is_used = laws.get(name), name == used.law
         cells: list[dict[str, Any]] = [
             {"text": used.in_words if law is None else law.in_words, "kind": "name"}
         ]
         if law is not None:
             text = f"probability {ws.probability(law.probability)}"
             cells.append({"text": text, "bar": law.probability, **NUMBER})
-        cells += [{"text": value, **NUMBER} for value in values if in_use]
+        cells += [{"text": value, **NUMBER} for value in values if is_used]
         use = {"id": "use", "label": "Use", "title": "fit with this noise law"}
-        actions = [] if in_use else [use]
-        rows.append({"id": name, "cells": cells, "actions": actions, "current": in_use})
+        actions = [] if is_used else [use]
+        rows.append({"id": name, "cells": cells, "actions": actions, "current": is_used})
     return rows

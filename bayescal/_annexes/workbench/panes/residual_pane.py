@@ -26,22 +26,22 @@ import bayescal as bc
 from bayescal import workshop as ws
 from bayescal._annexes.workbench.parts.widgets import (
     Pane,
+    check_boxes,
     column,
-    plot,
+    figure_pane,
+    label,
     row,
     set_axis_range,
-    several,
-    words,
 )
 
 MAX_DRAWN_READINGS = 50_000  # that a browser draws without delay
 
 
 def decimate(*quantities: np.ndarray) -> np.ndarray:
-    """Return the rows to draw in all panels: all rows, or the minima and maxima of equal segments of many rows.
+    """Return the indices of the readings to draw: all, or of many readings the extremes in equal segments.
 
     Args:
-        quantities: residuals, output, (n,) each, whose extremes are drawn.
+        quantities: quantities whose extremes are drawn, such as residuals and output, (n,) each.
     """
     size = quantities[0].size
     if size <= MAX_DRAWN_READINGS:
@@ -58,26 +58,23 @@ PREDICTED = "predicted output"  # covariate: the output is then drawn against it
 
 
 class ResidualsOfState:
-    """A state's residuals with the covariates to plot them against."""
+    """Residuals of a state, and the covariates to plot them against."""
 
-    def __init__(self, step: Any, before: np.ndarray | None) -> None:
-        """Args:
-        step: the state's fit with its check.
-        before: residuals of the step to compare with, output unit, (n,); None if there is none.
-        """
+    def __init__(self, step: Any, compared: np.ndarray | None) -> None:
+        """Read a state's step; `compared` are the residuals of the step to compare with, output unit, (n,), or None."""
         readings, columns = step.calibration.readings, ws.covariates_of(step.calibration)
         self.check: bc.Check = step.check
-        self.before, self.runs = before, readings.groups("run")
+        self.compared, self.runs = compared, readings.groups("run")
         self.residual = np.asarray(self.check.residuals, float)
-        self.measured = np.asarray(readings[readings.output], float)
+        self.output = np.asarray(readings[readings.output], float)
         # (n,) each, by name; group members as numbers 0, 1, …; the last is the predicted output.
         self.covariates = {c.name: np.asarray(c.values, float) for c in columns}
-        self.covariates[PREDICTED] = self.measured - self.residual
+        self.covariates[PREDICTED] = self.output - self.residual
         self.unit = ws.unit_label(self.check.unit)
         self.units = {c.name: ws.unit_label(c.unit or "") for c in columns} | {PREDICTED: self.unit}
         self.levels = {c.name: c.levels for c in columns if c.levels}  # members of the groups
 
-    def worst(self, name: str) -> tuple[float, float] | None:
+    def find_worst_range(self, name: str) -> tuple[float, float] | None:
         """Return the ends of a covariate's worst range; None if its log Bayes factor is not positive."""
         entry = next((e for e in self.check.entries if e.against == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
@@ -88,13 +85,13 @@ class ResidualsOfState:
         half = 0.02 * float(np.ptp(self.covariates[name])) if low == high else 0.0
         return low - half, high + half
 
-    def start(self) -> list[str]:
+    def choose_columns(self) -> list[str]:
         """Return the initial columns: the two continuous covariates of largest log Bayes factor."""
         ranked = [e.against for e in self.check.entries if not e.by_group]
         chosen = ranked[:2] or [n for n in self.covariates if n != PREDICTED][:2]
         return [n for n in self.covariates if n in chosen] or [PREDICTED]
 
-    def sentence(self) -> str:
+    def describe_misfit(self) -> str:
         """Describe in a sentence the worst range of the covariate with the largest log Bayes factor."""
         worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
         if worst is None:
@@ -140,7 +137,7 @@ class ColumnPanel:
     browser lay out the whole page again.
 
     Attributes:
-        room: container of the panel on the page.
+        view: Panel view of the two figures.
     """
 
     def __init__(
@@ -151,21 +148,23 @@ class ColumnPanel:
         curves: ColumnDataSource,
         y_range: Range1d,
     ) -> None:
-        """Args:
-        state: residuals to draw.
-        name: name of the column.
-        source: data source of all panels, for linked brushing; it has the column as `AT` + name.
-        curves: data source of a preview's curve.
-        y_range: range of the residuals, common to all panels.
+        """Make the figures of output and residuals.
+
+        Args:
+            state: residuals to draw.
+            name: name of the column.
+            source: data source of all panels, for linked brushing; it has the column as `AT` + name.
+            curves: data source of a preview's curve.
+            y_range: range of the residuals, common to all panels.
         """
         self._name, x = name, AT + name
         self._x_range = set_axis_range(state.covariates[name])
-        measured = set_axis_range(state.measured)
-        output = _figure(state, name, f"output [{state.unit}]", self._x_range, measured)
+        output_range = set_axis_range(state.output)
+        output = _make_figure(state, name, f"output [{state.unit}]", self._x_range, output_range)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
         for y in ("measured", "fit before", FITTED):
-            _draw(output, x, y, source)
-        residuals = _figure(state, name, f"residual [{state.unit}]", self._x_range, y_range)
+            _draw_quantity(output, x, y, source)
+        residuals = _make_figure(state, name, f"residual [{state.unit}]", self._x_range, y_range)
         plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
         self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
         self._worst = BoxAnnotation(
@@ -175,24 +174,24 @@ class ColumnPanel:
         for annotation in (self._noise, zero, self._worst):
             residuals.add_layout(annotation)
         for y in ("before", "residual", CURVE):
-            _draw(residuals, x, y, curves if y == CURVE else source)
-        self.room: Any = column(plot(output), plot(residuals), kinds=("stack",))
+            _draw_quantity(residuals, x, y, curves if y == CURVE else source)
+        self.view: Any = column(figure_pane(output), figure_pane(residuals), kinds=("stack",))
         self.show(state)
 
     def show(self, state: ResidualsOfState) -> None:
-        """Show another state of the same readings; keep a zoomed view."""
+        """Show another state of the same readings; a zoomed view is kept."""
         set_axis_range(state.covariates[self._name], view=self._x_range)
         self._noise.update(bottom=-state.check.noise, top=state.check.noise)
-        region = state.worst(self._name)
+        region = state.find_worst_range(self._name)
         self._worst.visible = region is not None
         if region is not None:
             self._worst.update(left=region[0], right=region[1])
 
 
-def _figure(
+def _make_figure(
     state: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
 ) -> Any:
-    """Make an empty figure that fills its container; `$$` in a label is not read as a formula."""
+    """Make an empty figure that fills its container; its labels are plain text, without formulas."""
     title, levels = name[:MAX_LABEL_LETTERS], state.levels.get(name)
     fig: Any = figure(
         name=f"panel {name}",
@@ -237,8 +236,8 @@ def _figure(
     return fig
 
 
-def _draw(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    """Draw a quantity against a column, by one renderer; `figure.scatter` makes twice as many Bokeh models."""
+def _draw_quantity(figure: Any, x: str, y: str, source: ColumnDataSource) -> None:
+    """Draw a quantity against a column by one renderer (`figure.scatter` would make twice as many Bokeh models)."""
     style, muted = STYLES[y]
     drawn = {"x": x, "y": y, **style}
     if style is not POINT:
@@ -264,117 +263,116 @@ HINT = "Drag over a panel to select readings; the other panels highlight them."
 
 
 class ResidualPane(Pane):
-    """Pane of the residuals, in the middle of the page; `show` is called before any other method."""
+    """Pane of the residuals, in the middle of the page; `show` must be called before other methods."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
         self._state: ResidualsOfState | None = None
         self._curve: np.ndarray | None = None  # of a preview
-        self._showing = False
-        self.choice = several("Columns that residuals are laid against", css_classes=["several"])
-        self.beside = several("The step that is drawn beside this one")
-        self.finding, self.drawn = words(), words("", "small")
+        self._is_updating = False
+        self.choice = check_boxes("Columns to plot residuals against", css_classes=["several"])
+        self.overlay = check_boxes("Step to compare with")
+        self.misfit, self.note = label(), label("", "small")
         self.legend, self.panels = row(kinds=("tight",)), column(kinds=("panels",))
         self.view = column(
-            row(words("Where it fails", "title"), self.beside, kinds=("spread",)),
+            row(label("Where it fails", "title"), self.overlay, kinds=("spread",)),
             self.choice,
-            self.finding,
+            self.misfit,
             self.panels,
-            row(self.legend, words(HINT, "small"), self.drawn),
+            row(self.legend, label(HINT, "small"), self.note),
             kinds=("pane", "fails"),
         )
-        self.choice.param.watch(self._chosen, "value")
-        self.beside.param.watch(lambda _: self._showing or self._fill_source(), "value")
+        self.choice.param.watch(self._change_columns, "value")
+        self.overlay.param.watch(lambda _: self._is_updating or self._fill_source(), "value")
 
     def show(self, state: Any, other: Any | None = None) -> None:
-        """Show a state; `other` is the one that it is compared with."""
-        before, options, former = None, list[str](), self._state
+        """Show a state; `other` is the state to compare it with."""
+        compared, options, previous = None, list[str](), self._state
         if other is not None and len(other.calibration.readings) == len(state.calibration.readings):
-            before = np.asarray(other.step.check.residuals, float)
+            compared = np.asarray(other.step.check.residuals, float)
             options = [f"with step {other.number}"]
         self._curve = None
-        self._state = ResidualsOfState(state.step, before)
-        self.finding.object = self._state.sentence()
+        self._state = ResidualsOfState(state.step, compared)
+        self.misfit.object = self._state.describe_misfit()
         columns = list(self._state.covariates)
-        names_left = [n for n in self.choice.value if n in columns]
-        self._showing = True
-        self.beside.param.update(options=options, value=options if self.beside.value else [])
-        self.choice.param.update(options=columns, value=names_left or self._state.start())
-        self._showing = False
-        if former is None or [*former.covariates] != columns:
-            self._begin(self._state)
-        for panel in self._made.values():
+        names = [n for n in self.choice.value if n in columns]
+        self._is_updating = True
+        self.overlay.param.update(options=options, value=options if self.overlay.value else [])
+        self.choice.param.update(options=columns, value=names or self._state.choose_columns())
+        self._is_updating = False
+        if previous is None or [*previous.covariates] != columns:
+            self._reset(self._state)
+        for panel in self._panels.values():
             panel.show(self._state)
         self._lay_out()
 
-    def show_other(self) -> None:
-        """Draw the compared step in addition to the current one."""
-        self.beside.value = self.beside.options
+    def show_comparison(self) -> None:
+        """Draw the residuals of the step to compare with as well."""
+        self.overlay.value = self.overlay.options
 
     def preview(self, curve: np.ndarray | None) -> None:
         """Draw an effect's curve over the residuals, output unit, (n,); None removes it."""
         self._curve = None if curve is None else np.asarray(curve, float)
         self._fill_curve()
 
-    def _chosen(self, event: Any) -> None:
-        """Lay out the chosen columns; if there are too many, drop those that were chosen first."""
-        if self._showing:
+    def _change_columns(self, event: Any) -> None:
+        """Lay out the selected columns; of too many, drop those that were selected first."""
+        if self._is_updating:
             return
         new = [n for n in event.new if n not in event.old]
-        stays = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
+        previous = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
         if len(event.new) > PANELS_IN_A_ROW:
-            self.choice.value = [*stays, *new]
+            self.choice.value = [*previous, *new]
         else:
             self._lay_out()
 
-    def _begin(self, state: ResidualsOfState) -> None:
+    def _reset(self, state: ResidualsOfState) -> None:
         """Reset sources and panels for other columns."""
-        self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
+        self._panels: dict[str, ColumnPanel] = {}  # by each column that was selected before
         self._y = set_axis_range(state.residual)
         self.source: Any = ColumnDataSource({})
-        self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
-        self.legend[:] = legend(state.runs[0])
+        self._curves: Any = ColumnDataSource({})  # of the preview, which is drawn more often
+        self.legend[:] = build_legend(state.runs[0])
 
     def _lay_out(self) -> None:
-        """Make a panel for each column chosen; existing ones are reused."""
+        """Show a panel for each selected column; existing panels are reused."""
         assert self._state is not None
         names = self.choice.value
         self._fill_source(names)
         for name in names:
-            if name not in self._made:
+            if name not in self._panels:
                 panel = ColumnPanel(self._state, name, self.source, self._curves, self._y)
-                self._made[name] = panel
-        rooms = [self._made[name].room for name in names]
-        if [*self.panels] != rooms:
-            self.panels.css_classes = ["panels", *["of4"] * (len(rooms) == PANELS_IN_A_ROW)]
-            self.panels[:] = rooms
+                self._panels[name] = panel
+        views = [self._panels[name].view for name in names]
+        if [*self.panels] != views:
+            self.panels.css_classes = ["panels", *["of4"] * (len(views) == PANELS_IN_A_ROW)]
+            self.panels[:] = views
 
-    def _fill_source(self, coming: Iterable[str] = ()) -> None:
-        """Fill the data source with the drawn readings, for present and future panels."""
+    def _fill_source(self, names: Iterable[str] = ()) -> None:
+        """Fill the data source with the readings to draw, for existing panels and those of the columns `names`."""
         assert self._state is not None
-        now, before = self._state, self._state.before if self.beside.value else None
-        rows = decimate(now.residual, now.measured)
-        at: dict[str, Any] = {AT + n: now.covariates[n][rows] for n in {*coming, *self._made}}
-        other = np.full(rows.size, np.nan) if before is None else before[rows]
-        levels, runs = now.runs[0], now.runs[1][rows]
+        state, compared = self._state, self._state.compared if self.overlay.value else None
+        rows = decimate(state.residual, state.output)
+        at: dict[str, Any] = {AT + n: state.covariates[n][rows] for n in {*names, *self._panels}}
+        other = np.full(rows.size, np.nan) if compared is None else compared[rows]
+        levels, runs = state.runs[0], state.runs[1][rows]
         self.source.data = at | {
             "row": rows,
             "reading": rows + 1,
             "run": np.array(levels)[runs],
-            "residual": now.residual[rows],
-            "measured": now.measured[rows],
-            FITTED: (now.measured - now.residual)[rows],
+            "residual": state.residual[rows],
+            "measured": state.output[rows],
+            FITTED: (state.output - state.residual)[rows],
             "before": other,
-            "fit before": now.measured[rows] - other,
+            "fit before": state.output[rows] - other,
             "colour": np.array(RUNS)[runs % len(RUNS)],
-            "marker": np.array(MARKERS)[
-                runs % len(MARKERS)
-            ],  # colour is never the only distinction
+            # Colour is never the only distinction.
+            "marker": np.array(MARKERS)[runs % len(MARKERS)],
         }
         self._fill_curve()
-        count, drawn = now.residual.size, f"{rows.size:,} of {now.residual.size:,} readings plotted"
-        self.drawn.object = "" if rows.size == count else f"{drawn} (extremes of equal intervals)"
-        set_axis_range(now.residual, *([] if before is None else [before]), view=self._y)
+        text = f"{rows.size:,} of {state.residual.size:,} readings plotted (extremes of equal intervals)"
+        self.note.object = text if rows.size < state.residual.size else ""
+        set_axis_range(state.residual, *([] if compared is None else [compared]), view=self._y)
 
     def _fill_curve(self) -> None:
         """Fill the data source of a preview's curve; empty it if there is no preview."""
@@ -385,15 +383,15 @@ class ResidualPane(Pane):
             self._curves.data = {**at, CURVE: self._curve[self.source.data["row"]]}
 
 
-def legend(levels: Sequence[str]) -> list[Any]:
+def build_legend(levels: Sequence[str]) -> list[Any]:
     """Return the legend of the fit, and of the runs by colour and marker."""
     entries = [("•", FIT, "fit")]
     for k, level in enumerate(levels if 1 < len(levels) <= LEGEND_RUNS else ()):
         entries.append((SIGNS[k % len(SIGNS)], RUNS[k % len(RUNS)], f"run {level[:16]}"))
     parts: list[Any] = [
-        row(words(sign, styles={"color": colour}), words(text, "small"), kinds=("tight",))
+        row(label(sign, styles={"color": colour}), label(text, "small"), kinds=("tight",))
         for sign, colour, text in entries
     ]
     if len(levels) > LEGEND_RUNS:
-        parts.append(words(f"{len(levels)} runs; colours and shapes repeat", "small"))
+        parts.append(label(f"{len(levels)} runs; colours and shapes repeat", "small"))
     return parts

@@ -19,52 +19,52 @@ from bayescal._annexes.workbench.parts.widgets import (
     Pane,
     Rows,
     button,
-    choice,
     column,
-    download,
-    field,
-    halves,
+    download_button,
+    label,
+    pair,
+    radio_buttons,
     row,
-    words,
+    widget,
 )
-from bayescal._annexes.workbench.session_store import path_to
+from bayescal._annexes.workbench.session_store import list_path
 
-WHOLE = (
-    # The picture fills its container, in the page's colours and without a background.
+FIGURE_CSS = (
+    # The figure fills its container, in the page's colours and without a background.
     "svg, div { height: 100%; width: 100%; } text { fill: currentColor; }"
     ' [style="fill: #ffffff"] { fill-opacity: 0; }'
 )
 
 
 class ErrorPane(Pane):
-    """Pane with the figure of the errors along the path to the current step, and the tree of steps."""
+    """Pane of the tree of steps, with a figure of the errors on the path to the current step."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        to = {"go": lambda n: bench.act("go_to", n), "compare": bench.compare}
-        press = lambda state, action: to[action](int(state))  # noqa: E731
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        actions = {"go": lambda n: page.act("go_to", n), "compare": page.compare}
+        press = lambda state, action: actions[action](int(state))  # noqa: E731
         self.rows = Rows(press, table=True, kind="table", label="Steps")
-        self.find = button("Find all", lambda _: bench.find_all(), color="primary")
-        self.halt = button("Stop", lambda _: bench.stop(), disabled=True)
-        self.progress = words("", "small")
+        self.find_button = button("Find all", lambda _: page.find_all(), color="primary")
+        self.stop_button = button("Stop", lambda _: page.stop(), disabled=True)
+        self.progress = label("", "small")
         room: dict[str, Any] = {"sizing_mode": "stretch_both", "margin": 0, "min_height": 0}
-        self.picture = pn.pane.HTML("", stylesheets=[INSIDE, WHOLE], **room)
-        buttons = row(self.find, self.halt, self.progress)
-        self.view = column(buttons, halves(self.picture, self.rows), kinds=("bare", "error"))
+        self.figure = pn.pane.HTML("", stylesheets=[INSIDE, FIGURE_CSS], **room)
+        buttons = row(self.find_button, self.stop_button, self.progress)
+        self.view = column(buttons, pair(self.figure, self.rows), kinds=("bare", "error"))
 
     def show(self, state: Any) -> None:
         """Show the tree of states, and a figure of the errors on the path to the current state."""
         states, current = self.session.states, state.number
-        steps = [states[n].step.errors() for n in path_to(states, current)]
-        self.picture.object = str(ws.Pictures().draw_errors(steps).html)
-        self.rows.head, self.rows.rows = step_rows(states, current)
+        steps = [states[n].step.errors() for n in list_path(states, current)]
+        self.figure.object = str(ws.Pictures().draw_errors(steps).html)
+        self.rows.head, self.rows.rows = list_steps(states, current)
 
-    def busy(self, busy: bool) -> None:
-        self.rows.busy = self.find.disabled = busy
+    def set_busy(self, busy: bool) -> None:
+        self.rows.busy = self.find_button.disabled = busy
 
-    def show_search_progress(self, on: bool, text: str = "") -> None:
+    def show_search_progress(self, is_running: bool, text: str = "") -> None:
         """Show the progress text of a search; enable the stop button while the search is running."""
-        self.halt.disabled = not on
+        self.stop_button.disabled = not is_running
         self.progress.object = text
 
 
@@ -76,82 +76,82 @@ STEP_ACTIONS = [
 TITLES = {"P(complete)": "probability that no testable effect is missing"}
 
 
-def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the table head, and a row per state: its errors as in a printed `SearchPath`, and its actions."""
+def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the column headers, and a row per state with its errors, as in a printed `SearchPath`, and actions."""
     steps = []
     for n, state in sorted(states.items()):
-        before, branch = states.get(state.parent), state.parent not in (None, n - 1)
-        row = state.step.row(before and before.step)
+        parent, is_branch = states.get(state.parent), state.parent not in (None, n - 1)
+        row = state.step.row(parent and parent.step)
         complete = state.discovery and state.discovery.nothing_missing
-        title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * branch}
+        title = {"number": f"{n} ", "title": state.title + f" (from {state.parent})" * is_branch}
         steps.append({**row, **title, "nothing_missing": complete, "state": n})
     table = ws.steps_table(steps)
     table = table.only(*(c.head for c in table.printed_columns if c.head in COLUMNS))
-    heads, rows = [c.head for c in table.columns], []
-    rises = {"held-out": "more than a twentieth above the step before"}
+    headers, rows = [c.head for c in table.columns], []
+    increase = {"held-out": "more than a twentieth above the step before"}
     for row, (step, *cells) in zip(steps, table.cells, strict=True):
-        titles = TITLES | (rises if row["rises"] else {})
+        titles = TITLES | (increase if row["rises"] else {})
         numbers = [
             {"text": text, "kind": "number", "title": titles.get(head, "")}
-            for head, text in zip(heads[1:], cells, strict=True)
+            for head, text in zip(headers[1:], cells, strict=True)
         ]
-        now = row["state"] == current
-        texts = {"cells": [{"text": step}, *numbers], "actions": [] if now else STEP_ACTIONS}
-        rows.append({"id": str(row["state"]), **texts, "current": now})
+        is_current = row["state"] == current
+        texts = {"cells": [{"text": step}, *numbers], "actions": [] if is_current else STEP_ACTIONS}
+        rows.append({"id": str(row["state"]), **texts, "current": is_current})
     return [*table.head, ""], rows
 
 
-def answer_text() -> Any:
-    """Make a scrollable text pane for a printed table."""
-    return words("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
+def make_table_pane() -> Any:
+    """Make a scrollable pane for a printed table."""
+    return label("", "table", styles={"overflow": "auto"}, sizing_mode="stretch_both")
 
 
 class VerdictPane(Pane):
     """Pane of the verdict: whether the result may be used, with reasons."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        about = "Verdict on this model, fitted as by `bayescal calibrate`: whether it may be used."
-        self.answer = answer_text()
-        self.view = column(words(about, "small"), self.answer)
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        description = "Verdict on the model, fitted as by `bayescal calibrate`: may it be used?"
+        self.text = make_table_pane()
+        self.view = column(label(description, "small"), self.text)
 
     def show(self, state: Any) -> None:
-        self.answer.object = ""
-        answered = lambda verdict: self.answer.param.update(object=verdict)  # noqa: E731
-        self.bench.run(self.session.verdict, answered, "Computing the verdict …")
+        self.text.object = ""
+        show_text = lambda verdict: self.text.param.update(object=verdict)  # noqa: E731
+        self.page.run(self.session.verdict, show_text, "Computing the verdict …")
 
 
 class ComparePane(Pane):
     """Pane that compares the current step with another one."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self._showing = False
-        self.which = field(pn.widgets.Select, "with step", options={}, width=200)
-        self.which.param.watch(lambda _: self._chosen(), "value")
-        about = (
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        self._is_updating = False
+        self.selection = widget(pn.widgets.Select, "with step", options={}, width=200)
+        self.selection.param.watch(lambda _: self._compare(), "value")
+        description = (
             "The current step compared with another one, whose residuals are hollow in the panels."
         )
-        self.answer = answer_text()
-        self.view = halves(column(words(about, "small"), row(self.which)), self.answer)
+        self.text = make_table_pane()
+        self.view = pair(column(label(description, "small"), row(self.selection)), self.text)
 
     def set_other(self, number: int | None) -> None:
-        """Set the step to compare with."""
-        states, now = self.session.states, self.session.current.number
-        self._showing = True
-        options = {f"{n} {s.title}": n for n, s in states.items() if n != now}
-        self.which.param.update(options=options, value=number)
-        self._showing = False
+        """Select the step to compare with, without a comparison."""
+        states, current = self.session.states, self.session.current.number
+        self._is_updating = True
+        options = {f"{n} {s.title}": n for n, s in states.items() if n != current}
+        self.selection.param.update(options=options, value=number)
+        self._is_updating = False
 
     def show(self, state: Any) -> None:
-        self.answer.object, other = "", self.which.value
+        self.text.object, other = "", self.selection.value
         if other is not None:
-            answered = lambda text: self.answer.param.update(object=text)  # noqa: E731
-            self.bench.run(lambda: self.session.compare(other), answered, "Comparing …")
+            show_text = lambda text: self.text.param.update(object=text)  # noqa: E731
+            self.page.run(lambda: self.session.compare(other), show_text, "Comparing …")
 
-    def _chosen(self) -> None:
-        if not self._showing and self.which.value is not None:
-            self.bench.compare(self.which.value)
+    def _compare(self) -> None:
+        if not self._is_updating and self.selection.value is not None:
+            self.page.compare(self.selection.value)
 
 
 # Label of the button → file, description.
@@ -164,22 +164,22 @@ FILES = {
 
 
 class FilesPane(Pane):
-    """Pane of files, report and compensations: a button writes a file, then a link downloads it."""
+    """Pane of the report and exports: a button writes a file, and a link then downloads it."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self._links = {label: download("", visible=False) for label in FILES}
-        self.view = column(*map(self._line, FILES), kinds=("bare", "scrolls"))
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        self._links = {name: download_button("", visible=False) for name in FILES}
+        self.view = column(*map(self._make_row, FILES), kinds=("bare", "scrolls"))
 
-    def _line(self, label: str) -> Any:
-        file, about = FILES[label]
-        write, link = lambda: self.session.write(file), self._links[label]
+    def _make_row(self, name: str) -> Any:
+        file, description = FILES[name]
+        write, link = lambda: self.session.write(file), self._links[name]
 
         def show(path: Path) -> None:
             link.param.update(file=str(path), filename=file, label=f"Download {file}", visible=True)
 
-        press = lambda _: self.bench.run(write, show, f"Writing {file} …")  # noqa: E731
-        return row(button(label, press, min_width=170), words(about, "small"), link)
+        press = lambda _: self.page.run(write, show, f"Writing {file} …")  # noqa: E731
+        return row(button(name, press, min_width=170), label(description, "small"), link)
 
     def show(self, state: Any) -> None:
         for link in self._links.values():
@@ -189,9 +189,9 @@ class FilesPane(Pane):
 class PythonPane(Pane):
     """Pane of the script that reproduces the steps up to the current one."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self.code = field(
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        self.code = widget(
             pn.widgets.TextAreaInput,
             "The steps in Python, with identical numbers",
             sizing_mode="stretch_both",
@@ -200,7 +200,7 @@ class PythonPane(Pane):
             max_length=10**6,
         )
         script = lambda: BytesIO(self.code.value.encode())  # noqa: E731
-        link = download("Download workbench.py", callback=script, filename="workbench.py")
+        link = download_button("Download workbench.py", callback=script, filename="workbench.py")
         self.view = column(self.code, row(link))
 
     def show(self, state: Any) -> None:
@@ -213,31 +213,31 @@ ERROR = "The error"
 class Tabs(Pane):
     """Tabs that select the lower pane; a pane is updated when its tab is opened."""
 
-    def __init__(self, bench: Any) -> None:
-        super().__init__(bench)
-        self.compare = ComparePane(bench)
+    def __init__(self, page: Any) -> None:
+        super().__init__(page)
+        self.compare = ComparePane(page)
         self._panes: dict[str, Pane] = {
-            ERROR: bench.error,
+            ERROR: page.errors,
             "Side by side": self.compare,
-            "Verdict": VerdictPane(bench),
-            "Files": FilesPane(bench),
-            "Python": PythonPane(bench),
+            "Verdict": VerdictPane(page),
+            "Files": FilesPane(page),
+            "Python": PythonPane(page),
         }
         self._state: Any = None
         self._stale = set[str]()
-        self.which = choice([*self._panes], ERROR, "Lower part")
-        self.which.param.watch(lambda _: self._freshen(), "value")
-        self.room = pn.Column(bench.error.view, sizing_mode="stretch_both", margin=0, min_height=0)
-        self.view = column(self.which, self.room, kinds=("pane", "tabs"))
+        self.selection = radio_buttons([*self._panes], ERROR, "Lower part")
+        self.selection.param.watch(lambda _: self._update_pane(), "value")
+        self.body = pn.Column(page.errors.view, sizing_mode="stretch_both", margin=0, min_height=0)
+        self.view = column(self.selection, self.body, kinds=("pane", "tabs"))
 
     def show(self, state: Any) -> None:
         self._state, self._stale = state, {*self._panes} - {ERROR}
-        self._freshen()
+        self._update_pane()
 
-    def _freshen(self) -> None:
-        pane = self._panes[self.which.value]
-        if self.which.value in self._stale:
-            self._stale.discard(self.which.value)
+    def _update_pane(self) -> None:
+        pane = self._panes[self.selection.value]
+        if self.selection.value in self._stale:
+            self._stale.discard(self.selection.value)
             pane.show(self._state)
-        if [*self.room] != [pane.view]:
-            self.room[:] = [pane.view]
+        if [*self.body] != [pane.view]:
+            self.body[:] = [pane.view]

@@ -18,26 +18,28 @@ N_THREADS = 4  # for a job, a search, and previews
 class PageWorker:
     """Worker pool of one page; results and error messages are delivered in the page's own thread."""
 
-    def __init__(self, tell: Callable[[str, bool], None], busy: Callable[[bool], None]) -> None:
-        """Args:
-        tell: `tell(text, is_error)` shows the running jobs ("" for none), or an error message.
-        busy: `busy(is_busy)` is called when the first job begins and the last ends.
+    def __init__(self, show: Callable[[str, bool], None], set_busy: Callable[[bool], None]) -> None:
+        """Start the pool.
+
+        Args:
+            show: `show(text, is_error)` shows the running jobs ("" for none), or an error message.
+            set_busy: `set_busy(is_busy)` is called when jobs begin and end.
         """
-        self._tell, self._busy = tell, busy
+        self._show, self._set_busy = show, set_busy
         self._document: Any = pn.state.curdoc
         # Jobs use the settings that were in force when the page was created.
         self._context = copy_context()
         self._pool = ThreadPoolExecutor(N_THREADS, thread_name_prefix="workbench")
         self._latest_preview = object()
-        self._under_way: list[tuple[str, bool]] = []  # jobs: status, changes
+        self._jobs: list[tuple[str, bool]] = []  # status, whether it may change the session
 
     @property
     def busy(self) -> bool:
         """Return whether a job that may change the session is running."""
-        return any(changes for _, changes in self._under_way)
+        return any(changes for _, changes in self._jobs)
 
-    def on_page(self, call: Callable[[], Any]) -> None:
-        """Schedule a call in the page's own thread; from any thread."""
+    def call_on_page(self, call: Callable[[], Any]) -> None:
+        """Schedule a call in the page's own thread; may be called from any thread."""
         if self._document is not None and self._document.session_context is not None:
             self._document.add_next_tick_callback(call)
         else:
@@ -56,13 +58,13 @@ class PageWorker:
         """Run a job in a thread, then call `then(result)`, or `failed()` after an error, on the page.
 
         Args:
-            job, then, failed: see above.
-            status: description of the job on the page; empty for none.
-            changes: whether the job may change the session; the page is busy meanwhile.
-            is_current: returns whether the result is still needed.
+            job, then, failed: functions that are called as described above.
+            status: description of the job, shown on the page; "" for none.
+            changes: whether the job may change the session; if so, the page is busy while it runs.
+            is_current: function that returns whether the result is still needed; if not, it is discarded.
         """
 
-        def work() -> None:
+        def run_job() -> None:
             result, error, is_skipped = None, "", not is_current()
             try:
                 result = None if is_skipped else job()
@@ -71,38 +73,38 @@ class PageWorker:
             except Exception as caught:
                 logging.getLogger("bayescal").error("in the workbench", exc_info=caught)
                 error = f"{type(caught).__name__}: {caught}"
-            self.on_page(lambda: finish(result, error, is_skipped))
+            self.call_on_page(lambda: finish(result, error, is_skipped))
 
         def finish(result: Any, error: str, is_skipped: bool) -> None:
             if status:
-                self._under_way.remove(entry)
-                self._follow()
+                self._jobs.remove(entry)
+                self._show_jobs()
             if error and is_current():
-                self._tell(error, True)
+                self._show(error, True)
                 failed()
             elif is_current() and not is_skipped:
                 then(result)
 
         entry = status, changes
         if status:
-            self._under_way.append(entry)
-            self._follow()
-        self._pool.submit(self._context.copy().run, work)
+            self._jobs.append(entry)
+            self._show_jobs()
+        self._pool.submit(self._context.copy().run, run_job)
 
     def preview(self, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
-        """Compute a preview; a later one replaces it."""
+        """Run a job for a preview; its result is discarded if another preview is requested meanwhile."""
         token = self._latest_preview = object()
         self.run(job, then, is_current=lambda: token is self._latest_preview)
 
     def forget_preview(self) -> None:
-        """Drop the running preview."""
+        """Discard the result of the running preview."""
         self._latest_preview = object()
 
     def close(self) -> None:
         """Shut down the pool; jobs that have not begun are cancelled."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _follow(self) -> None:
-        """Disable or enable changes of the model, and show the running jobs."""
-        self._busy(self.busy)
-        self._tell("; ".join(status for status, _ in self._under_way), False)
+    def _show_jobs(self) -> None:
+        """Show the running jobs, and disable changes of the model while a job may change the session."""
+        self._set_busy(self.busy)
+        self._show("; ".join(status for status, _ in self._jobs), False)

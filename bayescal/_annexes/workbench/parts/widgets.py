@@ -27,7 +27,7 @@ RADIO = (FOLDER / "radio.css").read_text("utf-8")  # choices
 
 
 def set_axis_range(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
-    """Set an axis range that covers the values and a margin; keep the user's zoom if that range is unchanged."""
+    """Return an axis range that covers the values with a margin; an existing `view` of that range keeps its zoom."""
     low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
     margin = 0.06 * (high - low) or abs(high) or 1.0
     start, end = low - margin, high + margin
@@ -48,17 +48,17 @@ class Text(pn.pane.Str):
         return model
 
 
-def words(text: str = "", *kinds: str, **settings: Any) -> Text:
-    """Make a text of style classes `kinds`: "title", "small", "table" (a printed table), "refused" (an error)."""
+def label(text: str = "", *kinds: str, **settings: Any) -> Text:
+    """Make a text of CSS classes `kinds`: "title", "small", "table" (a printed table), "refused" (an error)."""
     settings = {"margin": 0, "css_classes": list(kinds), "stylesheets": [PLAIN], **settings}
     return Text(text, **settings)
 
 
 def button(label: str, on_click: Any, **settings: Any) -> pn.widgets.Button:
     """Make a button in the page's style; `on_click` is called with the event."""
-    widget = field(pn.widgets.Button, label, **{"align": "center", **settings})
-    widget.on_click(on_click)
-    return widget
+    panel_button = widget(pn.widgets.Button, label, **{"align": "center", **settings})
+    panel_button.on_click(on_click)
+    return panel_button
 
 
 def row(*children: Any, kinds: tuple[str, ...] = (), **settings: Any) -> pn.Row:
@@ -73,53 +73,53 @@ def column(*children: Any, kinds: tuple[str, ...] = ("bare",), **settings: Any) 
     return pn.Column(*children, css_classes=list(kinds), stylesheets=[INSIDE], **settings)
 
 
-def halves(left: Any, right: Any) -> pn.Column:
+def pair(left: Any, right: Any) -> pn.Column:
     """Lay out two widgets side by side, the left one narrower, or stacked if the page is too narrow."""
     return column(left, right, kinds=("halves",))
 
 
-def plot(fig: Any) -> pn.pane.Bokeh:
+def figure_pane(fig: Any) -> pn.pane.Bokeh:
     """Wrap a Bokeh figure in a pane that fills its container."""
     return pn.pane.Bokeh(fig, sizing_mode="stretch_both", margin=0, min_height=0)
 
 
-def field(kind: type[Any], label: str, **settings: Any) -> Any:
+def widget(kind: type[Any], label: str, **settings: Any) -> Any:
     """Make a Panel widget in the page's style."""
     return kind(label=label, **{"stylesheets": [INSIDE], "margin": 0, **settings})
 
 
-def download(label: str, **settings: Any) -> pn.widgets.FileDownload:
-    """Make a button that fetches and downloads its file when it is pressed."""
-    how = {"file": BytesIO(), "filename": "none"} if "callback" not in settings else {}
-    how |= {"embed": False, "auto": True, "align": "center", "color": "primary"}
-    return field(pn.widgets.FileDownload, label, **{**how, **settings})
+def download_button(label: str, **settings: Any) -> pn.widgets.FileDownload:
+    """Make a button that downloads a file: `file`, or the one that `callback` returns when it is pressed."""
+    options = {"file": BytesIO(), "filename": "none"} if "callback" not in settings else {}
+    options |= {"embed": False, "auto": True, "align": "center", "color": "primary"}
+    return widget(pn.widgets.FileDownload, label, **{**options, **settings})
 
 
-def choice(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
+def radio_buttons(options: list[str], value: str, label: str) -> pn.widgets.RadioBoxGroup:
     """Make radio buttons, which are accessible by keyboard, unlike Bokeh's tabs and button groups."""
-    how: dict[str, Any] = {"options": options, "value": value, "inline": True}
-    return field(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, RADIO], **how)
+    settings: dict[str, Any] = {"options": options, "value": value, "inline": True}
+    return widget(pn.widgets.RadioBoxGroup, label, stylesheets=[INSIDE, RADIO], **settings)
 
 
-def several(label: str, **settings: Any) -> pn.widgets.CheckBoxGroup:
+def check_boxes(label: str, **settings: Any) -> pn.widgets.CheckBoxGroup:
     """Make check boxes, whose labels are text (those of `MultiChoice` are HTML)."""
-    how = {"inline": True, "stylesheets": [INSIDE, RADIO], **settings}
-    return field(pn.widgets.CheckBoxGroup, label, **how)
+    options = {"inline": True, "stylesheets": [INSIDE, RADIO], **settings}
+    return widget(pn.widgets.CheckBoxGroup, label, **options)
 
 
 class Rows(JSComponent):
-    """A list of rows, or a table with a head.
+    """List of rows with buttons, or a table with column headers.
 
     Attributes:
         rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title"}], "group",
-            "kind", "current", "note"}; `bar` from 0 to 1.
-        head: titles of a table's columns.
-        table: whether it is a table.
-        pointing: whether hovering over or focusing on a row sets `pointed`.
+            "kind", "current", "note"}; `bar` is the length of a bar, from 0 to 1.
+        head: column headers of a table.
+        table: whether the rows are shown as a table.
+        pointing: whether hovering over a row, or focusing on it, sets `pointed`.
         pointed: id of the row last pointed at; empty for none.
         busy: whether the buttons are disabled.
         label: label for screen readers.
-        kind: style class.
+        kind: CSS class.
     """
 
     rows = param.List(default=[], item_type=dict)
@@ -135,13 +135,13 @@ class Rows(JSComponent):
     _stylesheets = [(FOLDER / "rows.css").read_text("utf-8")]  # noqa: RUF012
 
     def __init__(self, on_press: Callable[[str, str], None] | None = None, **settings: Any) -> None:
-        """Make a `JSComponent`; `on_press(row, action)` is called when a row's button is pressed."""
+        """Make the list; `on_press` is called with the ids of the row and of the action when a button is pressed."""
         room = {"margin": 0, "sizing_mode": "stretch_both", "styles": {"min-height": "0"}}
         super().__init__(**{**room, **settings})
         self._on_press = on_press
 
     def _handle_msg(self, data: Any) -> None:
-        """Handle a click in the browser, if the row and its action exist and are enabled."""
+        """Call `on_press` after a click in the browser, if the row and its action exist and are enabled."""
         if self._on_press is None or self.busy or not isinstance(data, dict):
             return
         pressed = data.get("row"), data.get("action")
@@ -153,14 +153,14 @@ class Pane:
     """Base class of the panes of the page.
 
     Attributes:
-        bench, session: the page (`app.Workbench`), through which a pane acts, and its session.
+        page, session: the page (`app.Workbench`), whose methods are a pane's actions, and its session.
         view: Panel view of the pane.
     """
 
     view: Any
 
-    def __init__(self, bench: Any) -> None:
-        self.bench, self.session = bench, bench.session
+    def __init__(self, page: Any) -> None:
+        self.page, self.session = page, page.session
 
     def show(self, state: Any) -> None:
         """Show a state of the session."""
