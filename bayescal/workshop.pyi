@@ -117,9 +117,9 @@ from ._data.pose_rows import TURNED as TURNED
 from ._data.pose_rows import ellipsoid as ellipsoid
 from ._data.pose_rows import magnitude as magnitude
 from ._data.read_options import ExpectedColumns as ExpectedColumns
+from ._data.read_options import check_options as check_options
 from ._data.read_options import output_name as output_name
 from ._data.read_options import unit_of as unit_of
-from ._data.read_options import unused_options as unused_options
 from ._data.records import equal_runs as equal_runs
 
 # units

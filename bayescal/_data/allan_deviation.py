@@ -64,13 +64,13 @@ CONFIDENCE = 0.95  # coverage probability of every interval
 
 
 class EvenRuns(NamedTuple):
-    """Time grids of runs: index of the reading at each grid point, −1 for a lost reading; and the time step, s."""
+    """Evenly spaced time grids of runs: index of the reading at each grid point (−1 if lost), and the time step, s."""
 
     rows: tuple[np.ndarray, ...]
     step: float
 
     def arrange(self, values: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "k"]]:
-        """Arrange values (n,) of readings on each run's time grid, NaN for lost readings."""
+        """Return values (n,) of readings at the grid points of each run, NaN for lost readings."""
         return [np.where(rows < 0, np.nan, values[rows]) for rows in self.rows]
 
     @property
@@ -128,7 +128,7 @@ def allan_deviation(
     """Compute the overlapping Allan deviation of the output, or of `values` (n,) in its unit, such as residuals.
 
     Averaging times are octaves from one step to a quarter of the longest run. Differences of averages do not extend
-    over two runs; runs are weighted by their numbers of differences. `runs`: time grids, if `even_runs` has found them.
+    over two runs; runs are weighted by their numbers of differences. `runs`: time grids, by default from `even_runs`.
 
     Raises:
         InputError: no column `time`, no run of 30 readings, time steps that differ by more than 5 %, or constant
@@ -158,10 +158,10 @@ def allan_deviation(
 
 
 def even_runs(readings: Measurements) -> EvenRuns:
-    """Place the readings of each run of a record on an equally spaced time grid.
+    """Return the evenly spaced time grids of a record's runs, with the reading at each grid point.
 
-    Time stamps truncated to milliseconds, or shared by readings that arrived together, lie on an even grid if none
-    deviates from it by a step; the step of this grid is then used. A step of several median steps has lost readings.
+    Time stamps may be truncated to milliseconds, or shared by readings that arrived together: if none deviates from an
+    even grid by a step, the step of this grid is used. In a step of several median steps, readings were lost.
 
     Raises:
         InputError: no column `time`, no run of 30 readings, mostly repeated times, time steps that differ by more than
@@ -175,8 +175,8 @@ def even_runs(readings: Measurements) -> EvenRuns:
         raise InputError(f"{text} a run of {MIN_RUN_READINGS} readings or more")
     steps = [np.diff(readings["time"][run_rows]) for run_rows in rows]
     median = float(np.median(np.concatenate(steps)))
-    if (grid := _grid(readings["time"], rows, median)) is not None:
-        return EvenRuns(tuple(rows), grid)
+    if (step := _fit_step(readings["time"], rows, median)) is not None:
+        return EvenRuns(tuple(rows), step)
     if not median > 0:
         raise InputError(
             f"{text} distinct times: most equal the preceding one. Record the time with more digits, or give a counter"
@@ -201,10 +201,10 @@ def even_runs(readings: Measurements) -> EvenRuns:
     return EvenRuns(tuple(grids), median)
 
 
-def _grid(time: np.ndarray, rows: Sequence[np.ndarray], median: float) -> float | None:
-    """Return the step, s, of the even grid underlying rounded time stamps; None if readings may have been lost.
+def _fit_step(time: np.ndarray, rows: Sequence[np.ndarray], median: float) -> float | None:
+    """Return the step, s, of the even grid of rounded time stamps; None if not rounded, or if readings may be lost.
 
-    A lost reading leaves a multiple of the median step; rounded time stamps stay near their regression line.
+    A lost reading causes a step of a multiple of the median; rounded time stamps are near their regression line.
     """
     grid_steps = list[float]()
     for run_rows in rows:
@@ -214,24 +214,24 @@ def _grid(time: np.ndarray, rows: Sequence[np.ndarray], median: float) -> float 
         steps = np.diff(stamps) / median if median else np.array([0.5])
         step_counts = np.maximum(np.round(steps), 1.0)
         positions = np.arange(len(run_rows))
-        grid = float(np.polyfit(positions, stamps - stamps[0], 1)[0])
+        grid_step = float(np.polyfit(positions, stamps - stamps[0], 1)[0])
         if (
             np.all(abs(steps - step_counts) <= EVEN_STEPS)
-            or np.ptp(stamps - grid * positions) > MAX_STAMP_RANGE_STEPS * grid
+            or np.ptp(stamps - grid_step * positions) > MAX_STAMP_RANGE_STEPS * grid_step
         ):
             return None
-        grid_steps.append(grid)
-    grid = float(np.median(grid_steps))
-    return grid if all(abs(step - grid) < EVEN_STEPS * grid for step in grid_steps) else None
+        grid_steps.append(grid_step)
+    common = float(np.median(grid_steps))
+    return common if all(abs(step - common) < EVEN_STEPS * common for step in grid_steps) else None
 
 
 def allan_variances(
     values: Float[np.ndarray, "n"] | Float[np.ndarray, "n q"], runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Return the Allan variances of all runs (k,), summed over columns of values, and the numbers of differences (k,).
+    """Return the Allan variance over all runs (k,), summed over columns of `values`, and the numbers of differences.
 
-    If readings were lost, averages use the present ones, at least half of them, and their differences are scaled to
-    the variance of white noise without losses; a random walk is underestimated by at most the lost share.
+    If readings were lost, averages of at least half of their readings are used, and differences are scaled to the
+    variance of white noise without losses; a random walk is underestimated by at most the lost share.
     """
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
@@ -264,9 +264,9 @@ def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 
 
 def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Return the equivalent degrees of freedom of all runs (k,), Greenhall & Riley (2003), less the lost share.
+    """Return the equivalent degrees of freedom of the mean over all runs (k,), times the share of readings not lost.
 
-    The variance of an estimate of v from run i is 2·v²/eᵢ, that of the mean with weights wᵢ is 2·v²·Σ wᵢ²/eᵢ.
+    An estimate of v from run i has the variance 2·v²/eᵢ (Greenhall & Riley, 2003), a weighted mean 2·v²·Σ wᵢ²/eᵢ.
     """
     lengths, counts = np.unique(runs.lengths, return_counts=True)
     edfs = []

@@ -13,8 +13,7 @@ from bayescal._data.unit_conversion import convert, parse_quantity
 
 # Median changes of a column, above which a change is a step between two settings, not to be averaged over.
 MIN_STEP_CHANGES = 10.0
-# Largest share of readings that are such steps, so that a mean has ten readings or more.
-MAX_STEPS_SHARE = 0.1
+MAX_STEPS_SHARE = 0.1  # largest share of steps in the readings; a mean then has ten or more of them
 
 
 def parse_duration(text: str | float) -> float:
@@ -32,7 +31,7 @@ def parse_duration(text: str | float) -> float:
 def check_averaging_time(
     time: np.ndarray, is_next: np.ndarray, counts: np.ndarray, seconds: float, file: str
 ) -> None:
-    """Raise InputError if an averaging time combines no two readings, or all; `is_next`: same group as the last."""
+    """Raise InputError if averaging combines no two readings, or all; `is_next`: reading continues a group (n,)."""
     if counts.size == 1:
         fault = f"averaging over {seconds:g} s combines all {time.size} readings into one mean"
         raise InputError(f"{file}: {fault}: give a shorter averaging time")
@@ -56,10 +55,10 @@ def bin_times(time: np.ndarray, is_next: np.ndarray, seconds: float) -> np.ndarr
 
 
 def find_steps(values: np.ndarray, is_next: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the steps of a column of settings, such as an angle held for many readings.
+    """Return a mask (n,) of readings at which a setting changes, such as an angle held for many readings.
 
-    A step is a change of more than ten times the median change (zero for exactly held values). A column with many
-    steps contains no settings; it toggles in its last digit and may be averaged.
+    These are changes of more than ten times the median change (zero for exactly held values). A column with many of
+    them is no setting: it fluctuates in its last digit, and may be averaged.
     """
     change = np.where(is_next, np.abs(np.diff(values, prepend=values[:1])), 0.0)
     is_step = change > MIN_STEP_CHANGES * (np.median(change[is_next]) if is_next.any() else 0.0)
@@ -73,10 +72,10 @@ def mean_rows(rows: np.ndarray, begins: np.ndarray) -> np.ndarray:
     return first_rows + deviations / counts.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
-def noise_of_reading(
+def estimate_reading_noise(
     columns: Mapping[str, np.ndarray], output: str, order: np.ndarray, is_next: np.ndarray
 ) -> float:
-    """Estimate the white-noise standard deviation of a reading beyond its known uncertainty, √(mean(Δ²)/2)."""
+    """Estimate a reading's white-noise standard deviation, √(mean(Δ²)/2), without its known uncertainty (variances)."""
     uncertainties = columns[UNCERTAINTY] if UNCERTAINTY in columns else np.zeros(order.size)
     change = np.diff(columns[output][order], prepend=0.0)[is_next]
     variance = 0.5 * float(np.mean(change**2)) - float(np.mean(uncertainties[order][is_next] ** 2))
@@ -86,9 +85,9 @@ def noise_of_reading(
 def uncertainty_of_means(
     columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
 ) -> np.ndarray | None:
-    """Return the excess standard uncertainty of each mean over that of the mean of most readings; None if zero.
+    """Return the standard uncertainty of each mean in excess of that of the mean of most readings; None if zero.
 
-    A mean of n readings has the variance σ²/n, that of most readings σ²/N; the excess variance is σ²·(1/n − 1/N).
+    Its variance is σ²·(1/n − 1/N) for a mean of n readings, at most N, plus that of the readings' known uncertainties.
     """
     counts = np.diff(begins, append=order.size)
     variance = noise**2 * (1 / counts - 1 / counts.max())

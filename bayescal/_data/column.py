@@ -26,16 +26,16 @@ RESERVED_NAMES = (ROW, "cell")  # names of groupings: each reading, and run × t
 
 @dataclass(frozen=True)
 class Column:
-    """A column of an instrument's files.
+    """Column that an instrument declares for its files.
 
     Attributes:
         name: bayescal's name; a file may use another one (`columns=`).
         unit: fixed unit in bayescal; None for a text label (run, device, axis, group, direction); "any" for a channel
             of any quantity, stored in its fixed unit (µg, °/s, rad, °C; ppm, ppb, % unchanged; else base units).
         meaning: description in one line.
-        required: whether a file without the column is an error.
+        required: whether a file without the column is refused.
         default: value, in `unit`, of every reading if the file lacks the column; None omits the column.
-        low, high: least and greatest plausible value, in `unit`; a value outside is an error.
+        low, high: smallest and largest plausible value, in `unit`; a file with other values is refused.
         allowed: the valid labels; empty allows any.
         also: further names of the column in files.
     """
@@ -99,7 +99,7 @@ class NominalScale:
 
 @dataclass(frozen=True)
 class Source:
-    """A source file of readings: its name, the digest of its bytes, and the options of reading.
+    """Source file of readings: its name, SHA-256, number of rows, and the user's options for its columns.
 
     Attributes:
         output: header of the column that was read as the output, if the user chose it; else empty.
@@ -127,7 +127,7 @@ class Place(NamedTuple):
 
 @dataclass
 class ConvertedColumns:
-    """Columns of one file, or of several concatenated, by bayescal's names and in fixed units.
+    """Columns of one file, or of several files concatenated, under bayescal's names and in fixed units.
 
     Attributes:
         tables: the files, restricted to the kept rows.
@@ -156,7 +156,7 @@ class ConvertedColumns:
         self.values[name] = np.full(rows, value, dtype=kind)
         self.units[name] = unit
 
-    def where(self, index: int) -> Place:
+    def locate(self, index: int) -> Place:
         """Return the file and row of a reading, given its index in the concatenated files."""
         for table in self.tables:
             if index < table.rows:

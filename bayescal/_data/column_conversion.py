@@ -22,7 +22,7 @@ from bayescal._data.column import (
     find_overloads,
     find_placeholders,
 )
-from bayescal._data.header_matching import DATE_NAMES, MatchedFile, normalise, other_channels
+from bayescal._data.header_matching import DATE_NAMES, MatchedFile, find_channels, normalise
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.read_options import (
     InstrumentLike,
@@ -33,7 +33,7 @@ from bayescal._data.read_options import (
     unit_of,
 )
 from bayescal._data.records import Records
-from bayescal._tables import cells as of_cells
+from bayescal._tables import cells as table_cells
 from bayescal._tables.cells import MAX_INVALID_ROWS, Cells, format_date
 from bayescal._tables.raw_table import Objections, Table, load_whole, option
 
@@ -42,14 +42,14 @@ _MAX_QUOTED = 3  # cells of a column quoted in a message
 _OVERLOAD_FAULT = "reads {:.4g}, a code for an overload or no reading (SCPI: ±9.9E37, 9.91E37)"
 _PLACEHOLDER_FAULT = "reads {:g}, far from all other numbers: it marks a missing reading"
 _EPOCH_OFFSET_S = 2_082_844_800.0  # from 1904 to 1970
-_EARLIEST_SINCE_1904_S = of_cells.EARLIEST + _EPOCH_OFFSET_S  # the year 2000 counted from 1904
+_EARLIEST_SINCE_1904_S = table_cells.EARLIEST + _EPOCH_OFFSET_S  # the year 2000 counted from 1904
 _CONVERTER_BITS = (12, 16, 20, 24, 32)  # word lengths of analogue-to-digital converters
 
 
 def convert_columns(
     table: Table, instrument: InstrumentLike, options: ReadOptions
 ) -> ConvertedColumns:
-    """Convert a file's columns to the instrument's units: the declared columns in their order, then further ones.
+    """Convert a file's columns to the instrument's units: the columns that it declares in their order, then others.
 
     Rows with a missing reading are dropped if the options request it. Raises InputError with all problems of the file.
     """
@@ -103,8 +103,8 @@ def _convert_column(reader: ColumnReader, cells: Cells) -> None:
         reader.converted.flags += reader.flags
     else:
         problem = reader.problems[0]
-        why = " ".join((*problem.places[:1], problem.fault))
-        message = f"{problem.file}: column {problem.column!r} ignored: {why}"
+        reason = " ".join((*problem.places[:1], problem.fault))
+        message = f"{problem.file}: column {problem.column!r} ignored: {reason}"
         reader.converted.flags.append(message)
 
 
@@ -125,13 +125,13 @@ def _note_channels(file: MatchedFile, converted: ConvertedColumns) -> None:
     """Flag the other channels of the same device, which are excluded as covariates."""
     if (output := output_name(file.instrument)) not in converted.values:
         return
-    output_header = file.header(output).name
-    further = {n: u for n, u in converted.units.items() if n not in file.expected}
-    converted.other_channels.update(other_channels(output_header, further, converted.units[output]))
+    header = file.header(output).name
+    undeclared = {n: u for n, u in converted.units.items() if n not in file.expected}
+    converted.other_channels.update(find_channels(header, undeclared, converted.units[output]))
     if converted.other_channels:
         names = ", ".join(sorted(converted.other_channels))
         converted.flags.append(
-            f"{file.table.file}: {names}: not used as covariates of {output_header!r}, because they look like other "
+            f"{file.table.file}: {names}: not used as covariates of {header!r}, because they look like other "
             "channels of the device (to use one as a covariate: --covariates NAME, in Python covariates=)"
         )
 
@@ -155,7 +155,7 @@ def _format_rows(table: Table, rows: np.ndarray) -> str:
 
 
 class ColumnReader:
-    """Checks and converts one column of a file, with the problems and flags found."""
+    """Reader of one column of a file, which checks and converts it, and collects problems and flags."""
 
     def __init__(self, file: MatchedFile, column: Column, converted: ConvertedColumns) -> None:
         self.file, self.column, self.converted = file, column, converted
@@ -166,7 +166,7 @@ class ColumnReader:
         self.is_output = self.name == output_name(file.instrument)
 
     def read(self, cells: Cells) -> None:
-        """Check and convert the cells of the column; leave it out if it is empty and not required."""
+        """Check and convert the cells of the column; ignore it, with a flag, if it is empty and not required."""
         is_label = self.column.unit is None
         is_empty = cells.values == "" if is_label else np.isnan(cells.values)
         if not self.column.required and not cells.invalid_texts and is_empty.all():
@@ -183,13 +183,13 @@ class ColumnReader:
         if has_dates := texts is not None:  # only a time column is read as dates
             cells = self._read_dates(texts)
         unit = "s" if has_dates else self._find_unit(cells)
-        raw, bad_rows = cells.values, set(cells.invalid_texts)
+        raw, noted_rows = cells.values, set(cells.invalid_texts)
         self._note_text(cells, unit, has_dates)
         searches = (find_overloads, _OVERLOAD_FAULT), (find_placeholders, _PLACEHOLDER_FAULT)
         for find, template in searches:
             if (rows := find(raw)).size:
                 self._note_missing(rows, template.format(raw[rows[0]]))
-                bad_rows |= {*rows.tolist()}
+                noted_rows |= {*rows.tolist()}
                 raw = raw.copy()
                 raw[rows] = np.nan
         raw = self._unwrap(raw, unit)
@@ -198,7 +198,7 @@ class ColumnReader:
             values = raw if has_dates or unit is None else self._convert(raw, unit)
         if values is None:
             return
-        self._note_not_finite(raw, values, unit, bad_rows)
+        self._note_not_finite(raw, values, unit, noted_rows)
         if unit is not None:
             self._note_implausible(raw, values, unit)
         if not self.problems:
@@ -208,8 +208,8 @@ class ColumnReader:
         self.converted.values[self.name] = values
         self.converted.units[self.name] = self.column.unit
 
-    def _report(self, fault: str, *about: str, **details: Any) -> None:
-        self.problems.append(self.file.table.objection(self.header.raw, fault, *about, **details))
+    def _report(self, fault: str, *texts: str, **details: Any) -> None:
+        self.problems.append(self.file.table.objection(self.header.raw, fault, *texts, **details))
 
     def _flag(self, text: str) -> None:
         self.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {text}")
@@ -238,9 +238,9 @@ class ColumnReader:
 
     def _read_dates(self, texts: np.ndarray) -> Cells:
         """Parse dates; add a problem if the order of day, month and year is ambiguous and not given."""
-        dates, orders = of_cells.parse_dates(texts, self.options.date_order)
+        dates, orders = table_cells.parse_dates(texts, self.options.date_order)
         if orders:
-            fault = "has ambiguous dates: which number is the day, or whether they are times"
+            fault = "has ambiguous dates: the order of day, month and year is unclear, or they are times of day"
             expected = "a day above 12 in one of them, or the year first"
             cure = f"Give their order: {', '.join(orders)}"
             self._report(fault, expected, cure, option("--date-order", orders[0]))
@@ -251,7 +251,7 @@ class ColumnReader:
         unit = unit_of(self.header, self.name, self.options)
         suggestion = option("--unit", f"{self.header.raw}=UNIT")
         if unit is None:
-            if self.is_time and (inferred := of_cells.detect_epoch_unit(cells.values)):
+            if self.is_time and (inferred := table_cells.detect_epoch_unit(cells.values)):
                 self._flag(f"read as {units.format_unit(inferred)} since 1970, by its magnitude")
                 return inferred
             if not (self.is_time and cells.invalid_texts and np.isnan(cells.values).all()):
@@ -274,21 +274,21 @@ class ColumnReader:
         """Add a problem for cells that contain text in place of a number or a date."""
         if not cells.invalid_texts:
             return
-        expected, date = _describe_number(unit), f"a date such as {of_cells.EXAMPLE}"
+        expected, date = _describe_number(unit), f"a date such as {table_cells.EXAMPLE}"
         if has_dates:
             expected = f"{date}, with a time zone in all cells or in none"
         elif self.is_time:
             expected = date if unit is None else f"{expected}, or a date"
         texts = list(dict.fromkeys(cells.invalid_texts.values()))
         hint = "Correct the cell, or remove the row"
-        if any(map(of_cells.DECIMAL_COMMA.fullmatch, texts)):
+        if any(map(table_cells.DECIMAL_COMMA.fullmatch, texts)):
             hint = "If that is a decimal comma, say so (--decimal ,), or export the file with decimal points"
         quoted = ", ".join(repr(t[:60]) for t in texts[:_MAX_QUOTED])
         quoted += " …" * (len(texts) > _MAX_QUOTED)
         self._report(f"reads {quoted}", expected, hint, rows=sorted(cells.invalid_texts))
 
     def _unwrap(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
-        """Unwrap a counter whose period the user gives."""
+        """Unwrap a counter whose period the user gives; return any other column unchanged."""
         periods, names = self.options.unwrap, (self.header.raw, self.header.name, self.name)
         text = next((periods[n] for n in names if n in periods), None)
         if text is None or unit is None:
@@ -314,7 +314,7 @@ class ColumnReader:
 
         Seconds that, counted from 1970, would lie after 2066 are taken to count from 1904, as LabVIEW's do.
         """
-        values, since = of_cells.split_origin(values)
+        values, since = table_cells.split_origin(values)
         if since is not None and since > _EARLIEST_SINCE_1904_S and not has_dates:
             begin = format_date(since)[:10]
             since -= _EPOCH_OFFSET_S
@@ -339,9 +339,9 @@ class ColumnReader:
         bits = next((b for b in _CONVERTER_BITS if finite.max() < 2.0**b), np.inf)
         index = finite // 2.0 ** (bits - 4)  # sixteenths of the range
         if np.isin(index, (0, 15)).all() and (index == 15).any() and np.sum(index == 0) > 1:
-            fault = f"contains integers near 0 and near 2^{bits} and none between: signed counts stored as unsigned"
+            fault = f"contains integers near 0 and near 2^{bits}, none between, like signed counts stored as unsigned"
             suggestion = option("--unwrap", f"{self.header.raw}=2^{bits}")
-            self._report(fault, cure="Unwrap them, if so", option=suggestion)
+            self._report(fault, cure="If they are, unwrap them", option=suggestion)
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Convert numbers to the column's unit, directly or by the nominal scale; if impossible, add a problem."""
@@ -393,12 +393,12 @@ class ColumnReader:
     ) -> None:
         """Record empty cells as missing, and add a problem for infinite ones; a temperature point may be empty."""
         expected = _describe_number(unit)
-        bad = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
-        bad_rows = np.setdiff1d(np.flatnonzero(bad), list(noted_rows))
-        is_empty = np.isnan(raw[bad_rows])
+        is_invalid = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
+        rows = np.setdiff1d(np.flatnonzero(is_invalid), list(noted_rows))
+        is_empty = np.isnan(raw[rows])
         if is_empty.any() and len(noted_rows) < MAX_INVALID_ROWS:
-            self._note_missing(bad_rows[is_empty], _EMPTY_FAULT, expected)
-        if (infinite_rows := bad_rows[~is_empty]).size:
+            self._note_missing(rows[is_empty], _EMPTY_FAULT, expected)
+        if (infinite_rows := rows[~is_empty]).size:
             first_value = float(raw[infinite_rows[0]])
             fault = f"reads {first_value:g}" + ", too large" * bool(np.isfinite(first_value))
             self._report(fault, expected, "Fill it in, or remove the row", rows=infinite_rows)
@@ -427,7 +427,7 @@ def _describe_number(unit: str | None) -> str:
 
 
 def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
-    """Concatenate the columns of files, with `labels` as runs; raise InputError for files that do not fit."""
+    """Concatenate the columns of files, with `labels` as runs; raise InputError for incompatible files."""
     if len(parts) == 1:
         return parts[0]
     _label_runs(parts, labels)
@@ -485,7 +485,7 @@ def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Non
 def _first_files(
     parts: Sequence[ConvertedColumns], flags: Sequence[bool]
 ) -> tuple[str | None, str | None]:
-    """Return the names of the first file whose flag is true and the first whose flag is false; None for none."""
+    """Return the name of the first file whose flag is true, and of the first whose flag is false; None without one."""
     files = [part.tables[0].file for part in parts]
     first_by_flag = dict(reversed([*zip(flags, files, strict=True)]))
     return first_by_flag.get(True), first_by_flag.get(False)

@@ -1,7 +1,7 @@
 """Checks of a whole data set: problems that make it unusable, and warnings.
 
-Errors: a single temperature, decreasing times. Warnings: findings of `flags_of`. Each threshold is defined above its
-check; thresholds were set on good records: simulated campaigns of six instruments, unaltered, rounded and noisy.
+Errors are a single temperature and decreasing times; warnings are those of `flags_of`. Each threshold is defined above
+its check; thresholds were set on good records: simulated campaigns of six instruments, unaltered, rounded and noisy.
 
 Temperature readings may be error values or spikes, values repeated by a slow logger, or those of a stuck or saturated
 converter. They are reported by column and row.
@@ -24,7 +24,7 @@ from bayescal._tables.cells import format_date
 from bayescal._tables.raw_table import Objection, Objections, option
 
 Segments = Sequence[np.ndarray]  # row indices of each segment, in time order
-PlaceOfReading = Callable[[int], Place]  # index of a reading → its file and row
+Locate = Callable[[int], Place]  # index of a reading → its file and row
 
 
 def find_problems(
@@ -41,7 +41,7 @@ def find_problems(
     if is_used and required and not one_temperature and "temperature" in columns:
         files = [table.file for table in converted.tables if table.file != ARRAYS]
         problems += find_single_temperature(columns, file_names(files))
-    problems += find_time_reversals(columns, converted.where)
+    problems += find_time_reversals(columns, converted.locate)
     return problems
 
 
@@ -69,8 +69,8 @@ CLOCK_PERIODS = {
 MAX_PAUSE_SECONDS, MAX_PAUSE_STEPS = 3.2e8, 1e4
 
 
-def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Objection]:
-    """Yield an objection if times, s, decrease or jump by years within a run; `where` returns a reading's place."""
+def find_time_reversals(columns: Columns, locate: Locate) -> Iterator[Objection]:
+    """Yield an objection if times, s, decrease or jump by years within a run; `locate` returns a reading's place."""
     if "time" not in columns:
         return
     record = Records.of(columns).codes
@@ -88,7 +88,7 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
     previous_row, suggestion = int(order[index_before]), ""
     if is_jump.any():
         rows = rows[:1]
-        fault = f"jumps by {step[index_before] / 3.156e7:.3g} years after {where(previous_row)}, within one run"
+        fault = f"jumps by {step[index_before] / 3.156e7:.3g} years after {locate(previous_row)}, within one run"
         fault += ": was the clock set there?"
         cure = (
             "Correct the times, or label the readings before and after the jump as two runs in a column 'run' (if the "
@@ -98,7 +98,7 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
         cure = "Sort the rows by time of measurement, or label each record separately in a column 'run'"
         labels = [f"{n} {columns[n][index]!s}" for n in ("run", "device", "axis") if n in columns]
         place_text = f" within {', '.join(labels)}" * bool(labels)
-        fault = f"falls to {values[index]:.12g} s from {values[previous_row]:.12g} s in {where(previous_row)}: "
+        fault = f"falls to {values[index]:.12g} s from {values[previous_row]:.12g} s in {locate(previous_row)}: "
         fault += f"time decreases{place_text}"
         median_step = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
         for name, period in CLOCK_PERIODS.items():
@@ -107,7 +107,7 @@ def find_time_reversals(columns: Columns, where: PlaceOfReading) -> Iterator[Obj
                 fault += f", as a clock that wraps around at {name}"
                 cure, suggestion = "If so, unwrap it", option("--unwrap", f"time={name}")
                 break
-    places = [where(int(row)) for row in rows]
+    places = [locate(int(row)) for row in rows]
     at_rows = tuple(place.row for place in places)
     yield Objection(places[0].file, fault, "", cure, suggestion, "time", places=at_rows)
 
@@ -122,14 +122,14 @@ def flags_of(
         date = format_date(converted.origin)
         flags.append(f"{names}: time is in s since {date} (dates without time zone are UTC)")
     if len(repeated):
-        where, dropped = converted.where(int(repeated[0])), ": dropped" * ("time" in columns)
+        place, dropped = converted.locate(int(repeated[0])), ": dropped" * ("time" in columns)
         message = "row(s) repeat an earlier row in every column, first at"
-        flags.append(f"{len(repeated)} {message} {where}{dropped}")
+        flags.append(f"{len(repeated)} {message} {place}{dropped}")
     anomalies = find_anomalies(columns, records, converted.thermometers, output)
     messages = [
         *_find_saturation(columns, output),
         *(
-            f"column {a.column!r} {a.description} (first at {converted.where(int(a.rows[0]))})"
+            f"column {a.column!r} {a.description} (first at {converted.locate(int(a.rows[0]))})"
             for a in anomalies
         ),
         *_find_wraparounds(converted, records, anomalies),
@@ -174,7 +174,7 @@ MAX_STEP_DEGREES = 40.0  # °C, largest credible change between consecutive read
 def _find_wraparounds(
     converted: ConvertedColumns, records: Records, anomalies: Sequence[Anomaly]
 ) -> Iterator[str]:
-    """Yield a warning for each temperature column with jumps that are no error values: usually wrap-around."""
+    """Yield a warning for each temperature column with jumps other than error values, usually by a wrap-around."""
     error_rows = {a.column: a.rows for a in anomalies if a.code == "leap"}
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
@@ -183,7 +183,7 @@ def _find_wraparounds(
             jump = np.abs(np.diff(converted.values[name][rows])) * is_near
             if np.any(jump > MAX_STEP_DEGREES):
                 largest = int(np.argmax(jump))
-                place, period = converted.where(int(rows[largest + 1])), f"{name}=PERIODdegC"
+                place, period = converted.locate(int(rows[largest + 1])), f"{name}=PERIODdegC"
                 yield (
                     f"column {name!r} jumps by {jump[largest]:.4g} °C at {place}: wrap-around of a counter? "
                     f"Unwrap it with {option('--unwrap', period)}"
@@ -203,14 +203,14 @@ def find_rounding_step(values: np.ndarray) -> float:
     return find_grid_step(values) if is_rounded else 0.0
 
 
-def find_grid_step(values: np.ndarray, fewest: int = 3) -> float:
+def find_grid_step(values: np.ndarray, min_levels: int = 3) -> float:
     """Return the step of the grid that contains all values of a column, in its unit; 0 without such a grid.
 
     Euclid's algorithm: the next step is the smallest remainder of the values modulo the step. Returns 0 for fewer than
-    `fewest` distinct values.
+    `min_levels` distinct values.
     """
     levels = np.unique(values)
-    if len(levels) < max(fewest, 2):
+    if len(levels) < max(min_levels, 2):
         return 0.0
     gaps = np.diff(levels)
     gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
@@ -258,7 +258,7 @@ class Anomaly(NamedTuple):
     Attributes:
         code: "leap" (error value or spike), "held" (repeated value), "stuck" (constant) or "run" (differing run).
         description: text that follows the name of the column.
-        rows: rows in which the column is not the temperature; for "run", in which it or another column is not.
+        rows: rows in which the column does not give the temperature; for "run", in which it or another one does not.
     """
 
     code: str
@@ -309,7 +309,7 @@ MIN_RMS_RATIO = 5.0  # minimum ratio of rms residuals with and without a differi
 def _find_differing_run(
     columns: Columns, records: Records, names: Sequence[str]
 ) -> Iterator[Anomaly]:
-    """Find the run in which the linear relation of a temperature column to another and its rate differs."""
+    """Yield an anomaly for the run in which a column's linear relation to another and its rate of change differs."""
     time, runs = records.time, records.rows
     if len(runs) < 3 or any(len(r) < 3 or np.any(np.diff(time[r]) <= 0) for r in runs):
         return
@@ -333,9 +333,9 @@ def _find_differing_run(
 
 
 def find_jumps(values: np.ndarray, segments: Segments, least: float = 0.0) -> np.ndarray:
-    """Return the outliers (rows) from the running median, beyond what rate of change, noise and rounding explain.
+    """Return the rows of outliers from the running median, beyond what rate of change, noise and rounding explain.
 
-    On a ramp, and on both sides of a step, a reading equals the running median. A repeated value counts once.
+    On a ramp, and on both sides of a step, a reading equals the running median. Equal consecutive values count as one.
     """
     outliers = [np.zeros(0, int)]
     step = float(np.diff(np.unique(values)).min(initial=np.inf))

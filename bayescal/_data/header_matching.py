@@ -120,7 +120,7 @@ def split_trailing_unit(header: Header) -> Header | None:
 
 
 def split_off_unit(header: Header) -> Header | None:
-    """Split a header so that its unit, of any quantity, is as long as possible; None if that may be half of a unit.
+    """Split a header so that its unit, of any quantity, is as long as possible; None if it may be part of another unit.
 
     "Rate in deg/hr" has the unit °/h, not the name "Rate in deg" and the unit h; "flow_L_min" remains undecided.
     """
@@ -135,7 +135,7 @@ def split_off_unit(header: Header) -> Header | None:
     return None if is_half_unit else replace(split, unit=unit)
 
 
-def unit_like_ending(header: Header) -> str | None:
+def find_unit_ending(header: Header) -> str | None:
     """Return the end of a header that may be an unknown unit: a text in brackets, or after a blank; else None."""
     end = header.raw[-UNIT_SEARCH_CHARACTERS:]
     if match := next((f for p in BRACKETS if (f := p.fullmatch(end))), None):
@@ -170,7 +170,7 @@ def find_label_column(header: Header) -> str | None:
 
 
 def are_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
-    """Return whether cells are labels: text or integers, of two values or more, in blocks or (devices) interleaved."""
+    """Return whether cells are labels: two or more texts or integers, in blocks or (`in_turn`, devices) interleaved."""
     levels = set(texts.tolist())
     blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
     valid = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
@@ -183,7 +183,7 @@ class ColumnRule:
 
     column: Column
     kinds: tuple[str, ...]
-    output: bool = False
+    is_output: bool = False
 
     @property
     def name_tiers(self) -> list[frozenset[str]]:
@@ -192,10 +192,10 @@ class ColumnRule:
         synonym_tiers = SYNONYMS.get(self.column.name, "").split("|")
         return [own_names, *(frozenset(tier.split()) for tier in synonym_tiers)]
 
-    def matches(
+    def find_matches(
         self, headers: Sequence[Header], unmatched: Collection[int], user_units: Mapping[str, str]
     ) -> dict[int, Header]:
-        """Return the unmatched headers, by index, that match the first of the `name_tiers` with any match.
+        """Return the unmatched headers, by index, that match the first tier of `name_tiers` that has any match.
 
         `user_units`: header or name → unit given by the user.
         """
@@ -231,19 +231,18 @@ class ColumnRule:
         splits.pop("1", None)
         return splits.popitem()[1] if len(splits) == 1 and header.raw not in units else None
 
-    def candidates(self, headers: Sequence[Header]) -> list[Header]:
-        """Return the headers to propose for the column: with a unit of its dimension, else without a unit; of these
-        only those that share a word with its name, if there are any."""
+    def propose_headers(self, headers: Sequence[Header]) -> list[Header]:
+        """Return the headers with a unit of the column's dimension, else without unit; if possible, similar names."""
         word = normalise(self.column.name)
         preferred = MOTION_UNITS if ANY in self.kinds else self.kinds
-        tiers = (preferred, self.kinds if ANY in self.kinds else RAW_UNITS * self.output)
+        tiers = (preferred, self.kinds if ANY in self.kinds else RAW_UNITS * self.is_output)
         by_kind = ([h for h in headers if find_units(h, kinds)] for kinds in tiers)
         with_unit = next(filter(None, by_kind), [])
         without_unit = [h for h in headers if not split_off_unit(h)]
         headers = with_unit or without_unit
         similar = [h for h in headers if _has_common_word(normalise(h.name), word)]
-        bare = [h for h in without_unit if self.column.unit and not unit_like_ending(h)]
-        return similar or with_unit or bare
+        unitless = [h for h in without_unit if self.column.unit and not find_unit_ending(h)]
+        return similar or with_unit or unitless
 
     def contains_name(self, header: Header) -> bool:
         """Return whether a header contains a name of the column; False for labels and for known uncertainties."""
@@ -262,12 +261,12 @@ def _has_common_word(header_name: str, column_name: str) -> bool:
     return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
 
 
-def other_channels(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
-    """Return the columns that are other channels of the same device: another axis, another motion along the same axis,
-    or the same quantity with another channel number.
+def find_channels(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
+    """Return the columns that are other channels of the device of an output, in `unit`.
 
+    They have another axis, contain another motion on the same axis, or the same quantity with another channel number.
     Channels of a device share temperatures and times; hence they correlate without causing each other.
-    `columns`: name → unit of the columns that the instrument does not declare; `unit`: the output's.
+    `columns`: name → unit of the columns that the instrument does not declare.
     """
     numbered, axis = re.sub(r"\d+", "#", output), _axis_letter(output)
     channels = []
@@ -291,9 +290,9 @@ MAX_SHOWN_HEADERS = 4  # headers proposed for a missing column
 
 @dataclass
 class MatchedFile:
-    """A file whose headers are matched to an instrument's columns.
+    """File whose headers are matched to an instrument's columns.
 
-    A header is matched to a column if exactly one split of it is possible; a note reports the match. A column is not
+    A header is matched to a column if exactly one split of it is possible; a flag reports the match. A column is not
     searched for if its exact name is in the file, or if `columns=` assigns it.
 
     Attributes:
@@ -302,7 +301,7 @@ class MatchedFile:
         options: the user's options of reading.
         problems: list to which problems are added.
         expected: the expected columns by bayescal's name, in the units in which they are stored.
-        columns: these, then the kept columns that the instrument does not declare, in base units.
+        columns: the expected columns, then those that the instrument does not declare but that are kept, in base units.
         positions: bayescal's name of each column → its position in the file.
         flags: notes of the file, of matched headers and of ignored columns.
     """
@@ -383,14 +382,13 @@ class MatchedFile:
                 unit = unit_in(headers[position].unit or "", rule.kinds) or headers[position].unit
                 self._assign(position, replace(headers[position], unit=unit), name)
                 continue
-            matches = rule.matches(headers, self._unmatched, self.options.units)
+            matches = rule.find_matches(headers, self._unmatched, self.options.units)
             if len(matches) == 1:
                 position, split = matches.popitem()
                 self._assign(position, replace(split, name=name), name)
 
     def _assign_axes(self) -> None:
-        """Assign the outputs of three axes, if exactly one triple of headers with units of acceleration, rate or field
-        differs only in x, y, z at the beginning or the end of the names."""
+        """Assign three axes' outputs to the only triple of headers, in convertible units, that differ in x, y, z."""
         outputs = getattr(self.instrument, "outputs", ())
         if not outputs or not {*self.positions, *self.options.columns}.isdisjoint(outputs):
             return
@@ -475,9 +473,9 @@ class MatchedFile:
         """Return the header of the column that bayescal calls `name`."""
         return self.table.headers[self.positions[name]]
 
-    def report(self, column: str, fault: str, *about: str, **details: Any) -> None:
-        """Add a problem of a column, given by its header; the other arguments as in `Table.objection`."""
-        self.problems.append(self.table.objection(column, fault, *about, **details))
+    def report(self, column: str, fault: str, *texts: str, **details: Any) -> None:
+        """Add a problem of a column, given by its header; the other arguments are those of `Table.objection`."""
+        self.problems.append(self.table.objection(column, fault, *texts, **details))
 
     def note_missing(self) -> bool:
         """Add a problem, with similar headers, for each missing required column; return whether any is missing."""
@@ -490,7 +488,7 @@ class MatchedFile:
         ]
         headers = f"It has: {format_headers(self.table)}. "
         for column in missing_columns:
-            self._note_lack(column, self.rule(column.name).candidates(unmatched), headers)
+            self._note_lack(column, self.rule(column.name).propose_headers(unmatched), headers)
             headers = ""  # list the headers only once
         return bool(missing_columns)
 
@@ -501,7 +499,7 @@ class MatchedFile:
             self.report(column.name, "no such column", expected, f"{headers}Add such a column")
             return
         shown_headers = candidates[:MAX_SHOWN_HEADERS]
-        choices = [self._as_column(column, header) for header in shown_headers]
+        choices = [self._format_options(column, header) for header in shown_headers]
         suggestion = choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
         names = ", ".join(header.raw for header in shown_headers)
         advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
@@ -517,15 +515,15 @@ class MatchedFile:
         cure = f"{headers}{advice}Add such a column, or name it"
         self.report(column.name, "no such column", expected, cure, suggestion)
 
-    def _as_column(self, column: Column, header: Header) -> str:
+    def _format_options(self, column: Column, header: Header) -> str:
         """Return the command-line options that assign a header to a column, with placeholders for unknown values."""
         options, rule = option("--columns", f"{column.name}={header.raw}"), self.rule(column.name)
         if column.unit is None or rule.unique_split(header, {}):
             return options
-        raw = next(iter(find_units(header, RAW_UNITS)), None)
-        if raw and rule.output and self.options.nominal_scale is None:
-            per = f"({column.unit})" if "/" in column.unit else column.unit
-            return f"{options} {option('--nominal-scale', f'NUMBER {raw}/{per}')}"
+        raw_unit = next(iter(find_units(header, RAW_UNITS)), None)
+        if raw_unit and rule.is_output and self.options.nominal_scale is None:
+            divisor = f"({column.unit})" if "/" in column.unit else column.unit
+            return f"{options} {option('--nominal-scale', f'NUMBER {raw_unit}/{divisor}')}"
         return options if header.unit else f"{options} {option('--unit', f'{header.raw}=UNIT')}"
 
     def add_further_columns(self) -> None:
@@ -548,7 +546,7 @@ class MatchedFile:
             if unit and is_convertible(unit, unit):  # it is a unit
                 further_columns[name] = Column(name, base_unit(unit), required=False)
                 continue
-            unit, possible = unit or unit_like_ending(header), self._possible_column(header)
+            unit, possible = unit or find_unit_ending(header), self._find_column(header)
             text = (unit or "").lower()
             is_unit = text not in BLANK_UNITS or (possible and not text)
             if is_unit and (possible or _known_unit(unit) or not self._holds_labels(position)):
@@ -569,7 +567,7 @@ class MatchedFile:
             self.flags.append(Flag(message, "column.ignored", *without_unit))
         self.columns = {**self.expected, **further_columns}
 
-    def _possible_column(self, header: Header) -> Column | None:
+    def _find_column(self, header: Header) -> Column | None:
         """Return the first optional column, absent from the file, whose name a header contains; else None."""
         absent = (c for n, c in self.expected.items() if n not in self.positions)
         optional = (c for c in absent if not _is_required(c))

@@ -30,7 +30,7 @@ from bayescal._data.column import (
     file_names,
 )
 from bayescal._data.column_conversion import convert_columns, join_files
-from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unused_options
+from bayescal._data.read_options import InstrumentLike, ReadOptions, check_options, output_name
 from bayescal._data.records import PAUSE_STEPS, Records, distinct, label_codes, median_step
 from bayescal._data.unit_conversion import ANY, parse, unit_label
 from bayescal._tables.cells import broadcast_columns, format_date
@@ -301,7 +301,7 @@ class Measurements(Printed):
         return replace(self, values={name: values[index] for name, values in self.values.items()})
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
-        """Replace a column, or add one in `unit`, one value per reading, unchecked; raise InputError if unknown."""
+        """Replace a column, or add one in `unit`, by unchecked values (n,); raise InputError for an unknown unit."""
         unit = self.unit(name) if self.has(name) else unit
         return replace(
             self,
@@ -314,8 +314,8 @@ class Measurements(Printed):
     def align_clock(self, epoch: float | None, changing: Callable[[], str]) -> Measurements:
         """Return the readings with times relative to a calibration's `epoch`, s since 1970 (None: it has no dates).
 
-        If neither has dates, the times are unchanged: a column `time` has one origin for all runs. `changing` lists the
-        effects that depend on the date, for the message; empty for none.
+        If neither has dates, the times are unchanged: a column `time` has one origin for all runs. `changing` returns
+        the names of the effects that depend on the date, for the message, or "".
 
         Raises:
             InputError: only the readings or only the calibration has dates, and an effect depends on the date.
@@ -338,7 +338,7 @@ class Measurements(Printed):
         )
 
     def find_continuations(self, later: Measurements) -> dict[str, np.ndarray]:
-        """Return the rows of later readings that continue runs of these: run → rows.
+        """Return the rows of later readings that continue runs of these readings: run → rows.
 
         Such rows have the run's name, device and axis, and follow its readings in blocks, the first without a gap. In a
         file of another test, whose clock restarts, times are interleaved with those of the run, or far from them.
@@ -378,20 +378,20 @@ class Measurements(Printed):
         labels = [n for n, unit in units.items() if unit is None or n == MAY_BE_EMPTY]
         codes = label_codes(self.values, labels)
         order = np.lexsort((time, codes))
-        same_group = np.diff(codes[order], prepend=-1) == 0  # as the reading before, in this order
-        bins = averaging.bin_times(time[order], same_group, seconds)
-        starts = ~same_group | (np.diff(bins, prepend=bins[:1]) != 0)
+        is_next = np.diff(codes[order], prepend=-1) == 0  # same group as the preceding reading
+        bins = averaging.bin_times(time[order], is_next, seconds)
+        is_start = ~is_next | (np.diff(bins, prepend=bins[:1]) != 0)
         varying_columns = ("time", self.output, UNCERTAINTY, *labels)
         for name in (n for n, unit in units.items() if unit != "degC" and n not in varying_columns):
-            starts |= averaging.find_steps(self[name][order], same_group)
-        begins = np.flatnonzero(starts)
+            is_start |= averaging.find_steps(self[name][order], is_next)
+        begins = np.flatnonzero(is_start)
         counts = np.diff(begins, append=time.size)
-        averaging.check_averaging_time(time[order], same_group, counts, seconds, self.file)
+        averaging.check_averaging_time(time[order], is_next, counts, seconds, self.file)
         means = {
             name: v[order][begins] if units[name] is None else averaging.mean_rows(v[order], begins)
             for name, v in self.values.items()
         }
-        noise = averaging.noise_of_reading(self.values, self.output, order, ~starts)
+        noise = averaging.estimate_reading_noise(self.values, self.output, order, ~is_start)
         uncertainty = averaging.uncertainty_of_means(self.values, order, begins, noise)
         means |= {} if uncertainty is None else {UNCERTAINTY: uncertainty}
         rows = np.lexsort((means["time"], self.records.codes[order][begins]))
@@ -430,8 +430,8 @@ def measure_tables(
     """
     problems, converted = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
-        unused_options(tables, options, problems)
-    file_options = [options.of_file(table, tables) for table in tables]
+        check_options(tables, options, problems)
+    file_options = [options.restrict_to(table, tables) for table in tables]
     for table, table_options in zip(tables, file_options, strict=True):
         with problems.collecting():
             converted.append(convert_columns(table, instrument, table_options))

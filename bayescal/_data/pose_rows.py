@@ -23,7 +23,7 @@ TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
 
 
 def magnitude(columns: Any) -> Any:
-    """Return the magnitude of the vector measurand from columns of readings: as given, else computed from outputs."""
+    """Return the magnitude of the vector measurand from columns of readings: the known one, else the outputs'."""
     return columns[MAGNITUDE] if MAGNITUDE in columns else columns[MAGNITUDE_READ]
 
 

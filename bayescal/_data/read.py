@@ -127,7 +127,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     if outputs is None:
         return read_one(options)
     if not outputs or len(set(outputs)) < len(outputs):
-        raise InputError(f"outputs={list(outputs)}: name each channel once, and at least one")
+        raise InputError(f"outputs={list(outputs)}: name at least one channel, and each once")
     if (output := output_name(instrument)) in options.columns:
         raise InputError(f"{output}={options.columns[output]} and channels: give the channels only")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):

@@ -61,7 +61,7 @@ class ReadOptions:
     """The user's options for reading a file; those not listed here are the arguments of `read`.
 
     Attributes:
-        columns: bayescal's name → the file's, or several if files differ; reduced to one by `of_file`.
+        columns: bayescal's name → the file's, or several if files differ; reduced to one by `restrict_to`.
         local_field: magnitude of the field, in the unit of the instrument's column `magnitude`.
         only: whether to ignore all columns that the instrument does not declare.
         others: columns to ignore because they are outputs of other channels.
@@ -132,26 +132,26 @@ class ReadOptions:
         """Return all headers that the user assigns to columns."""
         return tuple(name for names in self.columns.values() for name in _as_sequence(names))
 
-    def of_file(self, table: Table, other_tables: Sequence[Table] = ()) -> ReadOptions:
-        """Return the options for one file, with the one header that it has among several of a column.
+    def restrict_to(self, table: Table, other_tables: Sequence[Table] = ()) -> ReadOptions:
+        """Return the options for one file: of several headers that the user gives for a column, the one that it has.
 
-        A header that only another of the files has is not an option for this file.
+        Headers that only other files have are omitted.
         """
         columns, units = dict[str, str](), dict(self.units)
 
-        def present_in(names: Sequence[str], source: Table = table) -> list[str]:
+        def find_names(names: Sequence[str], source: Table = table) -> list[str]:
             return [n for n in names if find_header(source.headers, to_one_line(n)) is not None]
 
         for name, names in self.columns.items():
-            matches = present_in(_as_sequence(names))
-            if matches or not any(present_in(_as_sequence(names), other) for other in other_tables):
+            matches = find_names(_as_sequence(names))
+            if matches or not any(find_names(_as_sequence(names), other) for other in other_tables):
                 columns[name] = (matches or _as_sequence(names))[0]
         raw_headers, assigned_headers = {header.raw for header in table.headers}, {*self.headers}
         for source in self.remembered:
             for name, header in source.columns.items():
                 is_new = name not in {*self.columns, *columns}
                 is_free = header not in {*assigned_headers, *columns.values()}
-                if is_new and is_free and present_in([header]):
+                if is_new and is_free and find_names([header]):
                     columns[name] = header
             units = {h: unit for h, unit in source.units.items() if h in raw_headers} | units
         return replace(self, columns=columns, units=units, remembered=())
@@ -188,14 +188,14 @@ def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) ->
     example = f"250 mV/({unit})" if "/" in unit else f"250 mV/{unit}"
     argument = f"nominal_scale={text!r} (--nominal-scale)"
     gain, ratio = _number_and_unit(text, argument, example)
-    above, _, below = (part.strip() for part in ratio.partition("/"))
-    for raw, inverse in ((above, False), (below, True)):
-        target = f"({unit})/{raw}" if inverse else f"{raw}/({unit})"
-        for whole in (ratio, f"{above}/({below})"):  # as written, and "mV/°/s" as mV/(°/s)
-            if is_convertible(whole, target) and not is_convertible(raw, unit):
-                gain = float(convert(gain, whole, target, local_gravity=local_gravity))
-                by_gravity = needs_gravity(whole, target)
-                return NominalScale(raw, 1 / gain if inverse and gain else gain, 0.0, by_gravity)
+    numerator, _, divisor = (part.strip() for part in ratio.partition("/"))
+    for raw, is_inverse in ((numerator, False), (divisor, True)):
+        target = f"({unit})/{raw}" if is_inverse else f"{raw}/({unit})"
+        for gain_unit in (ratio, f"{numerator}/({divisor})"):  # "mV/°/s" also as mV/(°/s)
+            if is_convertible(gain_unit, target) and not is_convertible(raw, unit):
+                gain = float(convert(gain, gain_unit, target, local_gravity=local_gravity))
+                by_gravity = needs_gravity(gain_unit, target)
+                return NominalScale(raw, 1 / gain if is_inverse and gain else gain, 0.0, by_gravity)
     raise InputError(
         f"{argument} is not in raw units per {unit}: give the raw output per unit of output, such as {example!r}"
     )
@@ -261,7 +261,10 @@ def parse_period(text: str) -> tuple[float, str]:
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Return the time of a first reading, s, and whether it is a date (from 1970; else on the calibration's clock)."""
+    """Parse the time of a first reading; return it in s, and whether it is a date.
+
+    A date counts from 1970, any other time from the origin of the calibration's clock.
+    """
     with contextlib.suppress(ValueError):
         (seconds,) = parse_date(text).values()
         if seconds >= EARLIEST:
@@ -275,7 +278,7 @@ def parse_begin(text: str) -> tuple[float, bool]:
     )
 
 
-def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
+def check_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
     """Add a problem for each option (unit, --ignore, --unwrap) given for a column that no file has."""
     first, *others = [t.file for t in tables]
     headers = [h for t in tables for h in t.headers]

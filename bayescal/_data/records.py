@@ -111,8 +111,8 @@ class Records:
     def starts(self, record: Records | None = None) -> np.ndarray:
         """Return the start time of each record, s: its first reading, or the start of the run that it continues.
 
-        It continues a run of `record` with the same name, device and axis if its first reading is within that run, or
-        follows it without a gap.
+        It continues a run of the earlier records `record` with the same name, device and axis if its first reading is
+        within that run, or follows it without a gap.
         """
         first = np.full(len(self.names), np.inf)
         np.minimum.at(first, self.codes, self.time)
@@ -124,7 +124,7 @@ class Records:
         return first
 
     def matching_records(self, record: Records) -> dict[int, tuple[str, np.ndarray]]:
-        """Return name and sorted times of the records of the same names in `record`, by index of the record here."""
+        """Return name and sorted times of those records in `record` that have a name of these, by index in these."""
         return {
             i: (name, record.time[record.in_time[record.names.index(name)]])
             for i, name in enumerate(self.names)
@@ -140,7 +140,7 @@ class Records:
         """Return the longest time step, s, across which a column is interpolated."""
         return MAX_GAP_WINDOWS * rate_window(self.step)
 
-    def set_in_steps(self, values: np.ndarray) -> bool:
+    def is_set_in_steps(self, values: np.ndarray) -> bool:
         """Return whether a column is a piecewise constant setting: nearly all squared change is in isolated steps."""
         changes = np.where(self.step[1:] < 0, 0.0, np.abs(np.diff(values[self.order])))
         padded = np.pad(changes, 1)
@@ -151,7 +151,7 @@ class Records:
     def slope(self, values: np.ndarray) -> np.ndarray:
         """Return the least-squares slope over the preceding minute (or step, if longer) at each reading (n,), unit/s.
 
-        It is zero at the first reading of a record and after a long gap, and linear in the values.
+        The slope is zero at the first reading of a record and after a long gap, and a linear function of the values.
         """
         t, y, index = self.time[self.order], values[self.order], np.arange(self.time.size)
         window = rate_window(self.step) * (1 + 1e-9)

@@ -104,8 +104,8 @@ def _find_stuck(readings: Measurements) -> Fault:
 def _find_wrong_temperatures(readings: Measurements, needed: Collection[str], total: int) -> Fault:
     """Find the readings of one anomaly of a thermometer.
 
-    If the model does not need the thermometer, only few readings are excluded. If too many readings, all of a device or
-    all temperatures but one were concerned, none is excluded, and the anomaly counts against the result.
+    If the model does not need the thermometer, only a few readings may be excluded. No reading is excluded if too few,
+    none of a device or only one temperature would remain; the anomaly then counts against the result.
     """
     # a differing run has no known faulty column
     for fault in (anomaly for anomaly in readings.anomalies if anomaly.code != "run"):

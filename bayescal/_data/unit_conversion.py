@@ -1,4 +1,4 @@
-"""Known units, parsing of a unit (factor, exponents of base units, offset), and conversion between units.
+"""Known units, parsing of a unit to its factor, exponents of base units and offset, and conversion between units.
 
 Unlike usual unit libraries, which read g as gram and Hz as an angular rate, g is the local acceleration of gravity
 here, angle and frequency are dimensions of their own, and dps (°/s) is known; the gram is `gram`. Base units are s, K
@@ -159,7 +159,7 @@ NAME = re.compile(r"[A-Za-z_]+")
 
 @dataclass(frozen=True)
 class ParsedUnit:
-    """A parsed unit.
+    """Unit parsed into its conversion factor and exponents of base units.
 
     Attributes:
         factor: conversion factor to base units.

@@ -265,7 +265,7 @@ def reference_of(readings: Measurements) -> Reference:
         scalars["time_span"] = float(np.ptp(time)) or 1.0
         for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_STEPPED):
             is_temperature = readings.unit(name) == "degC"  # which varies between readings
-            is_held = not is_temperature and readings.records.set_in_steps(readings[name])
+            is_held = not is_temperature and readings.records.is_set_in_steps(readings[name])
             scalars[hold_flag_name(name)] = float(is_held)
     return scalars
 

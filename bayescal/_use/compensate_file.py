@@ -116,7 +116,7 @@ def compensate_file(
     with replacing_for_user(out) as partial:
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet reads needed columns only
         table = open_table(path, path.name, limit, options.decimal, options.headers)
-        options = options.of_file(table)
+        options = options.restrict_to(table)
         output_header, names = _name_columns(table, expected, options)
         converted = convert_columns(table, expected, options)
         source, flags = Source(table.file, table.sha256, table.rows), tuple(converted.flags)

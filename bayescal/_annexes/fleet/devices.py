@@ -188,8 +188,8 @@ def read_devices(
         InputError: as in `split_devices`.
     """
     table = ws.open_table(path, path.name, ws.MAX_BYTES, options.decimal, options.headers)
-    problems, options = ws.Objections(), options.of_file(table)
-    ws.unused_options([table], options, problems)
+    problems, options = ws.Objections(), options.restrict_to(table)
+    ws.check_options([table], options, problems)
     problems.refuse()
     columns = (*instrument.columns, *_find_additional_columns(table, instrument, options, needs))
     output = ws.output_name(instrument)
