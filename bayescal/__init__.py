@@ -7,10 +7,10 @@ Read readings, compose a model, fit it, check its residuals, find the missing ef
 
     readings = bc.read("table.csv", mems_gyro.INSTRUMENT)
     calibration = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings)
-    found = bc.discover(calibration)
+    discovery = bc.discover(calibration)
 
-The public names stand in `__init__.pyi`, grouped by what they are for. Each loads on first use, so that
-`import bayescal` and `bayescal --help` cost nothing.
+The public names are listed in `__init__.pyi`, grouped by purpose. Each loads on first use, so that `import bayescal`
+and `bayescal --help` are fast.
 """
 
 # Terms, and the files and names below bayescal/ that define them; tests/house/test_map.py holds each.

@@ -1,8 +1,8 @@
 """Interface for extensions of bayescal: annexes, and other packages with commands and files of their own.
 
-The public names of `bayescal` are for calibrating. Here are the parts of its own results, commands and files: text,
-tables, units, JSON, folders, options, reports. The names are listed in `workshop.pyi`, and each loads on first use.
-They may change with a version.
+The public names of `bayescal` are for calibration. This module exports the functions and classes of which bayescal's
+own results, commands and files are built: text, tables, units, JSON, folders, options, reports. They are listed in
+`workshop.pyi`, load on first use, and may change in any version.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""The composition: the expected output of an instrument and its derivatives with respect to its coefficients.
+"""Composition of effects: the expected output of an instrument, and its derivatives with respect to coefficients.
 
     output = response(Σ columns · coefficients of each slot; the readings with their columns corrected)
 
@@ -25,7 +25,7 @@ Hyper = Mapping[str, Any]  # hyper-parameters φ by name: a number, or one value
 
 
 class ColumnSource(Protocol):
-    """Interface: evaluate basis columns and the instrument's response on one set of readings."""
+    """Interface that evaluates basis columns and the instrument's response on one set of readings."""
 
     xp: Any  # NumPy, or JAX's
     size: int  # number of readings, n
@@ -37,7 +37,7 @@ class ColumnSource(Protocol):
         ...
 
     def response(self, slots: dict, shifts: dict) -> Any:
-        """Return the expected output (…, n)."""
+        """Return the expected output (…, n) at values of the slots and shifts of the columns."""
         ...
 
     def differentiate_output(self, slots: dict, shifts: dict) -> tuple[Any, Mapping[str, Any]]:
@@ -46,7 +46,7 @@ class ColumnSource(Protocol):
 
 
 class ResponseArguments(NamedTuple):
-    """Arguments of the instrument's response: slot values and column corrections, with the terms they sum."""
+    """Arguments of the instrument's response: slot values and column corrections, and the terms that they sum."""
 
     slots: dict[str, Any]  # slot → sum of its terms (…, n), slot unit; absent if it has none
     shifts: dict[str, Any]  # column of the readings → correction added to it (…, n)
@@ -142,7 +142,7 @@ def _add_terms(xp: Any, totals: dict[str, Any], triples: list[tuple[Term, Any, A
 def differentiate_output(
     source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the expected output and its derivatives with respect to slots and corrected columns (…, n) each."""
+    """Return the expected output (…, n), and its derivatives (…, n) with respect to each slot and corrected column."""
     mean, partials = source.differentiate_output(composed.slots, composed.shifts)
     derivatives = dict(partials)
     # Chain rule: dμ/dcolumn = ∂μ/∂column + Σ ∂μ/∂slot·∂slot/∂column.
@@ -155,7 +155,7 @@ def differentiate_output(
 def linearise_output(
     source: ColumnSource, terms: Sequence[Term], composed: ResponseArguments
 ) -> Linearisation:
-    """Return the expected output and its Jacobian in the coefficients of `terms`, from `composed` with derivatives."""
+    """Return the expected output and its Jacobian with respect to coefficients; `composed` by `compose` with_grad."""
     mean, derivatives = differentiate_output(source, terms, composed)
     assemble = _assemble_jacobian if source.xp is np else _trace_jacobian
     triples = [(t, c, derivatives[t.slot]) for t, c in zip(terms, composed.columns, strict=True)]
@@ -211,7 +211,7 @@ def expand_members(column: Any, codes: Any, size: int) -> Any:
 
 
 class TracedColumns:
-    """Source of basis columns and responses in a JAX program, for one draw; differentiable (a `ColumnSource`)."""
+    """`ColumnSource` in a JAX program, for one draw; differentiable."""
 
     xp = jnp
 

@@ -44,7 +44,7 @@ OPEN = (0.0, math.inf)  # low, high of a shape with a plausible range estimated 
 
 @static
 class Coefficient:
-    """One unknown coefficient, in which a slot is linear.
+    """Coefficient of an effect, in which a slot is linear; unknown, unless its prior is `Known`.
 
     Attributes:
         unit: unit of its reported value and of its prior, such as "deg/s/degC" or "ppm/degC".
@@ -53,7 +53,7 @@ class Coefficient:
         slot: slot that it adds to, if not the effect's slot.
         per: group with one coefficient per member: "run", "cell", "device", "axis", or a declared label column such as
             "station"; None for a single one; "reading" for noise on an input, of known standard deviation.
-        group_sd: prior of the standard deviation between members, if it is learned; None: the sd of `prior`.
+        group_sd: prior of the standard deviation between members, if it is estimated; None: it is the sd of `prior`.
         initial: whether it is the contribution of the initial state of a run.
     """
 
@@ -109,7 +109,7 @@ class Coefficient:
 
 @static
 class Shape:
-    """One nonlinear parameter of an effect: a lag time, a period, a ratio of frequencies.
+    """Nonlinear parameter of an effect, such as a lag time, a period or a ratio of frequencies.
 
     Its prior has 95 % (or, "bounded", 100 %) of its probability between `low` and `high`.
 
@@ -118,7 +118,7 @@ class Shape:
         unit: unit in which the basis receives it and in which it is reported.
         low, high: plausible range, in `unit`; `OPEN`: estimated from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one, "bounded" for a
-            log-uniform one: `low` and `high` are then limits by definition, beyond which it is another effect.
+            log-uniform one: `low` and `high` are then limits by definition, outside which it is another effect.
         ragged: whether the evidence has many local maxima, as for a period: the search starts from more points.
         shared: whether all channels of a device share its value, as for the time constant of a common body.
         own_prior: prior in place of a range: LogNormal, Normal, or a NumPyro distribution such as TruncatedNormal.
@@ -183,7 +183,7 @@ class Effect:
 
     Attributes:
         name: canonical name, `slot.cause`.
-        slot: quantity it adds to. A slot named after a column corrects that column first (errors in variables).
+        slot: quantity that it adds to. A slot named after a column corrects that column first (errors in variables).
         basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
             one for each coefficient. It gets columns in the units that the instrument declares, others in base
             units; coefficient × basis is in the slot's unit, converted between the units declared.
@@ -192,13 +192,13 @@ class Effect:
         columns: columns that the readings must have.
         equation, source: text for reports; the source is a document, data sheet, standard or script.
         varies: columns that must take more than one value for the effect to be testable.
-        weights: function of shapes that the basis does not take (keywords): prior sd of each coefficient over its size.
-        measure: shape that is the amplitude of standard normal coefficients; None: the first coefficient is.
+        weights: function of the shapes that the basis does not take, as keywords: prior sd of each coefficient ÷ size.
+        measure: shape that is the amplitude, of coefficients with standard normal priors; None: the first coefficient.
         untestable: function of readings with these columns that returns why they cannot test the effect, or None.
         along: covariate, if not the first of `columns`: a column, "elapsed", or a rate ("temperature rate").
         forms: alternative forms of the effect, which a search evaluates in its place, one at a time.
         family: name of the effect of which this is a form; empty if none.
-        general: form of which it is a special case, at one value of a shape; ignored where that form was evaluated.
+        general: form of which this is a special case, at one value of a shape; where that was evaluated, this is not.
         kind: dependence on the covariate, one of `Kind`, for reports; empty if none of them.
         frees: name of the effect of which this is a copy with a wide prior, in case its stated value is wrong.
     """
@@ -268,7 +268,7 @@ class Effect:
 
     @property
     def is_reference_error(self) -> bool:
-        """Return whether the effect is the reference standard's error by its certificate, absent in use."""
+        """Return whether the effect is the reference standard's error by its certificate, which is zero in use."""
         return self.name == f"{self.slot}.certificate"
 
     @property
@@ -278,7 +278,7 @@ class Effect:
 
     @property
     def role(self) -> Role:
-        """Return the role: "named", "unnamed" (a placeholder), or "freed" of its stated value."""
+        """Return the role: "named", "unnamed" (a placeholder), or "freed" (its stated value may be wrong)."""
         return "freed" if self.frees else "unnamed" if self.is_placeholder else "named"
 
     @property
@@ -293,7 +293,7 @@ class Effect:
 
     @property
     def averaged(self) -> Effect:
-        """Return the effect with its known coefficients marked as zero in models without it, for a model average."""
+        """Return the effect for a model average, with its known coefficients marked as zero in models without it."""
         parts = list(self.coefficients)
         for i in self.constant_indices:
             parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))

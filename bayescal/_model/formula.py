@@ -70,7 +70,7 @@ _ALLOWED_NODES = _VALUE_NODES | ast.operator | ast.unaryop | ast.Load
 
 
 class FormulaPart(NamedTuple):
-    """A subexpression of a formula, with its unit and position; numbers are in base units."""
+    """Subexpression of a formula, with its unit and position; numbers are in base units."""
 
     tree: Any  # a number, a name, or a tuple (function or operator sign, *arguments)
     unit: ParsedUnit | None  # None for a literal, which takes the unit of the other operand
@@ -88,7 +88,7 @@ Linear = dict[str, FormulaPart]  # linear form: coefficient → factor; "" → t
 
 @dataclass(frozen=True)
 class Formula:
-    """Basis function of an effect entered as a formula, in base units, of a frame of readings and shape parameters."""
+    """Basis function of an effect stated as a formula; its arguments are a frame and shapes, all in base units."""
 
     text: str  # the canonical line, with sizes and units
     parts: tuple[Any, ...]  # the factor of each coefficient, as `FormulaPart.tree`
@@ -182,7 +182,7 @@ def _split(name: str, formula: str, values: Mapping[str, str]) -> tuple[str, str
 
 
 class _TypedLine:
-    """Parser of an effect's line: a formula and definitions of its names, with readings or instrument for units."""
+    """Parser of an effect in one line: a formula and definitions of its names; readings or instrument give units."""
 
     def __init__(
         self,
@@ -583,7 +583,7 @@ def _to_float(text: str, make_error: Callable[[str], InputError] = InputError) -
 
 
 def _find_sizes(basis: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
-    """Return the coefficients at which each term's standard deviation equals the output's, output base units."""
+    """Return each basis column's coefficient at which its term has the output's standard deviation, in base units."""
     frame = build_frame(readings, reference_of(readings))
     midpoints = {n: float(s.prior.value(np.float64(0.0))) for n, s in shapes.items()}
     with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
@@ -595,7 +595,7 @@ def _find_sizes(basis: Formula, readings: Measurements, shapes: Mapping[str, Sha
 
 
 def require_units(typed_effect: Effect, readings: Measurements, instrument: Instrument) -> None:
-    """Raise ModelError if a formula's effect was parsed for other units than those of the readings or the slot."""
+    """Raise ModelError if an effect's formula was parsed for other units than those of the readings or the slot."""
     basis = typed_effect.basis
     if not isinstance(basis, Formula):
         return

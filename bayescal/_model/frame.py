@@ -1,4 +1,4 @@
-"""Frames: readings as arrays, with group codes and quantities derived from time: arguments of basis functions.
+"""Frames, the arguments of basis functions: readings as arrays, with group codes and quantities derived from time.
 
 A frame is built once from measurements and a reference. The reference holds the constants of basis functions (T0, mean
 time, time span), which are stored at the fit and never recomputed on new readings.
@@ -39,7 +39,7 @@ class Frame:
     Arrays are JAX arrays in a compiled program, NumPy arrays otherwise.
 
     Attributes:
-        columns: measured columns, (n,) each; outputs are counted from their origin.
+        columns: measured columns, (n,) each; outputs are relative to their origin.
         labels: indicator (n,) of each label of a text column that is not a group, by "column=label": 1 or 0.
         rates: causal slope of each column that has one, unit per second, (n,) each.
         codes: index of each reading's group member, −1 where it belongs to none.
@@ -122,9 +122,9 @@ class Frame:
         """Return T̃ − T, °C, where τ·dT̃/dt = T − T̃ and T̃ equals T at the first reading of each run.
 
         T is linear between readings, or constant from each to the next if set in steps (reference constant "…_held"
-        is 1); the recursion is exact for both. Over a gap longer than `silence` (the soak before a tumble) T jumps at
-        the gap's start: after a ramp over the gap, T̃ would lag by the rate times τ; after a soak it does not. T̃
-        follows the recorded column: a correction (the thermometer's error) changes T at its reading only.
+        is 1); the recursion is exact for both. In a gap longer than `silence` (a soak before a tumble) T is assumed
+        to change at the gap's start; after a ramp over the gap, T̃ would lag by the rate times τ instead. T̃ is computed
+        from the recorded column: a correction (the thermometer's error) changes T at its reading only.
         """
         return self.behind(tau, name) + (self.record[name] - self.columns[name])
 
@@ -152,7 +152,7 @@ class Frame:
     def direction(
         self, width: Float[Array, ""], name: str = "temperature"
     ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-        """Return a column's direction of change, −1 … 1, reversed within `width`, and the decay of the initial state.
+        """Return a column's direction of change, −1 … 1, which reverses within `width`, and the initial state's decay.
 
         Dahl's hysteresis, dD/dT = (sign(dT) − D)/width from 0 at a run's first reading, exact between readings and
         independent of the rate of change. Its input is the recorded column, or a lagging body's temperature.

@@ -25,7 +25,7 @@ MIN_DOF = 2.1  # below 2 the variance does not exist
 
 
 class White(Noise):
-    """Independent Gaussian noise of one unknown standard deviation, plus each reading's known uncertainty.
+    """Independent Gaussian noise of one unknown standard deviation, in addition to each reading's known uncertainty.
 
     Attributes:
         scale: prior of the standard deviation, output unit.
@@ -59,14 +59,14 @@ class White(Noise):
 
 
 class Heteroscedastic(Noise):
-    """Independent Gaussian noise whose standard deviation follows a column: log-linear, with a curvature.
+    """Independent Gaussian noise whose log standard deviation is quadratic in a column, or which is proportional to it.
 
     σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), in addition to each reading's known uncertainty; z is the column scaled to −1 … 1
     over its range at the fit, clipped outside. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
     with a = 1 the scatter grows by e² from one end to the other.
     Source: A. Harvey, Econometrica 44 (1976) 461 (multiplicative heteroscedasticity).
 
-    Proportional to the column, with a floor, as data sheets state it (% of reading and % of span):
+    If `proportional`, the noise grows with the column from a floor, as data sheets state it (% of reading, % of span):
     σᵢ² = σ² + p²·(x/x_max)², p `noise.proportional`, x_max the largest |x| at the fit.
 
     Attributes:
@@ -149,7 +149,7 @@ def relative_scatter(values: Parameters, place: Any) -> Any:
 
 @offered
 def _offer_heteroscedastic(scale: Positive, frame: Frame) -> list[Noise]:
-    """Return a heteroscedastic law per varying column or rate, and a proportional one if its zero is not arbitrary."""
+    """Return a heteroscedastic law for each varying column or rate, and a proportional one if zero is not arbitrary."""
     reference, laws = frame.reference, list[Noise]()
     for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
         low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))

@@ -35,7 +35,7 @@ Columns = Mapping[str, Any]  # arrays by name, as a simulator gives them
 
 @static
 class Slot:
-    """A quantity in a measurement equation that effects add to; zero where none does."""
+    """Quantity in a measurement equation to which effects add; it is zero without effects."""
 
     name: str
     unit: str
@@ -69,17 +69,17 @@ class Instrument:
 
     Attributes:
         name: folder and command-line name, such as "mems_gyro".
-        title: description of one line.
+        title: description in one line.
         columns: columns of a file of readings, "output" among them.
         slots: quantities that effects add to.
-        response: function of slots and readings: the expected output, each reading's from its own slot values only.
+        response: function of slots and readings that returns the expected output, each reading's from its own slots.
         effects: effects of the baseline model.
         candidates: further effects that `discover` considers.
         nuisances: effects of the test that are added to every fit whose readings can test them, such as an unstated
             local gravity; they contribute to the coefficients' uncertainty.
         noise: noise law of the baseline model.
         noise_laws: further laws that a search evaluates, in addition to those offered for any record.
-        nominal_scale: how raw outputs (V, Hz) become input units.
+        nominal_scale: conversion of raw outputs (V, Hz) to the unit of the output.
         structures: further models to compare: name, and function that builds the model.
         simulator: `simulator(effects, seed=…, **options)` returns the columns of a simulated campaign, by name; an
             undeclared column is named with its unit, `humidity [%]`. `simulate` converts them to measurements.
@@ -262,7 +262,7 @@ class Instrument:
         return tuple(e for e in effects.values() if available.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """Return an unknown dependence of the output on a covariate: smooth, a step, a kink; a periodic form in time.
+        """Return an effect for an unknown dependence of the output on a covariate: smooth, step, kink, cycle in time.
 
         Its plausible amplitudes are estimated from the readings to which the model is fitted.
 

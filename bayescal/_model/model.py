@@ -154,7 +154,7 @@ class Model(Printed):
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
-        """Return the model with another plausible size of an effect's first coefficient, in its unit; others scale.
+        """Return the model with another plausible size of an effect's first coefficient, in its unit; scale the others.
 
         Raises:
             ModelError: the effect is not in the model, states no plausible size, or this one is not positive.

@@ -1,4 +1,4 @@
-"""Interface of noise models ("noise laws"): the distribution of readings about the expected output, one class each.
+"""Interface of noise models ("noise laws"), classes for the distribution of readings about the expected output.
 
 A noise law defines its parameters with priors and units and, in JAX, differentiable by all parameters: the variance of
 each reading, its log density, draws of readings and, if Gaussian given its parameters, the whitening L⁻¹ of residuals
@@ -176,7 +176,7 @@ class Noise(abc.ABC):
         return place is not None and place.ndim == 0
 
     def variance_place(self, frame: Frame) -> Float[np.ndarray, "*n"] | None:
-        """Return a coordinate of each reading of which its variance is a smooth function, or one common to all ().
+        """Return a coordinate of each reading, of which its variance is a smooth function; shape () if common to all.
 
         For independent Gaussian noise only; None if there is none.
         """

@@ -54,7 +54,7 @@ def transform_end(n: int, sign: int) -> Float[np.ndarray, "n"]:
 
 
 def exponential(variance: Any, rate: Any, step: float, lam: Lambda) -> SpectralTerm:
-    """Return the transformed covariance of a process of correlation Re exp(−rate·Δt); complex: a narrow line."""
+    """Return the transformed covariance of a process of correlation Re exp(−rate·Δt); a narrow line if complex."""
     x = -np.asarray(rate) * step
     symbol = variance * _compute_symbol(x, lam)
     count = 2 if np.iscomplexobj(x) else 1

@@ -116,7 +116,7 @@ class ExponentialTerm(NoiseTerm):
 
     @abc.abstractmethod
     def processes(self, values: Values) -> list[tuple[Any, Any]]:
-        """Return the variance, output unit squared, and the rate, 1/s, of each: its correlation is Re exp(−rate·Δt)."""
+        """Return variance, output unit squared, and rate, 1/s, of each process, of correlation Re exp(−rate·Δt)."""
 
     def variance(self, values):
         return sum(variance for variance, _ in self.processes(values))
@@ -308,7 +308,7 @@ class ToneTerm(ExponentialTerm):
         return np.mean([v * allan_of_exponential(m, step * rate).real for v, rate in pairs], axis=0)
 
     def starts(self, step, residuals, z):
-        """Return the strongest spectrogram line as a starting point, its frequency quadratic in z; [] if too short."""
+        """Return the spectrogram's strongest line as a starting point, frequency quadratic in z; [] for a short run."""
         period = float(np.median(step[step > 0]))
         is_even = np.abs(step / period - 1) < EVEN_STEPS
         is_complete = np.convolve(is_even, np.ones(WINDOW_SIZE - 1), "valid")[1:] == WINDOW_SIZE - 1
@@ -410,7 +410,7 @@ class QuantisationTerm(MovingAverageTerm):
 class AveragingTerm(MovingAverageTerm):
     """White noise after a sensor's low-pass filter: means of two successive independent errors.
 
-    Only adjacent readings are correlated; together with white noise, by 0 to ½. The amplitude is the standard deviation
+    Only adjacent readings are correlated: with white noise added, by 0 to ½. The amplitude is the standard deviation
     before averaging, which leaves the spectral density at low frequencies unchanged.
     Source: G. Box and G. Jenkins, Time Series Analysis (1976), §3.3 (moving averages of first order).
     """

@@ -300,7 +300,7 @@ class Unknowns:
 
     @cached_property
     def by_key(self) -> dict[str, slice]:
-        """Return key → slice of its group members in the table."""
+        """Return the slice of the table with the group members of each key, by key."""
         slices: dict[str, slice] = {}
         for i, u in enumerate(self.rows):
             slices[u.key] = slice(slices[u.key].start if u.key in slices else i, i + 1)

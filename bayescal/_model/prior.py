@@ -79,7 +79,7 @@ class Known:
 
 @static
 class LogNormal(_StandardNormalPrior):
-    """A positive quantity whose logarithm is Gaussian; `median` in its own unit, `sd` of the logarithm."""
+    """Prior of a positive quantity with a Gaussian logarithm; `median` in its own unit, `sd` of the logarithm."""
 
     median: float
     sd: float
@@ -93,7 +93,7 @@ class LogNormal(_StandardNormalPrior):
 
 @static
 class LogUniform(_StandardNormalPrior):
-    """A positive quantity between two bounds with a uniform logarithm; `low` and `high` in its own unit.
+    """Prior of a positive quantity between two bounds with a uniform logarithm; `low` and `high` in its own unit.
 
     Its coordinate is standard normal: value = low·(high/low)^Φ(v), within the bounds for every v.
     """
@@ -117,7 +117,7 @@ class LogUniform(_StandardNormalPrior):
 
 @static
 class NumpyroPrior(_StandardNormalPrior):
-    """A positive quantity with another NumPyro distribution; its coordinate is standard normal: icdf(Φ(v))."""
+    """Prior of a positive quantity by a NumPyro distribution: value icdf(Φ(v)) at a standard normal coordinate v."""
 
     name: str
     parameters: tuple[tuple[str, float], ...]

@@ -42,7 +42,7 @@ MAX_CORRELATED_TERMS = 3  # Ornstein–Uhlenbeck: no record of a day distinguish
 
 
 class SumOfTerms(Noise, interface=True):
-    """Base class of noise laws that are sums of terms; attributes as of `SummedNoise`."""
+    """Base class of noise laws that are sums of terms; its attributes are those of `SummedNoise`."""
 
     shortest: ClassVar[float]
     longest: ClassVar[float]
@@ -258,7 +258,7 @@ def _build_terms(terms: tuple[str, ...], first_rank: int, *fields: Any) -> tuple
 
 
 def _estimate_scatter(frame: Frame, r: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
-    """Estimate slope and curvature by least squares on log squared differences of adjacent residuals."""
+    """Estimate `noise.slope` and `noise.curvature` by least squares, from log squared differences of residuals."""
     steps = np.diff(r)
     is_usable = (np.asarray(frame.step)[1:] >= 0) & (steps != 0)
     z = np.asarray(scale_covariate(frame, column))[1:][is_usable]

@@ -20,7 +20,7 @@ from bayescal._model.prior import Known
 class ColumnSpec(NamedTuple):
     """Specification of an effect's basis columns: the basis, its shapes, and corrections of its input columns.
 
-    shapes: names of the nonlinear parameters of the basis, then of the corrections. names, priors: of each shape, in φ.
+    shapes: nonlinear parameters of the basis, then of the corrections. names, priors: name in φ and prior of each.
     """
 
     basis: Basis
@@ -39,7 +39,7 @@ class ColumnSpec(NamedTuple):
     def shift_paths(
         self, values: Sequence[Any], evaluate: Callable[[ColumnSpec, Sequence[Any]], Any]
     ) -> dict[str, Float[Any, "*b n"]]:
-        """Return the shifts of columns by the corrections, at values of the shapes; evaluate(spec, values): columns."""
+        """Return each column's shift by the corrections at values of the shapes; `evaluate` returns basis columns."""
         shifts, start = dict[str, Any](), len(self.basis_shapes)
         for c in self.corrections:
             stop = start + len(c.spec.shapes)

@@ -69,7 +69,7 @@ def make_placeholder(covariate: str, slot: str, unit: str) -> Effect:
 
 
 def freed(effect: Effect, ratio: float = 1.0) -> Effect:
-    """Return a copy of an effect with a prior `ratio` times as wide, to add beside it if its value may be wrong."""
+    """Return a copy of an effect with a prior `ratio` times as wide, to add to it if its stated value may be wrong."""
     coefficients = tuple(replace(c, prior=Normal(0.0, ratio * c.size)) for c in effect.coefficients)
     return replace(
         effect,
@@ -84,7 +84,7 @@ def freed(effect: Effect, ratio: float = 1.0) -> Effect:
 
 
 def process_columns(position: Any, terms: int) -> Any:
-    """Return columns Φ with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w of `process_weights`; positions 0 to 1."""
+    """Return columns Φ with Φ·diag(w²)·Φᵀ ≈ squared-exponential kernel, w from `process_weights`; positions 0 to 1."""
     centred = xp.clip(2 * position - 1, -INTERVAL_RATIO, INTERVAL_RATIO)
     order = xp.arange(1, terms + 1) * math.pi / (2 * INTERVAL_RATIO)
     return xp.sin(order * (centred[..., None] + INTERVAL_RATIO)) / math.sqrt(INTERVAL_RATIO)
@@ -106,7 +106,7 @@ def unknown(
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate".
-        low, high: plausible amplitudes (standard deviation over the range), in `unit`; `*OPEN`: from the readings.
+        low, high: plausible amplitudes (standard deviation over the covariate's range), `unit`; `*OPEN`: estimated.
         name: canonical name; `unknown(covariate)` if not given.
     """
     terms, lengths = RESOLUTION[covariate in ("time", "elapsed")]

@@ -92,7 +92,7 @@ class Vector:
         """Replace magnitude readings by projections on directions from an ellipsoid fitted to the outputs.
 
         Projections are linear in the slots of a linear equation, so that a fit converges from any start. A fit to
-        magnitudes far from the true one (hard iron, another unit) may converge to a zero scale factor.
+        magnitudes may converge to a zero scale factor if the outputs' is far from the true one (hard iron, other unit).
 
         Returns:
             Frame and outputs; None if the measurand is known, magnitudes are near the true one, or no ellipsoid fits.

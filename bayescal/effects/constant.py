@@ -27,7 +27,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
 
 
 def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> Effect:
-    """Return deviations of a group's members, N(0, s²) with s estimated; size: scale of the half-normal prior of s."""
+    """Return an effect of deviations N(0, s²) of a group's members; size: scale of s's half-normal prior, in `unit`."""
     columns = {"cell": ("temperature_point",)}.get(per, (per,))
     return Effect(
         f"{slot}.{per}",

@@ -166,8 +166,8 @@ def thermal_lag(
 ) -> Effect:
     """Return a thermal lag c·(T̃ − T), T̃ the temperature of a first-order body of time constant τ, and its forms.
 
-    It describes a part that lags, such as electronics beside the sensor. In the alternative forms the sensor itself is
-    at T̃, and all effects of temperature use T̃ in place of T; the body is of first order, two bodies in series, two in
+    It describes a lagging part other than the sensor, such as electronics. In the alternative forms the sensor is at T̃,
+    and all effects of temperature use T̃ in place of T; the body is of first order, two bodies in series, two in
     parallel, or heat diffusion. An initial difference from T decays as exp(−t/τ): one coefficient per run, whose
     standard deviation is estimated, with the plausible size `start`.
 

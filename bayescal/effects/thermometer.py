@@ -59,7 +59,7 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """Return a thermometer offset per run, as of a re-seated or exchanged one, with estimated standard deviation.
+    """Return an effect of a thermometer's offset in each run, as after re-seating; its standard deviation is estimated.
 
     It corrects the column before any other effect uses it. If the output is linear in temperature it is collinear with
     a deviation of the bias in each run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.
@@ -75,12 +75,12 @@ def thermometer_offset(
 
 
 def thermometer_delay(sd: float, *, source: str, column: str = "temperature") -> Effect:
-    """Return a thermometer's delay τ, s: a first-order response, or readings recorded τ late.
+    """Return an effect of a thermometer's delay τ, s: a first-order response, or readings recorded τ late.
 
-    For the former τ·dT/dt = T_true − T is exact; for the latter it holds while dT/dt is constant over τ. It corrects
-    the column before any other effect uses it. If the output is linear in temperature it is collinear with `rate`; a
-    nonlinearity or a second slot identifies both. dT/dt is a slope over the last minute: τ is biased by up to half a
-    minute.
+    The correction τ·dT/dt = T_true − T is exact for a first-order response; for late readings it holds while dT/dt is
+    constant over τ. It corrects the column before any other effect uses it. If the output is linear in temperature it
+    is collinear with `rate`; a nonlinearity or a second slot identifies both. dT/dt is a slope over the last minute: τ
+    is biased by up to half a minute.
 
     Args:
         sd: prior standard deviation of τ, s.
