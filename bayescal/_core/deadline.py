@@ -95,7 +95,7 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
     if handles:
         signal.signal(signal.SIGINT, deadline.interrupt.handle)
     try:
-        with _set(deadline):
+        with _use_deadline(deadline):
             yield deadline
     finally:
         if handles:
@@ -105,16 +105,16 @@ def until(limit: float | None = None, words: str = "time limit of {:g} s") -> It
 def sooner(share: float) -> AbstractContextManager[Deadline]:
     """Set an earlier deadline, when `share` of the remaining time has passed."""
     deadline, now = current(), time.monotonic()
-    return _set(replace(deadline, ends_at=now + share * (deadline.ends_at - now)))
+    return _use_deadline(replace(deadline, ends_at=now + share * (deadline.ends_at - now)))
 
 
 def finishing() -> AbstractContextManager[Deadline]:
     """Suspend the deadline while a result is completed; a second Ctrl-C is raised at once."""
-    return _set(replace(current(), ends_at=math.inf, is_interruptible=False))
+    return _use_deadline(replace(current(), ends_at=math.inf, is_interruptible=False))
 
 
 @contextmanager
-def _set(deadline: Deadline) -> Iterator[Deadline]:
+def _use_deadline(deadline: Deadline) -> Iterator[Deadline]:
     token = _CURRENT.set(deadline)
     try:
         yield deadline

@@ -23,7 +23,7 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
 
 
-def _scale(value: float, error: float) -> tuple[int, int]:
+def _find_scale(value: float, error: float) -> tuple[int, int]:
     """Return the power of ten to factor out, and the decimal places that show the error to two digits."""
     # The error is given to two significant digits (JCGM 100, 7.2.6).
     place = floor(log10(error))
@@ -43,7 +43,7 @@ def with_error(value: float, error: float) -> str:
     """
     if not error > 1e-12 * abs(value):
         return number(value, 4)
-    power, places = _scale(value, error)
+    power, places = _find_scale(value, error)
     if places > _MAX_PLACES:
         digits = round(error / 10 ** (power - places))
         text = f"{value / 10**power:z.{places}f}({digits})"
@@ -56,7 +56,7 @@ def interval(low: float, high: float, mean: float, error: float) -> str:
     """Format the limits of an interval to the decimal place of the error; "–" for a negligible error."""
     if not error > 1e-12 * abs(mean):
         return "–"
-    power, places = _scale(mean, error)
+    power, places = _find_scale(mean, error)
     text = f"{low / 10**power:z.{places}f} to {high / 10**power:z.{places}f}"
     return f"({text})e{power}" if power else text
 

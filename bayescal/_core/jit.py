@@ -70,11 +70,11 @@ class value_partial(partial):
         return partial(value_partial, self.func, *self.args, **self.keywords), ()
 
 
-def by_value(function: Any) -> Any:
+def to_value_partial(function: Any) -> Any:
     """Convert a `functools.partial` with hashable arguments to `value_partial`; return anything else unchanged."""
     if type(function) is not partial:
         return function
-    args = map(by_value, function.args)  # a basis of a basis
+    args = map(to_value_partial, function.args)  # a basis of a basis
     converted = value_partial(function.func, *args, **function.keywords)
     try:
         hash(converted)

@@ -104,12 +104,12 @@ class _JaxFinder(MetaPathFinder):
         if spec is not None and spec.loader is not None:
             load = spec.loader.exec_module
 
-            def loaded(module: Any) -> None:
+            def load_and_set_up(module: Any) -> None:
                 load(module)
                 sys.meta_path.remove(self)
                 _set_up()
 
-            spec.loader.exec_module = loaded
+            spec.loader.exec_module = load_and_set_up
         return spec
 
 

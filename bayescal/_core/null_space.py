@@ -28,7 +28,7 @@ def null_rows(columns: np.ndarray) -> np.ndarray:
     # Columns of unit length, so that the result is independent of units.
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
-    reduced = _r_factor(columns / norm)
+    reduced = _compute_r_factor(columns / norm)
     basis = echelon(linalg.null_space(reduced, rcond=EXACT_SHARE).T)
     basis = np.array([_drop_negligible_entries(reduced, row) for row in basis]).reshape(basis.shape)
     basis = _sort_rows(basis / norm)
@@ -40,7 +40,7 @@ def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray
     is_large = np.abs(row) > NEGLIGIBLE_SHARE * np.abs(row).max()
     if is_large.all():
         return row
-    null_vectors = linalg.null_space(_r_factor(columns[:, is_large]), rcond=EXACT_SHARE)
+    null_vectors = linalg.null_space(_compute_r_factor(columns[:, is_large]), rcond=EXACT_SHARE)
     if not null_vectors.size:
         return row
     sparse_row = np.zeros_like(row)
@@ -57,15 +57,15 @@ def weak_rows(columns: np.ndarray, null_rows: np.ndarray, limit: float, share: f
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.
-    _, values, rows = np.linalg.svd(_r_factor(columns), full_matrices=True)
+    _, values, rows = np.linalg.svd(_compute_r_factor(columns), full_matrices=True)
     values = np.concatenate([values, np.zeros(count - len(values))])
-    directions = _complement(rows[values**2 < limit], null_rows)
+    directions = _compute_complement(rows[values**2 < limit], null_rows)
     units = np.eye(count)[np.sum(directions**2, axis=0) > share]
-    mixed_directions = echelon(_complement(directions, units))
+    mixed_directions = echelon(_compute_complement(directions, units))
     return np.concatenate([units, mixed_directions])
 
 
-def _r_factor(columns: np.ndarray) -> np.ndarray:
+def _compute_r_factor(columns: np.ndarray) -> np.ndarray:
     """Return at most p rows that have the singular values and right singular vectors of columns (n, p)."""
     # JᵀJ = RᵀR: the triangle of a QR has J's singular values, in p rows in place of n.
     return (
@@ -73,7 +73,7 @@ def _r_factor(columns: np.ndarray) -> np.ndarray:
     )
 
 
-def _complement(rows: np.ndarray, excluded_rows: np.ndarray) -> np.ndarray:
+def _compute_complement(rows: np.ndarray, excluded_rows: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis of the complement of `excluded_rows` in the span of `rows` (both orthonormal)."""
     dimensions = len(rows) - len(excluded_rows)
     if dimensions <= 0 or not len(excluded_rows):

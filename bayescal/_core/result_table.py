@@ -128,13 +128,13 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
     widest_first = sorted(range(len(head)), key=lambda i: minima[i] - widths[i])
     for lines, i in product((2, 3, 4), widest_first):
         if sum(widths) > space:
-            folds = (_folded_name(head[i], w) for w in range(minima[i], widths[i] + 1))
+            folds = (_wrap_name(head[i], w) for w in range(minima[i], widths[i] + 1))
             split_head[i] = next(wrapped for wrapped in folds if len(wrapped) <= lines)
             widths[i] = max(minima[i], *map(_width, split_head[i]))
     if sum(widths) > space:
         i = max(range(max(1, len(head) - 1)), key=lambda i: flush_left[i] * widths[i])
         for row in split_rows:
-            row[i] = [*chain(*(_folded_name(t, widths[i] + space - sum(widths)) for t in row[i]))]
+            row[i] = [*chain(*(_wrap_name(t, widths[i] + space - sum(widths)) for t in row[i]))]
         widths[i] = max(_width(t) for row in split_rows for t in row[i])
     height = max(map(len, split_head))
     split_rows[0] = [[""] * (height - len(texts)) + texts for texts in split_head]
@@ -147,7 +147,7 @@ def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fo
     return "\n".join([*lines[:height], "  ".join("─" * w for w in widths), *lines[height:]])
 
 
-def _folded_name(text: str, width: int) -> list[str]:
+def _wrap_name(text: str, width: int) -> list[str]:
     """Wrap a name to a width at blanks, before dots and brackets, and after hyphens."""
     lines = [""]
     for part in re.split(r"(?= (?![^(]*\)))|(?=[.\[(])|(?<=\w-)", text):

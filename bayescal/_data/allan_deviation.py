@@ -299,24 +299,24 @@ def _edf(noise_type: int, m: int, readings: int) -> float:
     if terms > MAX_OVERLAP_TERMS:
         terms, differences, stride = MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS, MAX_OVERLAP_TERMS / ratio
     j = np.arange(terms + 1)
-    squares = _covariance(j / stride, filter_width, noise_type) ** 2
+    squares = _compute_covariance(j / stride, filter_width, noise_type) ** 2
     weights = np.where(j > 0, 2.0, 1.0) * (1 - j / differences)
     weights[-1] /= 2
     return float(differences * squares[0] / (weights @ squares))
 
 
-def _covariance(t: np.ndarray, filter_width: float, noise_type: int) -> np.ndarray:
+def _compute_covariance(t: np.ndarray, filter_width: float, noise_type: int) -> np.ndarray:
     """Return the autocovariance, up to a factor, of second differences at lags `t`, in averaging times, (j,)."""
 
-    def generalised(t: np.ndarray) -> np.ndarray:
+    def evaluate(t: np.ndarray) -> np.ndarray:
         power = 3 - noise_type if math.isfinite(filter_width) else 1 - noise_type
         size = np.abs(t)
         return size**power * (np.log(np.where(size > 0, size, 1.0)) if power % 2 == 0 else 1.0)
 
-    def averaged(t: np.ndarray) -> np.ndarray:
+    def average(t: np.ndarray) -> np.ndarray:
         if not math.isfinite(filter_width):
-            return generalised(t)
+            return evaluate(t)
         lag = 1 / filter_width
-        return 2 * generalised(t) - generalised(t - lag) - generalised(t + lag)
+        return 2 * evaluate(t) - evaluate(t - lag) - evaluate(t + lag)
 
-    return sum(c * averaged(t + k) for k, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))
+    return sum(c * average(t + k) for k, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))

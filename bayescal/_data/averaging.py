@@ -82,7 +82,7 @@ def estimate_reading_noise(
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def uncertainty_of_means(
+def compute_excess_uncertainty(
     columns: Mapping[str, np.ndarray], order: np.ndarray, begins: np.ndarray, noise: float
 ) -> np.ndarray | None:
     """Return the standard uncertainty of each mean in excess of that of the mean of most readings; None if zero.

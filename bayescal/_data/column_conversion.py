@@ -442,7 +442,7 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
                     f"column {name!r} is in {part.units[name]} in {part.tables[0].file!r} and in {unit} in another "
                     "file: use units of one dimension, or rename one"
                 )
-        file_with, file_without = _first_files(parts, [name in part.values for part in parts])
+        file_with, file_without = _find_first_files(parts, [name in part.values for part in parts])
         if file_without and unit is None:
             raise InputError(
                 f"{file_without!r} lacks the column {name!r} that {file_with!r} has: label every file, or none"
@@ -482,7 +482,7 @@ def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Non
         file_of_run = dict.fromkeys(runs, table.file) | file_of_run
 
 
-def _first_files(
+def _find_first_files(
     parts: Sequence[ConvertedColumns], flags: Sequence[bool]
 ) -> tuple[str | None, str | None]:
     """Return the name of the first file whose flag is true, and of the first whose flag is false; None without one."""
@@ -497,7 +497,7 @@ def _align_time_origins(parts: Sequence[ConvertedColumns]) -> float | None:
     origins = [part.origin for part in files if part.origin is not None]
     if not origins:
         return None
-    file_with, file_without = _first_files(files, [part.origin is not None for part in files])
+    file_with, file_without = _find_first_files(files, [part.origin is not None for part in files])
     if file_without:
         raise InputError(
             f"{file_with!r} has dates in its column 'time', {file_without!r} has none: give its first date, "

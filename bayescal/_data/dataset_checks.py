@@ -179,7 +179,7 @@ def _find_wraparounds(
     for name in converted.thermometers:
         for rows in records.in_time if records.time.size else ():
             rows = rows[~np.isin(rows, error_rows.get(name, ()))]
-            is_near = np.diff(records.time[rows]) <= records.silence
+            is_near = np.diff(records.time[rows]) <= records.max_gap
             jump = np.abs(np.diff(converted.values[name][rows])) * is_near
             if np.any(jump > MAX_STEP_DEGREES):
                 largest = int(np.argmax(jump))

@@ -47,9 +47,9 @@ from bayescal._tables.raw_table import (
     Objections,
     Table,
     find_header,
+    list_splits,
     load_whole,
     option,
-    possible_splits,
     to_one_line,
 )
 
@@ -107,7 +107,7 @@ _AXIS_LETTER = re.compile(
 
 def find_units(header: Header, kinds: tuple[str, ...]) -> dict[str, Header]:
     """Return the units of the given dimensions that a header may have: unit → the header split accordingly."""
-    pairs = ((unit_in(split.unit or "", kinds), split) for split in possible_splits(header))
+    pairs = ((unit_in(split.unit or "", kinds), split) for split in list_splits(header))
     return {unit: replace(split, unit=unit) for unit, split in pairs if unit}
 
 
@@ -124,7 +124,7 @@ def split_off_unit(header: Header) -> Header | None:
 
     "Rate in deg/hr" has the unit °/h, not the name "Rate in deg" and the unit h; "flow_L_min" remains undecided.
     """
-    splits = possible_splits(header)
+    splits = list_splits(header)
     candidates = [(s, unit) for s in splits if (unit := unit_in(s.unit or "", (ANY,)))]
     if not candidates:
         return None
@@ -142,7 +142,7 @@ def find_unit_ending(header: Header) -> str | None:
         return None if match[2].strip().isdigit() else match[2].strip()
     spellings = {text for texts in CONTEXT_SPELLINGS.values() for text in texts if text.isascii()}
     unit_spellings = spellings.difference(("G", "g")) | {"K"}
-    return next((r.unit for r in possible_splits(header) if r.unit in unit_spellings), None)
+    return next((r.unit for r in list_splits(header) if r.unit in unit_spellings), None)
 
 
 @lru_cache(maxsize=4096)  # one header is compared with many columns
@@ -163,7 +163,7 @@ def comparison_key(split: Header) -> str:
 
 def find_label_column(header: Header) -> str | None:
     """Return the label column ("run", "device" or "axis") that a header names; None for any other header."""
-    splits = (s for s in possible_splits(header) if (s.unit or "").lower() in BLANK_UNITS)
+    splits = (s for s in list_splits(header) if (s.unit or "").lower() in BLANK_UNITS)
     words = (normalise(split.name).split("_") for split in splits)
     nouns = {"_".join(word for word in name if word not in NUMBER_WORDS) for name in words}
     return next((n for n, names in LABEL_NAMES.items() if nouns & {*names.split()}), None)
@@ -211,7 +211,7 @@ class ColumnRule:
         self, header: Header, names: Collection[str], user_units: Mapping[str, str]
     ) -> Header | None:
         """Split a header into one of these names and a unit of the column's dimension or none; None if impossible."""
-        for split in sorted(possible_splits(header), key=lambda r: r.unit is None):
+        for split in sorted(list_splits(header), key=lambda r: r.unit is None):
             if comparison_key(split) not in names:
                 continue
             if split.unit is None:
@@ -251,7 +251,7 @@ class ColumnRule:
         own_names, *synonym_tiers = self.name_tiers
         names = own_names.union(n for tier in synonym_tiers for n in tier if len(n) > 2)
         name_words = set(normalise(self.column.name).split("_"))
-        words = (normalise(split.name) for split in possible_splits(header))
+        words = (normalise(split.name) for split in list_splits(header))
         return any(name in names or name_words <= set(name.split("_")) for name in words)
 
 
@@ -268,19 +268,19 @@ def find_channels(output: str, columns: Mapping[str, str | None], unit: str | No
     Channels of a device share temperatures and times; hence they correlate without causing each other.
     `columns`: name → unit of the columns that the instrument does not declare.
     """
-    numbered, axis = re.sub(r"\d+", "#", output), _axis_letter(output)
+    numbered, axis = re.sub(r"\d+", "#", output), _find_axis(output)
     channels = []
     for name, column_unit in columns.items():
         same_unit = column_unit and unit and same_dimension(column_unit, unit)
         same_quantity = same_unit and re.sub(r"\d+", "#", name) == numbered
         is_motion = not column_unit or any(same_dimension(column_unit, m) for m in MOTION_UNITS)
-        is_on_axis = axis and (letter := _axis_letter(name)) and (letter != axis or is_motion)
+        is_on_axis = axis and (letter := _find_axis(name)) and (letter != axis or is_motion)
         if is_on_axis or (same_quantity and "#" in numbered):
             channels.append(name)
     return channels
 
 
-def _axis_letter(name: str) -> str:
+def _find_axis(name: str) -> str:
     """Return the axis letter (x, y or z) at the end or the beginning of a name; "" if there is none."""
     return next((text[-1].lower() for text in reversed(_AXIS_LETTER.findall(name))), "")
 
@@ -327,7 +327,7 @@ class MatchedFile:
         self.table = replace(self.table, headers=tuple(self._headers))
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in self.positions else None
-            is_forced = name in self.options.columns and not _known_unit(unit)
+            is_forced = name in self.options.columns and not _find_known_unit(unit)
             if column.unit is None and not is_forced and (unit or "").lower() not in BLANK_UNITS:
                 fault, expected = f"has the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
@@ -549,7 +549,7 @@ class MatchedFile:
             unit, possible = unit or find_unit_ending(header), self._find_column(header)
             text = (unit or "").lower()
             is_unit = text not in BLANK_UNITS or (possible and not text)
-            if is_unit and (possible or _known_unit(unit) or not self._holds_labels(position)):
+            if is_unit and (possible or _find_known_unit(unit) or not self._holds_labels(position)):
                 self._note_unclear(header, unit, possible)
             else:
                 without_unit.append(header.raw)
@@ -575,7 +575,7 @@ class MatchedFile:
 
     def _note_unclear(self, header: Header, unit: str | None, column: Column | None) -> None:
         """Add a problem for a column of unclear unit, with the options that keep or exclude it."""
-        known_unit = _known_unit(unit, (column and column.unit) or ANY)
+        known_unit = _find_known_unit(unit, (column and column.unit) or ANY)
         fault = f"ends in [{unit}], which is not a known unit" if unit else "has no unit"
         ignore_option = option("--ignore", header.raw)
         keep_option = option("--unit", f"{header.raw}={known_unit or 'UNIT'}")
@@ -587,7 +587,7 @@ class MatchedFile:
         self.report(header.raw, fault, expected, cure, suggestion)
 
 
-def _known_unit(unit: str | None, kind: str = ANY) -> str | None:
+def _find_known_unit(unit: str | None, kind: str = ANY) -> str | None:
     """Return the known unit that a text spells, of dimension `kind`; None if none or several."""
     matching_names = [name for name, texts in CONTEXT_SPELLINGS.items() if unit in texts]
     return unit_in(unit or "", (kind,)) or (matching_names[0] if len(matching_names) == 1 else None)

@@ -392,7 +392,7 @@ class Measurements(Printed):
             for name, v in self.values.items()
         }
         noise = averaging.estimate_reading_noise(self.values, self.output, order, ~is_start)
-        uncertainty = averaging.uncertainty_of_means(self.values, order, begins, noise)
+        uncertainty = averaging.compute_excess_uncertainty(self.values, order, begins, noise)
         means |= {} if uncertainty is None else {UNCERTAINTY: uncertainty}
         rows = np.lexsort((means["time"], self.records.codes[order][begins]))
         low, high, unit = int(counts.min()), int(counts.max()), self.unit(self.output)
@@ -464,11 +464,11 @@ def _extract_columns(frame: Any, columns: dict[str, Any]) -> tuple[dict[str, Any
     table = {str(name): frame[name] for name in names} | columns
     if (name := getattr(getattr(frame, "index", None), "name", None)) is not None:
         table.setdefault(str(name), frame.index)
-    units = {name: unit for name, values in table.items() if (unit := _attached_unit(values))}
+    units = {name: unit for name, values in table.items() if (unit := _find_unit(values))}
     return {n: getattr(v, "magnitude", getattr(v, "value", v)) for n, v in table.items()}, units
 
 
-def _attached_unit(values: Any) -> str | None:
+def _find_unit(values: Any) -> str | None:
     """Return the unit attached to a column by pint, astropy or xarray, as text; None if there is none."""
     unit = getattr(values, "units", getattr(values, "unit", None))
     unit = getattr(values, "attrs", {}).get("units", None if isinstance(unit, str) else unit)

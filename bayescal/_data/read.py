@@ -121,7 +121,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         for path, name in zip(paths, names, strict=True):
             with problems.collecting():
                 tables.append(open_table(path, name, max_bytes, options.decimal, names_wanted))
-        labels, one_temperature = _run_labels(paths), allow_one_temperature
+        labels, one_temperature = _make_run_labels(paths), allow_one_temperature
         return measure_tables(tables, instrument, options, one_temperature, labels, problems)
 
     if outputs is None:
@@ -143,7 +143,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     return readings
 
 
-def _run_labels(paths: Sequence[Path]) -> list[str]:
+def _make_run_labels(paths: Sequence[Path]) -> list[str]:
     """Return a run label for each file: its stem, with folder or number if it is not unique."""
     stems, labels = Counter(path.stem for path in paths), list[str]()
     for path in paths:

@@ -28,8 +28,8 @@ from bayescal._tables.raw_table import (
     Objections,
     Table,
     find_header,
+    list_splits,
     option,
-    possible_splits,
     to_one_line,
 )
 
@@ -119,7 +119,7 @@ class ReadOptions:
         if isinstance(scale, str):
             scale = _parse_scale(instrument, scale, options.gravity)
         if nominal_zero is not None:
-            scale = _with_zero(instrument, scale or instrument.nominal_scale, nominal_zero)
+            scale = _set_zero(instrument, scale or instrument.nominal_scale, nominal_zero)
         return replace(options, nominal_scale=scale)
 
     @property
@@ -165,7 +165,7 @@ def _as_sequence(names: str | Sequence[str]) -> Sequence[str]:
     return [names] if isinstance(names, str) else names
 
 
-def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str) -> NominalScale:
+def _set_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str) -> NominalScale:
     """Return a nominal scale with the given raw output at zero input, such as "1.21 V"."""
     argument = f"nominal_zero={text!r} (--nominal-zero)"
     if scale is None:
@@ -173,7 +173,7 @@ def _with_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str
             f"{argument} without a nominal scale, which {instrument.name!r} does not define. Give the raw output per "
             "unit of output: --nominal-scale '250 V/g'"
         )
-    value, unit = _number_and_unit(text, argument, f"1.21 {scale.unit}")
+    value, unit = _parse_quantity(text, argument, f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
             f"{argument} is in {unit}, but the nominal scale applies to raw outputs in {scale.unit}: give the raw "
@@ -187,7 +187,7 @@ def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) ->
     unit = expected_columns(instrument)[output_name(instrument)].unit or "1"
     example = f"250 mV/({unit})" if "/" in unit else f"250 mV/{unit}"
     argument = f"nominal_scale={text!r} (--nominal-scale)"
-    gain, ratio = _number_and_unit(text, argument, example)
+    gain, ratio = _parse_quantity(text, argument, example)
     numerator, _, divisor = (part.strip() for part in ratio.partition("/"))
     for raw, is_inverse in ((numerator, False), (divisor, True)):
         target = f"({unit})/{raw}" if is_inverse else f"{raw}/({unit})"
@@ -204,7 +204,7 @@ def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) ->
 def _parse_field(instrument: InstrumentLike, text: str) -> float:
     """Parse the magnitude of the local field, such as "48.2 uT"; return it in the unit of the instrument's column."""
     argument = f"local_field={text!r} (--local-field)"
-    value, unit = _number_and_unit(text, argument, "48.2 uT")
+    value, unit = _parse_quantity(text, argument, "48.2 uT")
     target = next((str(c.unit) for c in instrument.columns if c.name == MAGNITUDE), "1")
     if same_dimension(unit, "uT") and same_dimension("uT", target):
         return float(convert(value, unit, target))
@@ -214,7 +214,7 @@ def _parse_field(instrument: InstrumentLike, text: str) -> float:
     )
 
 
-def _number_and_unit(text: str, argument: str, example: str) -> tuple[float, str]:
+def _parse_quantity(text: str, argument: str, example: str) -> tuple[float, str]:
     try:
         return parse_quantity(text)
     except InputError as error:
@@ -282,7 +282,7 @@ def check_options(tables: Sequence[Table], options: ReadOptions, problems: Objec
     """Add a problem for each option (unit, --ignore, --unwrap) given for a column that no file has."""
     first, *others = [t.file for t in tables]
     headers = [h for t in tables for h in t.headers]
-    known_names = {n for h in headers for n in (h.raw, *(r.name for r in possible_splits(h)))}
+    known_names = {n for h in headers for n in (h.raw, *(r.name for r in list_splits(h)))}
     known_names |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
     if "" in options.begin and others:
         fault = f"needs a begin of its own: {options.begin['']!r} is given for {len(tables)} files"

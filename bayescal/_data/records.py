@@ -136,7 +136,7 @@ class Records:
         return self.time - self.starts(record)[self.codes]
 
     @property
-    def silence(self) -> float:
+    def max_gap(self) -> float:
         """Return the longest time step, s, across which a column is interpolated."""
         return MAX_GAP_WINDOWS * rate_window(self.step)
 
@@ -160,10 +160,10 @@ class Records:
             times = t[low:high]
             last = (np.searchsorted(times, times) - 1).clip(0)  # at least one earlier time
             first[low:high] = low + np.clip(np.searchsorted(times, times - window), 0, last)
-        sum_t, sum_y, sum_tt, sum_ty = _window_sums(t, y, first)
+        sum_t, sum_y, sum_tt, sum_ty = _sum_windows(t, y, first)
         count = index - first + 1
         denominator = sum_tt - sum_t**2 / count
-        valid = (first < index) & (denominator > 0) & (t - t[first] <= self.silence * (1 + 1e-9))
+        valid = (first < index) & (denominator > 0) & (t - t[first] <= self.max_gap * (1 + 1e-9))
         slopes = np.zeros_like(y)
         slopes[self.order[valid]] = (sum_ty - sum_t * sum_y / count)[valid] / denominator[valid]
         return slopes
@@ -193,7 +193,7 @@ def solve_recursion(decay: np.ndarray, drive: np.ndarray) -> np.ndarray:
     return solve(band.T, drive.reshape(-1), uplo="L", diag="U")[0].reshape(drive.shape)
 
 
-def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _sum_windows(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Return the sums (4, n) of dt, dy, dt², dt·dy over the readings first[i] … i for each i; `first` is increasing.
 
     Each window contains an anchor: dt and dy are differences from it, and sums are accumulated from it to both sides,

@@ -198,10 +198,10 @@ def parse(text: str) -> ParsedUnit:
     expression = re.sub(adjacent, "*", spelling).replace("^", "**").strip()
     product = UNITY
     try:
-        names = tuple(_factors(ast.parse(expression, mode="eval").body))
+        names = tuple(_list_factors(ast.parse(expression, mode="eval").body))
         for name, power in names:
             size, base = KNOWN_UNITS[name]
-            factors = _factors(ast.parse(base, mode="eval").body) if base else ()
+            factors = _list_factors(ast.parse(base, mode="eval").body) if base else ()
             product = product.times(ParsedUnit(size, dict(factors)), power)
     except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
@@ -210,7 +210,7 @@ def parse(text: str) -> ParsedUnit:
     return ParsedUnit(product.factor, product.powers, _SCALE_ZEROS_K.get(spelling), names)
 
 
-def _factors(part: ast.expr) -> list[tuple[str, float]]:
+def _list_factors(part: ast.expr) -> list[tuple[str, float]]:
     """Return the unit names in a parsed product, quotient or power, each with its exponent."""
     match part:
         case ast.Name(id=name) if name in KNOWN_UNITS:
@@ -219,10 +219,10 @@ def _factors(part: ast.expr) -> list[tuple[str, float]]:
             return []
         case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
             sign = 1.0 if isinstance(op, ast.Mult) else -1.0
-            return [*_factors(left), *((name, sign * power) for name, power in _factors(right))]
+            return [*_list_factors(left), *((n, sign * p) for n, p in _list_factors(right))]
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
             power = float(ast.literal_eval(right))
-            return [(name, power * exponent) for name, exponent in _factors(left)]
+            return [(name, power * exponent) for name, exponent in _list_factors(left)]
     raise ValueError("not a product of units")
 
 
@@ -313,7 +313,7 @@ def convert(
     """
     old, new = parse(from_unit), parse(to_unit)
     values = np.array(values, dtype=np.float64)
-    power = _power_of_gravity(old.powers, new.powers)
+    power = _find_gravity_power(old.powers, new.powers)
     if power is None:
         raise InputError(
             f"[{from_unit}] cannot be converted to [{to_unit}], a unit of another dimension: correct the unit"
@@ -350,7 +350,7 @@ def parse_quantity(text: str) -> tuple[float, str]:
 
 def same_dimension(a: str, b: str) -> bool:
     """Return whether two units have the same dimension (m/s² and g do); raise InputError for an unknown unit."""
-    return _power_of_gravity(parse(a).powers, parse(b).powers) is not None
+    return _find_gravity_power(parse(a).powers, parse(b).powers) is not None
 
 
 def is_convertible(a: str, b: str) -> bool:
@@ -362,7 +362,7 @@ def is_convertible(a: str, b: str) -> bool:
 
 def needs_gravity(from_unit: str, to_unit: str) -> bool:
     """Return whether a conversion uses the local gravity; raise InputError for an unknown unit."""
-    return bool(_power_of_gravity(parse(from_unit).powers, parse(to_unit).powers))
+    return bool(_find_gravity_power(parse(from_unit).powers, parse(to_unit).powers))
 
 
 def coefficient_factor(unit: str, slot_unit: str) -> float:
@@ -518,7 +518,7 @@ def unit_label(unit: str) -> str:
     return format_unit(unit) if unit not in ("", "1") else ""
 
 
-def _power_of_gravity(source: Mapping[str, float], target: Mapping[str, float]) -> float | None:
+def _find_gravity_power(source: Mapping[str, float], target: Mapping[str, float]) -> float | None:
     """Return the exponent of local gravity in a conversion between two dimensions; None if not convertible."""
     power, names = source.get("m", 0) - target.get("m", 0), {*source, *target}
     expected = {"m": power, "s": -2 * power, "ug": -power}

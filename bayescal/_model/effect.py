@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number
-from bayescal._core.jit import by_value
+from bayescal._core.jit import to_value_partial
 from bayescal._core.lazy_jax import Array
 from bayescal._core.renamed import renamed
 from bayescal._core.result_table import ResultTable, as_html, plain_table
@@ -228,7 +228,7 @@ class Effect:
             coefficients=tuple(self.coefficients),
             shapes=tuple(self.shapes),
             forms=tuple(replace(form, family=self.name) for form in self.forms),
-            **{role: by_value(getattr(self, role)) for role in FUNCTION_FIELDS},
+            **{role: to_value_partial(getattr(self, role)) for role in FUNCTION_FIELDS},
         )
         if not self.coefficients:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")

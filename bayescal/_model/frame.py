@@ -31,7 +31,7 @@ PATH = " path"  # suffix of a column replaced as a whole time series, as tempera
 Reference = dict[str, float | dict[str, float]]
 
 
-@renamed(only="select_columns", moved="shift_columns", reordered="reorder")
+@renamed(only="select_columns", moved="shift_columns", reordered="reorder", silence="max_gap")
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Readings as the argument of basis functions, with all columns in the instrument's fixed units.
@@ -47,7 +47,7 @@ class Frame:
         order: permutation that sorts the readings by run and time.
         step: time since the previous reading of the same run, in sorted order, s; −1 at the first of a run.
         record: the columns as measured, without corrections.
-        silence: longest time between readings over which a temperature is interpolated, s.
+        max_gap: longest time between readings over which a temperature is interpolated, s.
         path: time series that replace a measured column, such as a body's temperature, (*s, n) each.
     """
 
@@ -59,7 +59,7 @@ class Frame:
     order: Int[Any, "n"]
     step: Float[Any, "n"]
     record: dict[str, Float[Any, "n"]]
-    silence: Float[Any, ""]
+    max_gap: Float[Any, ""]
     path: dict[str, Float[Any, "*s n"]] = field(default_factory=dict)
 
     @property
@@ -122,7 +122,7 @@ class Frame:
         """Return T̃ − T, °C, where τ·dT̃/dt = T − T̃ and T̃ equals T at the first reading of each run.
 
         T is linear between readings, or constant from each to the next if set in steps (reference constant "…_held"
-        is 1); the recursion is exact for both. In a gap longer than `silence` (a soak before a tumble) T is assumed
+        is 1); the recursion is exact for both. In a gap longer than `max_gap` (a soak before a tumble) T is assumed
         to change at the gap's start; after a ramp over the gap, T̃ would lag by the rate times τ instead. T̃ is computed
         from the recorded column: a correction (the thermometer's error) changes T at its reading only.
         """
@@ -137,7 +137,7 @@ class Frame:
         is_first, no_step = step < 0, step == 0
         h = xp.where(is_first | no_step, 1.0, step / tau)
         decay = xp.where(is_first, 0.0, xp.where(no_step, 1.0, xp.exp(-h)))
-        linear_gain = xp.where(step > self.silence, -decay, xp.expm1(-h) / h)
+        linear_gain = xp.where(step > self.max_gap, -decay, xp.expm1(-h) / h)
         gain = xp.where(is_first, 0.0, xp.where(no_step | is_held, -1.0, linear_gain))
         if index is not None:
             decay, gain = (xp.take(a, index, axis=-1) for a in (decay, gain))
@@ -313,7 +313,7 @@ def build_frame(
         order=np.asarray(records.order, dtype=np.int32),
         step=records.step,
         record=dict(columns),
-        silence=np.asarray(records.silence),
+        max_gap=np.asarray(records.max_gap),
     )
 
 

@@ -73,10 +73,10 @@ class Vector:
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
         magnitudes = magnitude(frame.columns)
         outputs = self.equation(slots, frame)
-        force, inverse = invert_equation(outputs, y)
-        length = _norms(force)
-        radial_derivative = _norms(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
-        residual = magnitudes * radial_residual(length / magnitudes) / radial_derivative
+        stimulus, inverse = invert_equation(outputs, y)
+        length = _norms(stimulus)
+        radial_slope = _norms(jnp.sum(inverse * (stimulus / length[:, None])[:, :, None], axis=1))
+        residual = magnitudes * radial_residual(length / magnitudes) / radial_slope
         expected = _norms(y) - residual
         if ACROSS[0] not in frame.columns:
             return expected
@@ -129,21 +129,21 @@ def invert_equation(
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """Solve h(f̂) = y by Newton's method; return f̂ and H⁻¹. Only the last step is differentiated (implicit function)."""
 
-    def equation(force: Array) -> tuple[Array, Callable[[Array], Array]]:
-        value, inverse = _linearise_and_invert(outputs, force)
+    def equation(stimulus: Array) -> tuple[Array, Callable[[Array], Array]]:
+        value, inverse = _linearise_and_invert(outputs, stimulus)
         return value, lambda residual: jnp.sum(inverse * residual[:, None, :], axis=2)
 
     start = jax.lax.stop_gradient(iterate_newton(equation, y, y, NEWTON_STEPS))
-    force = iterate_newton(equation, y, start, 1)
-    return force, _linearise_and_invert(outputs, force)[1]
+    stimulus = iterate_newton(equation, y, start, 1)
+    return stimulus, _linearise_and_invert(outputs, stimulus)[1]
 
 
 def _linearise_and_invert(
-    outputs: Outputs, force: Float[Array, "n 3"]
+    outputs: Outputs, stimulus: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """Return h and the inverse of its Jacobian, by cross products over the determinant."""
-    tangents = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *force.shape))
-    value, jvp = jax.linearize(outputs, force)
+    tangents = jnp.broadcast_to(jnp.eye(3)[:, None, :], (3, *stimulus.shape))
+    value, jvp = jax.linearize(outputs, stimulus)
     a, b, c = jax.vmap(jvp)(tangents)
     rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
     return value, rows / jnp.sum(a * rows[:, 0], axis=1)[:, None, None]

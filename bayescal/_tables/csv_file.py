@@ -214,7 +214,7 @@ def _read_header(text: CsvText) -> None:
         text.header = header.names
     lines_above = lines[: header.first if header else 0]
     rows_above = [_split_fields(line, separator) for _, line, _ in lines_above]
-    text.header = _append_units(text.header, _labview_units(rows_above))
+    text.header = _append_units(text.header, _find_labview_units(rows_above))
     text.first_row, text.offset, text.header_row = last_row + 1, end, row
     if rows_above:
         text.notes.append(f"its header is row {row}; the rows above are ignored")
@@ -264,7 +264,7 @@ def _split_fields(line: str, separator: str) -> list[str]:
     return []
 
 
-def _labview_units(rows: Sequence[Sequence[str]]) -> list[str]:
+def _find_labview_units(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the columns' units from the header of a LabVIEW measurement file (.lvm); [] for other files."""
     properties = {row[0].strip(): [text.strip() for text in row[1:]] for row in rows}
     if _LABVIEW_HEADER_END not in properties or "Y_Unit_Label" not in properties:

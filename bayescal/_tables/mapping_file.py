@@ -39,15 +39,15 @@ def load_mapping(path: Path) -> dict[str, Any]:
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
     """Write a mapping without its empty entries; raise InputError if the file cannot be written."""
-    scalars = [f"{n} = {_value(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
+    scalars = [f"{n} = {_quote(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
     lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *scalars]
     for name, table in mapping.items():
         if table and isinstance(table, Mapping):
-            lines += ["", f"[{name}]", *(f"{_value(k)} = {_value(v)}" for k, v in table.items())]
+            lines += ["", f"[{name}]", *(f"{_quote(k)} = {_quote(v)}" for k, v in table.items())]
     with replacing_for_user(path) as partial:
         partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def _value(value: str | float | Sequence[str]) -> str:
+def _quote(value: str | float | Sequence[str]) -> str:
     """Format a value as TOML: as JSON, with the character 7F escaped, which TOML requires."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

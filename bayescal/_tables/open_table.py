@@ -36,7 +36,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
     name_counts, total_size = Counter(path.name for path in paths), 0
     names = [one_line(path.name if name_counts[path.name] == 1 else path) for path in paths]
     for path, name in zip(paths, names, strict=True):
-        with _reachable(path):
+        with _convert_os_errors(path):
             size = path.stat().st_size
         if not path.is_file():
             raise unusable(str(path), "is not a file", "give a file, or all files of the folder")
@@ -49,7 +49,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
 
 
 @contextmanager
-def _reachable(path: Path) -> Iterator[None]:
+def _convert_os_errors(path: Path) -> Iterator[None]:
     """Convert an OSError in the `with` block to an InputError about the file."""
     try:
         yield
@@ -74,7 +74,7 @@ def open_table(
     if suffix not in SUFFIXES:
         kind = repr(suffix) if suffix else "a file without a suffix"
         raise InputError(f"{name!r}: {kind} cannot be read. Give one of {', '.join(SUFFIXES)}")
-    with _reachable(path):
+    with _convert_os_errors(path):
         if suffix in TEXT_SUFFIXES:
             data = path.read_bytes()  # the digest is of the parsed bytes
             table = parse_text(data, name, decimal).to_table()

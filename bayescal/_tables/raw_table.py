@@ -156,7 +156,7 @@ _NO_UNIT = re.compile(r"[(\[{<]|\d+(?![\d/])")
 
 
 @lru_cache(maxsize=4096)  # one header is compared with many columns
-def possible_splits(header: Header) -> tuple[Header, ...]:
+def list_splits(header: Header) -> tuple[Header, ...]:
     """Return all possible splits of a header into a name and the text of a unit, if any; the simplest first."""
     if header.unit:
         return (header,)
@@ -176,7 +176,7 @@ def possible_splits(header: Header) -> tuple[Header, ...]:
 
 def find_header(headers: Sequence[Header], name: str) -> int | None:
     """Return the position of the only header whose text, or else whose name, is `name`; None without such a header."""
-    names_by_rule = [({h.raw}, {h.name}, {r.name for r in possible_splits(h)}) for h in headers]
+    names_by_rule = [({h.raw}, {h.name}, {r.name for r in list_splits(h)}) for h in headers]
     for names in zip(*names_by_rule, strict=True):
         positions = [i for i, header_names in enumerate(names) if name in header_names]
         if len(positions) == 1:

@@ -120,7 +120,7 @@ def list_needed_inputs(equation: OperatingEquation) -> list[Input]:
         add_input(name, "degC/s", meaning, "rate", column, tau=rate_window(np.asarray(frame.step)))
     for lag in equation.nodes.lags:  # exports compute lags and ∂lag/∂τ from a record
         is_held = bool(calibration.reference.get(hold_flag_name(lag.column), 0.0))
-        silence = None if is_held else float(frame.silence)
+        silence = None if is_held else float(frame.max_gap)
         history = {"tau": lag.tau, "silence": silence, "held": is_held}
         meaning = f"temperature of a body with time constant {lag.tau!r} s minus {lag.column}; 0 at the start"
         add_input(lag.name, "delta_degC", meaning, "lag", lag.column, **history)

@@ -315,7 +315,7 @@ class OperatingEquation:
             order=np.arange(size),
             step=-np.ones(size),
             record=dict(columns),
-            silence=np.inf,  # pyright: ignore[reportArgumentType]
+            max_gap=np.inf,  # pyright: ignore[reportArgumentType]
         )
 
     @cached_property

@@ -175,7 +175,7 @@ def _bind_jointly(
     try:
         stacked = bc.Frame(**_stack([*map(vars, frames)]))
         constants = {n: v[:, None] for n, v in stacked.reference.items()}
-        frame = replace(stacked, reference=constants, silence=stacked.silence[:, None])
+        frame = replace(stacked, reference=constants, max_gap=stacked.max_gap[:, None])
         problem, single_problem = (
             ws.Problem(layout, ws.Record(model.instrument, f, f["output"]))
             for f in (frame, frames[0])
