@@ -1,1 +1,1 @@
-"""From a table to `Measurements`: headers, units, checked columns; then averages, spikes, the Allan deviation."""
+"""Conversion of tables to `Measurements` (headers, units, checks); averages, exclusion of spikes, Allan deviation."""

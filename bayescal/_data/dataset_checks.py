@@ -328,7 +328,7 @@ def _find_differing_run(
         run, next_run = np.argsort(rms)[:2]
         if rms[next_run] > max(MIN_RMS_RATIO * rms[run], MIN_ANOMALY_DEGREES):
             label = " ".join(str(columns[n][runs[run][0]]) for n in RECORD if n in columns)
-            text = f"deviates in run {label} from its relation to {other!r} in the others: is one of the two faulty?"
+            text = f"deviates in run {label} from its relation to {other!r} in other runs: is one of the two faulty?"
             yield Anomaly("run", name, text, runs[run])
 
 

@@ -156,7 +156,7 @@ def normalise(name: str) -> str:
 
 
 def comparison_key(split: Header) -> str:
-    """Return the normalised name of a split header; a symbol of one letter unchanged."""
+    """Return the normalised name of a split header; symbols of one letter are unchanged."""
     name = split.name.strip()
     return name if len(name) == 1 else normalise(name)
 

@@ -80,7 +80,7 @@ class Records:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Return the row indices sorted by record and time (n,); the order of the file without times."""
+        """Return the row indices sorted by record and time (n,); without times, in the order of the file."""
         has_time = self.time.size
         return np.lexsort((self.time, self.codes)) if has_time else np.arange(self.codes.size)
 

@@ -120,7 +120,7 @@ def _find_wrong_temperatures(readings: Measurements, needed: Collection[str], to
 
 
 def _leaves_enough(columns: Columns, fault: checks.Anomaly, total: int) -> bool:
-    """Return whether enough readings remain without those of an anomaly: half, or one per value of a held column."""
+    """Return whether enough readings remain without those of an anomaly, of every device and several temperatures."""
     count = len(columns[fault.column])
     remaining = np.setdiff1d(np.arange(count), fault.rows)
     min_count = checks.MIN_CHANGES if fault.code == "held" and count == total else 0.5 * total

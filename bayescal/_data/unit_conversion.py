@@ -287,7 +287,7 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
 
 
 def _has_dimension(unit: str, kinds: tuple[str, ...]) -> bool:
-    """Return whether a text is a known unit with the dimension of one of these units ("any" admits all)."""
+    """Return whether a text is a known unit with the dimension of one of these units ("any": of any dimension)."""
     return any(is_convertible(unit, unit if kind == ANY else kind) for kind in kinds)
 
 

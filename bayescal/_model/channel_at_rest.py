@@ -15,7 +15,7 @@ def _evaluate_constant_response(slots: Slots, r: Frame) -> Any:
 
 CHANNEL = Instrument(
     name="channel_at_rest",
-    title="a channel at rest, its output in whatever unit it has",
+    title="a channel at rest, whose output may have any unit",
     columns=(Column("output", "1"),),
     slots=(Slot("rest", "1", "the output at rest"),),
     response=_evaluate_constant_response,

@@ -229,7 +229,7 @@ class Layout:
 
     @cached_property
     def index_in_phi(self) -> dict[str, int]:
-        """Return the index in φ by name."""
+        """Return the index in φ of each unknown, by name."""
         return {h.name: i for i, h in enumerate(self.hypers)}
 
     def shared_indices(self, other: Layout) -> tuple[list[int], list[int]]:
