@@ -108,13 +108,13 @@ from ._data.header_matching import ReadOptions as ReadOptions
 from ._data.header_matching import expected_columns as expected_columns
 from ._data.pose_rows import ACROSS as ACROSS
 from ._data.pose_rows import AXES as AXES
+from ._data.pose_rows import AXIS as AXIS
 from ._data.pose_rows import DIRECTION as DIRECTION
 from ._data.pose_rows import MAGNITUDE as MAGNITUDE
 from ._data.pose_rows import MAGNITUDE_READ as MAGNITUDE_READ
-from ._data.pose_rows import OF as OF
 from ._data.pose_rows import RATE as RATE
 from ._data.pose_rows import TURNED as TURNED
-from ._data.pose_rows import ellipsoid as ellipsoid
+from ._data.pose_rows import fit_ellipsoid as fit_ellipsoid
 from ._data.pose_rows import magnitude as magnitude
 from ._data.read_options import ExpectedColumns as ExpectedColumns
 from ._data.read_options import check_options as check_options

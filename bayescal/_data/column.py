@@ -17,7 +17,7 @@ from bayescal._tables.raw_table import ROW, Table
 MIN_PLACEHOLDER_RANGES = 3.0  # distance of a placeholder such as −999 from all values, in ranges
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
-MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+SOAK_POINT = "temperature_point"  # soak temperature; empty on ramps
 # 1 for readings converted with an assumed local gravity, 0 for others.
 ASSUMED_GRAVITY = "assumed_gravity"
 ARRAYS = "the given arrays"  # source of readings that are not from files
@@ -167,7 +167,7 @@ class ConvertedColumns:
     @property
     def thermometers(self) -> list[str]:
         """Return the names of the measured temperature columns, °C."""
-        return [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
+        return [n for n, unit in self.units.items() if unit == "degC" and n != SOAK_POINT]
 
 
 def file_names(files: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from bayescal._data import dataset_checks as checks
 from bayescal._data import unit_conversion as units
 from bayescal._data.column import (
     ASSUMED_GRAVITY,
-    MAY_BE_EMPTY,
+    SOAK_POINT,
     UNCERTAINTY,
     Column,
     ConvertedColumns,
@@ -393,7 +393,7 @@ class ColumnReader:
     ) -> None:
         """Record empty cells as missing, and add a problem for infinite ones; a temperature point may be empty."""
         expected = _describe_number(unit)
-        is_invalid = np.isinf(values) if self.name == MAY_BE_EMPTY else ~np.isfinite(values)
+        is_invalid = np.isinf(values) if self.name == SOAK_POINT else ~np.isfinite(values)
         rows = np.setdiff1d(np.flatnonzero(is_invalid), list(noted_rows))
         is_empty = np.isnan(raw[rows])
         if is_empty.any() and len(noted_rows) < MAX_INVALID_ROWS:
@@ -447,7 +447,7 @@ def join_files(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Conv
             raise InputError(
                 f"{file_without!r} lacks the column {name!r} that {file_with!r} has: label every file, or none"
             )
-        if file_without and name == MAY_BE_EMPTY:
+        if file_without and name == SOAK_POINT:
             joined.flags.append(f"{file_without} has no {name!r}: its readings belong to no cell")
         elif file_without and name != ASSUMED_GRAVITY:
             joined.flags.append(

@@ -22,7 +22,7 @@ from bayescal._data import averaging
 from bayescal._data import dataset_checks as checks
 from bayescal._data.column import (
     ARRAYS,
-    MAY_BE_EMPTY,
+    SOAK_POINT,
     UNCERTAINTY,
     ConvertedColumns,
     NominalScale,
@@ -144,7 +144,7 @@ class Measurements(Printed):
     @cached_property
     def rates(self) -> dict[str, np.ndarray]:
         """Return the slope of each temperature column over the preceding minute (n,), °C/s; {} without times."""
-        thermometers = [n for n, unit in self.units.items() if unit == "degC" and n != MAY_BE_EMPTY]
+        thermometers = [n for n, unit in self.units.items() if unit == "degC" and n != SOAK_POINT]
         return {n: self.records.slope(self[n]) for n in thermometers} if self.has("time") else {}
 
     @cached_property
@@ -270,11 +270,11 @@ class Measurements(Printed):
         """
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
-        if name == "cell" and not self.has(MAY_BE_EMPTY):
+        if name == "cell" and not self.has(SOAK_POINT):
             return (), np.full(len(self), -1, dtype=np.int64)
         if name == "cell":
             runs, run = self.groups("run")
-            point, codes = self[MAY_BE_EMPTY], np.full(len(self), -1, dtype=np.int64)
+            point, codes = self[SOAK_POINT], np.full(len(self), -1, dtype=np.int64)
             has_point = ~np.isnan(point)
             pairs, codes[has_point] = distinct([run[has_point], point[has_point]])
             return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
@@ -375,7 +375,7 @@ class Measurements(Printed):
             InputError: invalid time, no column `time`, or a time over which no two readings, or all, are averaged.
         """
         seconds, time, units = averaging.parse_duration(step), self["time"], self.units
-        labels = [n for n, unit in units.items() if unit is None or n == MAY_BE_EMPTY]
+        labels = [n for n, unit in units.items() if unit is None or n == SOAK_POINT]
         codes = label_codes(self.values, labels)
         order = np.lexsort((time, codes))
         is_next = np.diff(codes[order], prepend=-1) == 0  # same group as the preceding reading

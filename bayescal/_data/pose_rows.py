@@ -16,7 +16,7 @@ MAGNITUDE = "magnitude"  # of the vector measurand, output unit, if only its mag
 # The magnitude computed from the outputs, by convention, if it is unknown.
 MAGNITUDE_READ = "magnitude_read"
 RATE = "rate"  # angular rate about the direction, output unit
-OF = "axis"  # column of the index of the reading among the simultaneous ones
+AXIS = "axis"  # column of the index of the reading among the simultaneous ones
 # Mean over a rotation of the measurand along axis j, weighted by component a of the direction, which turns with the
 # body.
 TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
@@ -27,7 +27,7 @@ def magnitude(columns: Any) -> Any:
     return columns[MAGNITUDE] if MAGNITUDE in columns else columns[MAGNITUDE_READ]
 
 
-def ellipsoid(
+def fit_ellipsoid(
     outputs: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
     """Fit an ellipsoid (y − c)ᵀQ(y − c) = 1 to outputs; return centre c and matrix Q, or None if undetermined.

@@ -33,7 +33,7 @@ from jaxtyping import Float
 
 from bayescal._core.inverse import iterate_newton
 from bayescal._core.lazy_jax import Array, jax, jnp
-from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
+from bayescal._data.pose_rows import ACROSS, DIRECTION, fit_ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
@@ -102,7 +102,7 @@ class Vector:
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
         ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
         is_near = np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
-        if is_near or (fitted_ellipsoid := ellipsoid(outputs)) is None:
+        if is_near or (fitted_ellipsoid := fit_ellipsoid(outputs)) is None:
             return None
         # The triad's matrix is upper triangular, by the convention of three misalignments.
         centred, quadratic_form = outputs - fitted_ellipsoid[0], fitted_ellipsoid[1]

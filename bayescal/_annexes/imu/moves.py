@@ -409,7 +409,7 @@ class _LinearModel(NamedTuple):
         names = (*ws.ACROSS, *ws.TURNED, *FORCE_COLUMNS, *SQUARED_RATE_COLUMNS, *EARTH_RATE_COLUMNS)
         columns = dict(zip(names, (table[:, 1:] / unit**powers).T, strict=True))
         columns |= {"output": table[:, 0] / unit, ws.UNCERTAINTY: innovation_sd / unit}
-        columns |= {ws.OF: np.array(kinds)}
+        columns |= {ws.AXIS: np.array(kinds)}
         return columns | {name: force[:, j] for j, name in enumerate(force_names)}
 
 

@@ -85,7 +85,7 @@ def _convert_poses(
     labels = ("magnitude", "across", "across too")
     readings = _repeat_rows(values, direction, axes, scalars, labels)
     readings |= {ws.UNCERTAINTY: uncertainty.ravel()}
-    new_units = {**dict.fromkeys(ws.ACROSS, "1"), ws.UNCERTAINTY: units["output"], ws.OF: None}
+    new_units = {**dict.fromkeys(ws.ACROSS, "1"), ws.UNCERTAINTY: units["output"], ws.AXIS: None}
     return readings, {**units, **new_units}
 
 
@@ -109,7 +109,7 @@ def _convert_components(
         axes = direction * np.sign(direction[np.arange(len(outputs)), leading])[:, None]
         labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in axis) for axis in np.round(axes, 3)]
         readings[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
-    new_units = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.OF: None}
+    new_units = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.AXIS: None}
     return readings, {**units, **new_units}
 
 
@@ -124,12 +124,12 @@ def _repeat_rows(
     values = {**values, **dict(zip(ws.DIRECTION, direction.T, strict=True))}
     columns = {name: np.repeat(v, 3) for name, v in values.items()}
     columns |= {name: axes[:, :, i].ravel() for i, name in enumerate(ws.ACROSS)}
-    return columns | {"output": outputs.ravel(), ws.OF: np.tile(labels, len(outputs))}
+    return columns | {"output": outputs.ravel(), ws.AXIS: np.tile(labels, len(outputs))}
 
 
 def _estimate_mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
     """Return the geometric mean radius of the outputs' ellipsoid, or their median distance from the midrange."""
-    ellipsoid = ws.ellipsoid(outputs)
+    ellipsoid = ws.fit_ellipsoid(outputs)
     if ellipsoid is None:
         midrange = 0.5 * (outputs.min(axis=0) + outputs.max(axis=0))
         return float(np.median(np.linalg.norm(outputs - midrange, axis=1)))

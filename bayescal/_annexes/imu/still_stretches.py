@@ -201,7 +201,7 @@ def poses(
             f"instrument {instrument.name!r} has one output, but poses need three axes"
         )
     runs = split_runs(log, instrument.vector.outputs, shortest).values()
-    names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.OF, *ws.ACROSS)]
+    names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.AXIS, *ws.ACROSS)]
     parts = [
         {ws.UNCERTAINTY: run.at_rest.uncertainty}
         | average_segments(run.samples, names, map(slice, run.at_rest.first, run.at_rest.last))
