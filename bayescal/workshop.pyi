@@ -90,9 +90,9 @@ from ._core.result_table import Printed as Printed
 from ._core.result_table import ResultTable as ResultTable
 from ._core.result_table import TableColumn as TableColumn
 from ._core.result_table import plain_table as plain_table
-from ._core.settings import changed_settings as changed_settings
 
-# what is kept of a process: settings, one thread, a compiled function, roots
+# settings of a process
+from ._core.settings import changed_settings as changed_settings
 from ._core.settings import seed_of as seed_of
 from ._core.settings import settings as settings
 
