@@ -171,7 +171,7 @@ class Workbench:
         self.preview(draw, "add", effect)
 
     def find_all(self) -> None:
-        """Search from the current state until no effect is missing; each step becomes a state."""
+        """Search from the current state to the end, or until `stop`; each step becomes a state."""
         self.other, self._progress, self._stopping = None, "", False
         self.errors.show_search_progress(True, "searching …")
 

@@ -68,7 +68,7 @@ MAX_CACHED_SEARCHES = 4  # the latest ones
 
 
 def _find_structure(model: bc.Model, search: ws.StepwiseSearch) -> ws.Structure | None:
-    """Return the search's structure that `model` is, if it is a subset of the chosen structure, else None."""
+    """Return the structure in a search that equals `model`, if it is a subset of the chosen structure, else None."""
     structures, chosen = search.structures, search.chosen_structure
     base, candidates = structures.base, structures.candidates
     names = frozenset(model.names) - {*base.names}

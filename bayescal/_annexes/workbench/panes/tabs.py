@@ -136,7 +136,7 @@ class ComparePane(Pane):
         self.view = pair(column(label(description, "small"), row(self.selection)), self.text)
 
     def set_other(self, number: int | None) -> None:
-        """Select the step to compare with, without a comparison."""
+        """Select the step to compare with, without starting a comparison."""
         states, current = self.session.states, self.session.current.number
         self._is_updating = True
         options = {f"{n} {s.title}": n for n, s in states.items() if n != current}
