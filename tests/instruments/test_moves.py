@@ -75,7 +75,7 @@ def test_closure_residuals_are_white_with_the_stated_uncertainty() -> None:
         plan = MovesByHand(poses=16, still=3.0, move=1.5, latitude=None)
         forces, log = both(simulate_log(seed=50 + seed, campaign=plan))
         rows = bc.moves(log, TURNS, forces, exact())
-        surest = re.search(r"uncertain by ([\d.e-]+) deg/s", rows.flags[0])
+        surest = re.search(r"estimated from scatter as ([\d.e-]+) deg/s", rows.flags[0])
         assert surest is not None
         sd = np.hypot(rows[UNCERTAINTY], float(surest[1]))
         z.append((left(rows) / sd)[3 * plan.poses :].reshape(-1, 2))
