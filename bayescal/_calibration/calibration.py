@@ -45,8 +45,8 @@ class Calibration(Printed, Fitted):
         mode: posterior mode φ̂, x̂: the expansion point of the linearised model.
         log_evidence: log evidence and its Monte-Carlo standard error (or None); None if a prior is flat.
         start: starting values of φ by name for the mode search, besides prior draws; usually empty.
-        form_factor: factor by which the standard uncertainty of the expected output is multiplied because a search may
-            have missed formulas; 1 if the formula is known.
+        form_factor: factor on the standard uncertainty of the expected output for model inadequacy, from P(complete);
+            1 without a search.
         unfound_spreads: between-run sd of plausible effects that the search did not add, by effect, coefficient's unit.
     """
 
@@ -175,5 +175,4 @@ def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
     for i, h in enumerate(c.layout.hypers):
         v[:, i] = draw_prior(h.prior, random, PRIOR_DRAWS)
     sd = c.problem.prior(c.problem.hyper(v.T), np.ones(c.problem.size), (PRIOR_DRAWS,)).sd
-    x = c.problem.mean_of_x + sd * random.standard_normal(sd.shape)
-    return x[None], v[None]
+    return (c.problem.mean_of_x + sd * random.standard_normal(sd.shape))[None], v[None]

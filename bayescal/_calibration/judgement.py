@@ -422,8 +422,7 @@ def find_steps_between_runs(subject: Subject) -> Iterator[Claim]:
             contribution = fit.linear.contribution(effect.name)
             means, deviations = split_by_run(fit, contribution)
             if is_between_runs_only(contribution - contribution.mean(), deviations):
-                distance = float(np.ptp(means))
-                yield Claim("runs.apart", effect.name, apart=distance, unit=fit.unit)
+                yield Claim("runs.apart", effect.name, apart=float(np.ptp(means)), unit=fit.unit)
                 return
 
 

@@ -472,8 +472,7 @@ def _sample_sums(
             sample(terms)
         walk = _draw_parameters(channel, terms, *samples[terms], seed, 1.0)["noise.walk"]
     walks = [d.get("noise.walk", np.resize(walk, len(d[WHITE]))) for d in draws.values()]
-    models = map(channel.model, probable)
-    return [*map(RestNoise, models, draws.values(), walks)], probabilities
+    return [*map(RestNoise, map(channel.model, probable), draws.values(), walks)], probabilities
 
 
 def _count_readings_per_mean(

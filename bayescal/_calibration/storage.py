@@ -252,8 +252,7 @@ def _restore_noise(path: Path, metadata: Mapping[str, Any]) -> Noise:
             is_prior = len(value) == 2 and isinstance(value[1], dict)
             value = _PRIORS[value[0]](**value[1]) if is_prior else tuple(value)
         fields[key] = value
-    arguments = {k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)}
-    return Noise.registry[name](**arguments)
+    return Noise.registry[name](**{k: v for k, v in fields.items() if k not in ("law", UNKNOWNS)})
 
 
 def _restore_instrument(path: Path, metadata, readings: Measurements, instruments) -> Instrument:

@@ -24,6 +24,7 @@ CONCERNED_SHARE = limit("direction.other", "share")
 
 Direction = Float[np.ndarray, "p"]
 
+SKEWED = "skewed: see interval"  # in place of value ± u
 CONTRACTION = "contraction: 1 − posterior variance/prior variance"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
@@ -60,19 +61,16 @@ def unknowns_parts(
     if stepped := [n for n in columns if calibration.reference.get(hold_flag_name(n))]:
         option = f"(--reference {hold_flag_name(stepped[0])}=0 interpolates linearly instead)"
         lines.append(f"constant between readings (set in steps): {', '.join(stepped)} {option}")
-    texts = {s["name"]: format_given(s) for s in summary(calibration)[0] if s["name"] in rows}
-    if text := ", ".join(f"{name} {value}" for name, value in texts.items() if value):
-        lines.append(f"if the effect is present: {text}")
+    names = calibration.model.names if effects is None else effects
+    pairs = ((n, p) for n, p in calibration.inclusion.items() if n in names and p < 1)
+    if text := ", ".join(f"{name} {probability(p)}" for name, p in pairs):
+        lines.append(f"* if the effect is present (probability): {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 
-def format_given(row: dict[str, Any], times: float = 1.0) -> str:
-    """Format mean and `times` standard deviations conditional on inclusion of the effect; "" if unchanged."""
-    mean, sd = row["given"]["mean"], row["given"]["sd"]
-    if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
-        return ""
-    value = f"{with_error(mean, times * sd)} {unit_label(row['unit'])}".rstrip()
-    return f"{value} (probability {probability(row['probability'])})"
+def is_skewed(mean: float, sd: float, low: float, high: float) -> bool:
+    """Return whether value ± 2 u misleads: the 95 % interval is lopsided, or much narrower (a bounded unknown)."""
+    return sd > 0 and max(2 * abs(high + low - 2 * mean), 4 * sd / 2.3) > 0.5 * (high - low)
 
 
 def unknown_rows(
@@ -98,11 +96,12 @@ def unknown_rows(
             extent = f"means {number(min(means), 3)} to {number(max(means), 3)}"
             rows[key] = [f"{key} ({len(means)} members)", extent, unit, "–", "–"]
         else:
-            (low, high), mean, sd = g["interval95"], g["mean"], g["sd"]
-            is_skewed = low > 0 and sd > 0.5 * mean
-            value = f"about {number(mean, 2)}, skewed" if is_skewed else with_error(mean, sd)
-            contraction = "–" if g["contraction"] is None else f"{g['contraction']:.3f}"
+            mean, sd, (low, high) = g["given"].values()
+            value = SKEWED if is_skewed(mean, sd, low, high) else with_error(mean, sd)
+            known = g["contraction"] is not None and mean == g["mean"]  # not that of a mixture
+            contraction = f"{g['contraction']:.3f}" if known else "–"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
+        rows[key or name][0] += " *" * (g["probability"] < 1)
     return rows
 
 
@@ -135,7 +134,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     """Summarise coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
     A row has name, effect, unit, mean, sd, interval95, contraction, the inclusion `probability` of the effect, and
-    `given`: mean and sd conditional on inclusion. All values of a hyperparameter are conditional on inclusion.
+    `given`: mean, sd and interval95 conditional on inclusion. All values of a hyperparameter are conditional.
 
     Contraction is 1 − (posterior variance)/(prior variance); None for flat priors and constant draws.
     """
@@ -144,6 +143,11 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         values = calibration.samples(u.name)
         is_present = calibration.inclusion_masks.get(u.effect, np.ones(len(values), dtype=bool))
         subset = values[is_present] if is_present.sum() > 1 else values
+        given = {
+            "mean": float(subset.mean()),
+            "sd": float(subset.std(ddof=1)) * bool(np.ptp(subset)),
+        }
+        given["interval95"] = np.quantile(subset, [0.025, 0.975]).tolist()
         values = subset if u.block is None else values  # absent, a hyperparameter has no value
         low, high = np.quantile(values, [0.025, 0.975])
         sd, prior = float(values.std(ddof=1)) * bool(np.ptp(values)), u.prior_sd  # equal ones round
@@ -152,7 +156,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
             "effect": u.effect,
             "unit": u.unit,
             "probability": float(is_present.mean()),
-            "given": {"mean": float(subset.mean()), "sd": float(subset.std(ddof=1))},
+            "given": given,
             "mean": float(values.mean()),
             "sd": sd,
             "interval95": [float(low), float(high)],

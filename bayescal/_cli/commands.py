@@ -47,6 +47,7 @@ from bayescal._core import deadline
 from bayescal._core.annex import load_entries, load_entry
 from bayescal._core.atomic_file import result_folder, write_text
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import folded
 from bayescal._core.json_data import as_json
 from bayescal._core.progress import counted, print_notes
 from bayescal._core.settings import Settings, use_settings
@@ -63,6 +64,10 @@ from bayescal._report.whole_folder import (
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
 """Group of entry points `select(calibration, criterion=…)`: each returns a printable table of pairs with `data()`."""
+SIMULATED = (
+    "simulated: bias.constant 21.5 °/s, bias.temperature 0.0535 °/s/°C, noise.white 0.05 °/s, bias.thermal_lag 0.05 "
+    "°/s/°C with tau 300 s: the bias is 0.05·300/0.0535 = 280 s late, which is tau in forms where the sensor lags"
+)
 
 
 class InstrumentsCommand(AsJson, Command):
@@ -135,9 +140,10 @@ class SimulateCommand(AsJson, Command):
             raise InputError(str(error)) from None
         readings.write(self.out)
         units = {n: unit_label(e.coefficients[0].unit) for n, e in instrument.known.items()}
-        sizes = hidden_effects.items()
-        size_texts = (f"{n} = {size:g} {units.get(n, '')}".rstrip() for n, size in sizes)
-        listing = ", ".join(size_texts) or "nothing"
+        terms = {n: e.equation.split(",")[0].split(" + ")[0] for n, e in instrument.known.items()}
+        words = {n: f"{units[n]} in {term}" for n, term in terms.items()}
+        texts = (f"{n} = {v:g} {words.get(n, '')}".rstrip() for n, v in hidden_effects.items())
+        listing = ", ".join(texts) or "none"
         text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
         data = {"file": str(self.out), "rows": len(readings), "seed": self.seed}
         return Answer(text, {**data, "effects": hidden_effects})
@@ -164,9 +170,8 @@ class PairsCommand(ReadRequest, AsJson, Command):
         _, model, readings = request.open_request(self)
         print_notes(readings.flags)
         calibration = bc.fit(model, readings, seed=self.seed, strict=False)
-        verdict = calibration.verdict
         pairs = selections[0].load()(calibration, criterion=self.criterion)
-        return Answer(pairs, why=" ".join(verdict.reasons))
+        return Answer(pairs, why=" ".join(calibration.verdict.reasons))
 
 
 class DemoCommand(AsJson, Command):
@@ -177,6 +182,8 @@ class DemoCommand(AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
+        from bayescal._calibration.summary import unknown_rows
+
         gyro, files = "mems_gyro", (self.out / "readings.csv", self.out / "holdout.csv")
         hidden = ["bias.thermal_lag=0.05"]
         with result_folder(self.out):
@@ -189,9 +196,12 @@ class DemoCommand(AsJson, Command):
         program = sys.argv[0]
         command = "bayescal" if shutil.which("bayescal") == program else program
         line = f"{command} calibrate FILE.csv --instrument mems_gyro --out result"
-        picture = f"the picture: {self.out / 'loop.png'}"
-        hints = f"{picture}\nwith your own readings: {line}"
-        return replace(calibrated, written=f"{calibrated.written}\n{hints}")
+        paths = [self.out / n for n in (CALIBRATION, AVERAGED) if (self.out / n).is_file()]
+        rows = unknown_rows(bc.load(paths[-1]), bc.load(paths[0]).model.names).items()
+        found = ", ".join(f"{n} {row[1]} {row[2]}" for n, row in rows if "[" not in n)
+        hints = [folded(SIMULATED), folded(f"found: {found}"), f"picture: {self.out / 'loop.png'}"]
+        written = "\n".join([calibrated.written, *hints, f"with your own readings: {line}"])
+        return replace(calibrated, written=written)
 
 
 class CalibrateCommand(SearchRequest, AsJson, Command):
@@ -296,8 +306,9 @@ class CheckCommand(DefinitionOptions, AsJson, Command):
         from bayescal._calibration.check import why_not
 
         reason = why_not(calibration, check := bc.check(calibration))
-        rows = [{"step": 0, **row} for row in check.data()]
-        return Answer(f"{check}\nverdict: {'NOT ' if reason else ''}fit for use", rows, why=reason)
+        data = {"check": [{"step": 0, **row} for row in check.data()]}
+        data["verdict"] = {"ok": not reason, "reason": reason}
+        return Answer(f"{check}\nverdict: {'NOT ' if reason else ''}fit for use", data, why=reason)
 
 
 class DiscoverCommand(DefinitionOptions, AsJson, Command):
@@ -482,12 +493,10 @@ class CompensateCommand(ColumnOptions, MemberOptions, AsJson, Command):
         )
         flags = (flag for flag in result.flags if getattr(flag, "code", "") != "rows.dropped")
         print_notes((*correction.notes, *flags, *extrapolations))
-        noise = f"with{'out' * self.without_noise} the noise of one reading"
         added = f"columns {' and '.join(result.columns)} [{correction.unit}] added"
         text = f"{self.out}: {result.rows} readings, {added}"
-        missing = f"; {result.missing} rows are empty because of missing readings"
-        text += missing * bool(result.missing)
-        text += f"\n{result.columns[1]}: k = 1, {noise}"
+        text += f"; {result.missing} rows are empty: readings are missing" * bool(result.missing)
+        text += f"\n{result.columns[1]}: k = 1, with{'out' * self.without_noise} the noise of one reading"
         data = {"file": str(self.out), "rows": result.rows, "columns": list(result.columns)}
         data |= {"unit": correction.unit, "epoch": correction.about.epoch}
         data |= {name: getattr(result, name) for name in ("outside", "unsolved", "missing")}

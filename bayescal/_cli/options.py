@@ -340,12 +340,8 @@ class SearchRequest(FitRequest, ModelOptions, ReadRequest):
 
     def settings(self) -> dict[str, Any]:
         """Return the search settings common to command line and workbench."""
-        return {
-            "max_effects": self.max_effects,
-            "keep_spikes": self.keep_spikes,
-            "accept_conflicts": self.accept_conflict or (),
-            "seed": self.seed,
-        }
+        values = {n: getattr(self, n) for n in ("max_effects", "keep_spikes", "seed")}
+        return values | {"accept_conflicts": self.accept_conflict or ()}
 
 
 class DefinitionOptions(Options):

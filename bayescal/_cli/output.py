@@ -46,8 +46,7 @@ def format_instrument(instrument: Instrument) -> tuple[str, dict[str, Any]]:
     columns, rows = [], []
     for c in instrument.columns:
         is_needed = c.required and c.default is None
-        entry = {"name": c.name, "unit": c.unit, "needed": is_needed, "meaning": c.meaning}
-        columns.append(entry)
+        columns.append({"name": c.name, "unit": c.unit, "needed": is_needed, "meaning": c.meaning})
         unit = unit_label(c.unit) if c.unit else "label"
         rows.append([c.name, unit, "needed" if is_needed else "optional", c.meaning])
     baseline = [e.name for e in instrument.effects]
@@ -88,6 +87,7 @@ def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
 def convert_fit(calibration: Calibration) -> dict[str, Any]:
     """Convert the results of a fit to data for JSON."""
     verdict = calibration.verdict
+    reasons = [*verdict.reasons, *verdict.against]
     coefficients, hyperparameters = summary(calibration)
     return {
         "coefficients": coefficients,
@@ -95,11 +95,7 @@ def convert_fit(calibration: Calibration) -> dict[str, Any]:
         "reference": {**calibration.reference, **calibration.hold_at},
         "fixed": dict(calibration.model.fixed),
         "log_evidence": calibration.log_evidence,
-        "verdict": {
-            **vars(verdict),
-            "ok": verdict.reliable,
-            "reasons": [*verdict.reasons, *verdict.against],
-        },
+        "verdict": {**vars(verdict), "ok": verdict.reliable, "reasons": reasons},
         "identifiability": {"null_directions": directions_data(calibration)},
     }
 

@@ -202,8 +202,7 @@ def describe_reliability(corrections: Mapping[str, bc.Compensator | CorrectionIn
 
 def _load_user_parts(parts: DefinitionOptions) -> dict[str, Any]:
     """Load user-defined effects and instrument as keyword arguments of `bc.load`."""
-    instrument_file = parts.instrument_file
-    instruments = () if instrument_file is None else (instrument_named(instrument_file),)
+    instruments = (instrument_named(file),) if (file := parts.instrument_file) else ()
     return {"effects": load_user_effects(parts.effects_file), "instruments": instruments}
 
 

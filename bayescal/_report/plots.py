@@ -141,8 +141,7 @@ def plot_residual_panel(
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
     unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.against, "")
     against = entry.against if body_temperatures is None else f"lagged {entry.against}"
-    name = f"{against} [{unit}]" if unit == "row" else axis_label(against, unit)
-    ax.set_xlabel(name)
+    ax.set_xlabel(f"{against} [{unit}]" if unit == "row" else axis_label(against, unit))
     ax.set_ylabel(axis_label("residual", check.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
     ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
@@ -158,8 +157,7 @@ def compute_body_temperature(calibration: Calibration, column: str) -> np.ndarra
 
     None is returned if the model has no such body; of several bodies, that of the last effect is used.
     """
-    problem, values = calibration.problem, None
-    hyper = problem.hyper(calibration.mode.v)
+    hyper, values = calibration.problem.hyper(calibration.mode.v), None
     catalogue = calibration.model.instrument.known
     for e in calibration.model.effects:
         if column in e.varies and catalogue.get(e.family_name, e).kind == "lag":

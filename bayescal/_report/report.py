@@ -77,9 +77,9 @@ class Pictures:
             return figure
 
         names = [e.against for e in checks.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
-        return [
-            self.draw(partial(panel, n), f"Residuals of the last model against {n}") for n in names
-        ]
+        lags = {n: "lagged " * (plots.body_temperature(calibration, n) is not None) for n in names}
+        texts = {n: f"Residuals of the last model against {lag}{n}" for n, lag in lags.items()}
+        return [self.draw(partial(panel, n), text) for n, text in texts.items()]
 
     def draw_missing(self, found: dict[str, Any], title: str) -> Picture | None:
         """Draw the log Bayes factors of an entry of `missing` in result.json; return None if it has none."""
@@ -126,7 +126,7 @@ def embed_svg(svg: str, prefix: str, alt: str) -> Markup:
 
 
 NO_STIMULUS = (
-    "There is no budget: this instrument measures no stimulus in use, so that the uncertainties are those of its "
+    "There is no budget: this instrument measures no stimulus in use. Uncertainties are in the tables of "
     "coefficients."
 )
 MAX_ROWS = 60  # number of rows of a table of candidates; of coefficients four times as many
@@ -166,8 +166,7 @@ def report(
         raise InputError(f"a report is an HTML file: its name must end in .html, not {path.name!r}")
     if isinstance(certificate, str | Path):
         certificate = load_entry("certificate", "certificate=")(certificate)
-    results = given if isinstance(given, list | tuple) else [given]
-    parts = chapters(results, effects)
+    parts = chapters(given if isinstance(given, list | tuple) else [given], effects)
     forewords = [part.foreword(parts) for part in (certificate, decisions) if part is not None]
     pictures = Pictures()
     output_path = write_text(render_page(parts, pictures, title, forewords), path)

@@ -11,7 +11,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import find_coefficients_not_measured
 from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import format_given, summarise_curve, summary, unknown_rows
+from bayescal._calibration.summary import is_skewed, summarise_curve, summary, unknown_rows
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -35,7 +35,9 @@ DERIVED_ROLE = "derived from the above"
 
 
 def format_with_unit(value: float, unit: str, digits: int = 4) -> str:
-    return f"{number(value, digits)} {unit_label(unit)}".strip()
+    has_zeros = 1e-4 <= abs(value) < 10 ** (digits - 1)
+    text = f"{value:#.{digits}g}" if has_zeros else number(value, digits)
+    return f"{text} {unit_label(unit)}".strip()
 
 
 def tabulate_ranges(calibration: Calibration) -> ResultTable:
@@ -92,25 +94,27 @@ def tabulate_files(chapter: Chapter) -> ResultTable:
 
 
 def tabulate_coefficients(chapter: Chapter) -> ResultTable:
-    """Tabulate coefficients, then hyperparameters, with their k = 2 intervals and 95 % credible intervals."""
-    not_measured = find_coefficients_not_measured(chapter.used)
-    summaries, rows = {r["name"]: r for r in chain(*summary(chapter.used))}, list[dict[str, Any]]()
-    for key, (name, value, unit, *_) in unknown_rows(chapter.used).items():
+    """Tabulate the unknowns of the last model, given that their effects are present, with two intervals."""
+    used, not_measured = chapter.used, find_coefficients_not_measured(chapter.used)
+    summaries, rows = {r["name"]: r for r in chain(*summary(used))}, list[dict[str, Any]]()
+    for key, (name, value, unit, *_) in unknown_rows(used, chapter.calibration.model.names).items():
         empty = dict.fromkeys(("u", "k2", "credible"), "–")
         if (r := summaries.get(key)) is None:  # a curve or a large group
-            value = f"{value} {unit}".rstrip()
+            name, value = name.replace(" *", " (if present)"), f"{value} {unit}".rstrip()
             rows.append({"name": name, "unit": "", "value": value, "contraction": None, **empty})
             continue
-        mean, sd, inclusion, conditional = r["mean"], r["sd"], r["probability"], format_given(r, K)
-        is_held = not sd > 1e-9 * abs(mean)
-        note = chapter.used.model.form_note(r["effect"]) + " (held)" * is_held
-        note += " (mostly its prior)" * (name in not_measured)
-        note += f" (if present {conditional})" if conditional else ""
-        note += f" (probability {probability(inclusion)})" * (inclusion < 1 and not conditional)
-        intervals = (mean - K * sd, mean + K * sd), r["interval95"]
+        mean, sd, ends = r["given"].values()
+        is_held, inclusion = not sd > 1e-9 * abs(mean), r["probability"]
+        note = used.model.form_note(r["effect"]) + " (held)" * is_held
+        note += " (mostly its prior)" * (key in not_measured)
+        note += f" if present ({probability(inclusion)})" * (inclusion < 1)
+        intervals = (mean - K * sd, mean + K * sd), ends
         k2, credible = ("–" if is_held else interval(*bounds, mean, sd) for bounds in intervals)
-        uncertainty = {"u": "held" if is_held else number(sd, 2), "k2": k2, "credible": credible}
-        rows.append({**r, "value": with_error(mean, K * sd), "note": note, **uncertainty})
+        k2 = "–" if is_skewed(mean, sd, *ends) else k2
+        value = with_error(mean, K * sd) if is_held or k2 != "–" else f"{credible} (95 %)"
+        cells = {"u": "held" if is_held else number(sd, 2), "k2": k2, "credible": credible}
+        cells["contraction"] = r["contraction"] if mean == r["mean"] else None
+        rows.append({**r, "value": value, "note": note, **cells})
     columns = (
         TableColumn("unknown", "name"),
         TableColumn("unit", "unit", unit_label, left=True),
@@ -131,7 +135,7 @@ def tabulate_signed(table: ResultTable, model: Model) -> ResultTable:
     others = [r for r in ungrouped if r["name"] not in names][: MAX_SIGNED_ROWS - len(shapes)]
     rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in others + shapes]
     rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
-    return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
+    return plain_table(["unknown", f"value ± U (k = {K:g}), or 95 % interval", "unit"], rows)
 
 
 def _format_percent(share: float | None) -> str:
@@ -234,8 +238,7 @@ def summarise_chapter(chapter: Chapter) -> str:
 
 
 def _list_failed_checks(chapter: Chapter) -> Iterator[str]:
-    gate = chapter.data["gate"]
-    claims = [claim["in_words"] for claim in gate.get("claims", ())]
+    claims = [claim["in_words"] for claim in chapter.data["gate"].get("claims", ())]
     if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
         yield f"Not fit for use: {reasons[0]}"  # the other reasons are in the verdict
 
@@ -253,8 +256,9 @@ def _describe_additions(chapter: Chapter) -> str:
         if not data["missing"]:
             statement = "No effect was searched beyond"
         names = [n for n in c.model.names if n not in latent_names[-1]]
-        is_long = len(names) > MAX_NAMED
-        model = f"{len(names)} effects" if is_long else ", ".join(names) or "no effect"
+        model = (
+            f"{len(names)} effects" if len(names) > MAX_NAMED else ", ".join(names) or "no effect"
+        )
         return f"{statement} the first model ({model})."
     texts = []
     for effect in added_effects:
@@ -304,7 +308,10 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     for row in chain(*summary(c)):
         name = row["name"].removeprefix(effect.name).removeprefix(".")
         if row["effect"] == effect.name and not {*"[("} & {*name}:
-            value = with_error(row["given"]["mean"], row["given"]["sd"])
+            mean, sd, ends = row["given"].values()
+            value = with_error(mean, sd)
+            if is_skewed(mean, sd, *ends):
+                value = f"{interval(*ends, mean, sd)} (95 %)"
             texts.append(f"{name} {value} {unit_label(row['unit'])}".strip())
     texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
     if texts and effect_name.endswith(")"):  # with the probabilities of its forms
@@ -319,8 +326,7 @@ def _first_probability(chapter: Chapter, effect: Effect) -> float | None:
     first_search = chapter.data["missing"][0]
     if any(effect.family in group["effects"] for group in first_search["sets"]):
         return 1.0
-    probabilities = {c["effect"]: c["probability"] for c in first_search["candidates"]}
-    return probabilities.get(effect.family)
+    return {c["effect"]: c["probability"] for c in first_search["candidates"]}.get(effect.family)
 
 
 def _format_errors(chapter: Chapter) -> str:

@@ -63,8 +63,7 @@ def result(path: SearchPath) -> dict[str, Any]:
         [row for row in rows if row["effect"] not in excluded] for rows in summary(path.calibration)
     )
     for row in (*coefficients, *hyperparameters):
-        averaged_values = {k: row[k] for k in AVERAGED_KEYS}
-        row["averaged"] = None if path.average is None else averaged_values
+        row["averaged"] = None if path.average is None else {k: row[k] for k in AVERAGED_KEYS}
         del row["probability"], row["given"]  # trivial for a single structure
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(path.steps):
@@ -158,8 +157,7 @@ def _source_data(readings: Measurements) -> dict[str, Any]:
 
 def _group_data(readings: Measurements) -> dict[str, Any]:
     kind, members, _ = choose_groups(readings)
-    counts = {g: len(readings.groups(g)[0]) for g in GROUPS}
-    nonzero = {k: n for k, n in counts.items() if n}
+    nonzero = {g: n for g in GROUPS if (n := len(readings.groups(g)[0]))}
     return {**nonzero, "left_out": kind, "left_out_count": len(members)}
 
 
@@ -314,8 +312,7 @@ def read_chapter(
             f"{RESULT} and {CALIBRATION} in {folder} are of different fits (SHA-256 {stated_hash} and {loaded_hash}): "
             f"calibrate again, or give {CALIBRATION} alone"
         )
-    has_average = AVERAGED in files_of(folder)
-    average = load(folder / AVERAGED, **user_parts) if has_average else None
+    average = load(folder / AVERAGED, **user_parts) if AVERAGED in files_of(folder) else None
     return Chapter(calibration, check(calibration), data, average)
 
 

@@ -119,8 +119,7 @@ def _size(path: SearchPath, name: str) -> tuple[float | None, float]:
     if name not in model.names:
         return None, 0.0
     effect = model.effect(name)
-    size = effect.measure_name or effect.coefficient_name(0)
-    draws = path.calibration.samples(size)
+    draws = path.calibration.samples(effect.measure_name or effect.coefficient_name(0))
     return float(draws.mean()), float(draws.std())
 
 

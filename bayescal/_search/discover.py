@@ -51,6 +51,7 @@ from bayescal._search.walk import explore
 
 # Share of the time after the first fit for the search; the rest is for scores, the last fit, sampling and checks.
 SEARCH_TIME_SHARE = 2 / 3
+P_COMPLETE = "probability that no testable candidate is missing"
 UNSTATED = "not stated, as the search was ended early"
 LOG_BF = "log BF: log Bayes factor of this effect alone, added to the fitted model; probability: over all structures"
 MAX_RIVALS = 4  # effects to be distinguished by an experiment
@@ -144,7 +145,7 @@ class Discovery(Printed):
         text = self.unstated or probability(self.nothing_missing)
         if self.unstated or not self.unseen:
             return text
-        return f"{text}, among testable effects; not testable or not detectable: {len(self.unseen)}"
+        return f"{text}; not testable or not detectable: {len(self.unseen)}"
 
     @property
     def correlated_noise(self) -> float | None:
@@ -162,7 +163,8 @@ class Discovery(Printed):
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
         table = candidates_table(rows)
-        note = f"± standard uncertainty (k = 1); detectable: size found with probability {100 * settings().power:g} %"
+        power = f"{100 * settings().power:g} %, residuals as noise"
+        note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}"
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
             lines += [table, note, LOG_BF, "* log BF by refit, others by score test" * refits]
@@ -402,7 +404,7 @@ def summarise_discovery(
 
 
 def _describe_findings(discovery: Discovery) -> list[str]:
-    lines = [f"probability that the model is complete: {discovery.complete_in_words}"]
+    lines = [f"{P_COMPLETE}, P(complete): {discovery.complete_in_words}"]
     if discovery.unnamed:
         lines.append(
             "an effect is missing that no candidate names; described by "
@@ -431,8 +433,7 @@ def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
 
     def factor(c: Mapping[str, Any]) -> str:
         value = c["log_bayes_factor"]
-        text = "–" if value is None else f"{value:z.1f}"
-        return text + ("*" if c["source"] == "refit" else " ")
+        return ("–" if value is None else f"{value:z.1f}") + " *"[c["source"] == "refit"]
 
     def size(c: Mapping[str, Any]) -> str:
         prefix = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time

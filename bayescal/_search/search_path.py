@@ -22,14 +22,14 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._search.discover import Discovery
+from bayescal._search.discover import P_COMPLETE, Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
 FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an rms as fitted can be a little below it"
-COMPLETE_NOTE = "P(complete): probability that no testable effect is missing"
+COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
 
 
 @renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")

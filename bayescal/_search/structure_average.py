@@ -67,11 +67,11 @@ def add_inadequacy(
     """
     p_complete = complete or 0.0
     factor = math.sqrt(p_complete + (1 - p_complete) * INCOMPLETE_FACTOR**2)
-    value = "unknown, taken as 0" if complete is None else f"{complete:.2f}"
+    p = "P(complete) unknown, taken as 0" if complete is None else f"P(complete) = {complete:.3f}"
     note = (
-        f"Model inadequacy: the model is complete with probability P = {value}; predictions, corrections and budgets "
-        f"multiply the standard uncertainty of the expected output by √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = "
-        f"{factor:.2f}. Tables of coefficients do not include this factor."
+        f"Model inadequacy (Type B): with {p}, predictions, corrections and budgets multiply the standard "
+        f"uncertainty of the expected output by f = √(P + {INCOMPLETE_FACTOR:g}²·(1 − P)) = {factor:.2f}: a model that "
+        f"lacks an effect is taken to have {INCOMPLETE_FACTOR:g} times its uncertainty. Tables of coefficients omit f."
     )
     with_note = calibration.with_verdict(notes=(*calibration.verdict.notes, note))
     spreads = _run_spreads(calibration, structures, structure)

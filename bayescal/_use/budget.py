@@ -40,8 +40,8 @@ from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import ALL_DRAWS, OperatingEquation, is_new_member
 
 REMAINDER = "between-run sd, time constants, second-order terms"
-STRUCTURES = "model average against the most probable structure"
-FORM = "form of the model: effects outside the candidates"
+STRUCTURES = "average over structures, not the most probable (rows above)"
+INADEQUACY = "model inadequacy: u × f, f = {:.2f}, except new runs' deviations"
 SHARES = "Shares of the variance add up to 100 %; a negative share cancels part of others, by correlation."
 LEAST_VARIANCE_SHARE = 5e-4  # smallest share of the variance that is printed
 READINGS = "noise of the calibration's readings"
@@ -71,9 +71,10 @@ class SourceShare:
     share: float
 
 
-def list_inputs(values: Mapping[str, str]) -> str:
-    """Format input quantities and their values as a list, in which equal lags T̃ − T of a column appear once."""
-    names = {name: re.sub(r"_lag(_\d+)?$", "_lag (lagged − measured)", name) for name in values}
+def list_inputs(values: Mapping[str, str], units: Mapping[str, str]) -> str:
+    """List input quantities with their formatted values; equal lags T̃ − T [delta_degC] of a column are named once."""
+    lags = {n: re.sub(r"_lag(_\d+)?$", "_lag (lagged − measured)", n) for n in values}
+    names = {n: lag if units[n] == "delta_degC" else n for n, lag in lags.items()}
     return ", ".join(dict.fromkeys(f"{names[n]} = {v}".strip() for n, v in values.items()))
 
 
@@ -154,7 +155,8 @@ class Budget(Printed):
         note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
         u, total = b.uncertainty, b.expanded_reading / b.k
         sizes = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
-        combined, noise, total, expanded, of_reading, u_95 = (f"{number(s)} {unit}" for s in sizes)
+        texts = (number(s) if s >= 100 else f"{s:#.3g}" for s in sizes)
+        combined, noise, total, expanded, of_reading, u_95 = (f"{text} {unit}" for text in texts)
         expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
         coverage = f"For 95 % coverage, from the posterior draws: k = {b.k_95:.2f}, U = {u_95}."
         parts = [
@@ -180,9 +182,10 @@ class Budget(Printed):
 
     @property
     def place(self) -> str:
-        """Format the operating point as text, in which equal lags of a column appear once."""
-        units = {n: unit_label(unit) for n, unit in self.at_units.items()}
-        return list_inputs({n: f"{number(v, 4)} {units[n]}" for n, v in self.at.items()})
+        """Format the operating point as text; equal lags of a column are named once."""
+        labels = {n: unit_label(unit) for n, unit in self.at_units.items()}
+        values = {n: f"{number(v, 4)} {labels[n]}" for n, v in self.at.items()}
+        return list_inputs(values, self.at_units)
 
     def tables(self) -> tuple[ResultTable, ResultTable]:
         """Return the tables by coefficient and by source, without rows below `LEAST_VARIANCE_SHARE`."""
@@ -331,7 +334,8 @@ def _split_by_source(
         variances[f"{name} of a new run, neither found nor excluded", "B"] = undetected[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
         g = gradient * [not is_new_member(u) for u in unknowns]
-        variances[FORM, "B"] = excess * (float(g @ covariance @ g) - sum(undetected))
+        of_model = float(g @ covariance @ g) - sum(undetected)
+        variances[INADEQUACY.format(calibration.form_factor), "B"] = excess * of_model
     rows = sorted(variances.items(), key=lambda p: -p[1])
     remainder = total - sum(variances.values())
     rows += [((REMAINDER, ""), remainder * (abs(remainder) > 1e-9 * total))]  # less is rounding
@@ -362,7 +366,7 @@ def list_budget_claims(correction: Compensator, of_correction: bool = True) -> t
     """Return claims on a budget's coverage and omissions; `of_correction` is False for the budget of a slot."""
     notes = list_clock_claims(correction.equation)
     sources = [f"{name} of a new run" for name in correction.equation.unfound_spreads]
-    sources += ["the form of the model"] * (correction.calibration.form_factor > 1)
+    sources += ["model inadequacy"] * (correction.calibration.form_factor > 1)
     notes += [Claim("budget.beyond_fit", *sources)] * bool(sources)
     if of_correction and not correction.equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", correction.stimulus))

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
-from bayescal._core.quoting import csv_line
+from bayescal._core.quoting import csv_cell, csv_line
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import find_problems, find_repeated_rows, flags_of
@@ -167,12 +167,10 @@ def _name_columns(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """Return the output's header in the file, and the names of the columns to add."""
-    problems = Objections()
-    file = MatchedFile(table, expected, options, problems)
+    file = MatchedFile(table, expected, options, problems := Objections())
     file.note_missing()
     problems.refuse()
-    table, positions = file.table, file.positions
-    header = table.headers[positions["output"]]
+    table, header = file.table, file.table.headers[file.positions["output"]]
     unit_suffix = split_trailing_unit(Header.parse(header.raw))  # in brackets of any kind
     name = header.name if unit_suffix is None or header.name != header.raw else unit_suffix.name
     names = f"{name}_compensated", f"{name}_standard_uncertainty"
@@ -220,11 +218,11 @@ def _add_parquet(added: AddedColumns, path: Path, partial: Path, table: Table, h
 
 
 def _write_csv(added: AddedColumns, path: Path, partial: Path, table: Table, header: str) -> None:
-    """Write an Excel sheet or MATLAB vectors, cells as text, and the two added columns as CSV."""
+    """Write an Excel sheet or MATLAB vectors, cells as quoted text, and the two added columns as CSV."""
     loaded = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     with partial.open("w", encoding="utf-8", newline="") as target:
         writer = csv.writer(target, lineterminator="\n")
-        writer.writerow([*(header.raw for header in table.headers), *added.headers])
-        texts = [loaded[i].values.tolist() for i in range(len(table.headers))]
+        writer.writerow(map(csv_cell, [*(header.raw for header in table.headers), *added.headers]))
+        texts = [map(csv_cell, loaded[i].values.tolist()) for i in range(len(table.headers))]
         rows = zip(*texts, added.cells(), strict=True)
         writer.writerows([*cells, *added_cells] for *cells, added_cells in rows)

@@ -188,8 +188,7 @@ def _build_record(
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(values[n]) for n in units}, units)
-    holds = {hold_flag_name(i.column): float(i.held) for i in needed}
-    return build_frame(readings, holds)
+    return build_frame(readings, {hold_flag_name(i.column): float(i.held) for i in needed})
 
 
 def add_margin(span: tuple[float, float]) -> tuple[float, float]:

@@ -176,8 +176,7 @@ class Compensator:
     @property
     def notes(self) -> tuple[str, ...]:
         """Return the notes on the compensation, one sentence each."""
-        has_range = self.in_use.stimulus_range is not None
-        return list_use_claims(self.equation, has_range)
+        return list_use_claims(self.equation, self.in_use.stimulus_range is not None)
 
     @property
     def why_not(self) -> str:

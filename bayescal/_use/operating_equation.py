@@ -156,9 +156,7 @@ class OperatingEquation:
         """Return mean and standard deviation of each shape if its effect is present, and the effect's probability."""
         keys = {u.key for u in self.unknowns if u.block is None}
         rows = summary(self.calibration)[1] if keys else ()
-        return {
-            n: (*r["given"].values(), r["probability"]) for r in rows if (n := r["name"]) in keys
-        }
+        return {n: (r["mean"], r["sd"], r["probability"]) for r in rows if (n := r["name"]) in keys}
 
     @property
     def use(self) -> Use:

@@ -43,7 +43,7 @@ def test_a_saved_calibration_is_checked_discovered_and_predicted(
     for name in ("check", "discover"):
         text = run(name, saved)
         assert text.status == 0, text.err
-    entries = run("check", saved, "--json").data
+    entries = run("check", saved, "--json").data["check"]
     assert {"temperature", "order"} == {e["against"] for e in entries}
     missing = run("discover", saved, "--json").data
     assert "bias.temperature_quadratic" in {c["effect"] for c in missing["candidates"]}

@@ -91,9 +91,8 @@ def test_a_page_can_be_read_without_seeing_it(pages, kind: str) -> None:
 
 def test_intervals_are_not_confused(pages) -> None:
     """U is twice the standard uncertainty and says k; the credible interval has a column of its own."""
-    draws = trail().calibration.samples(
-        HIDDEN
-    )  # averaged over structures, as everything that leaves
+    average = trail().calibration  # over structures, as everything that leaves
+    draws = average.samples(HIDDEN)[average.inclusion_masks[HIDDEN]]
     page = pages("a trail")
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)

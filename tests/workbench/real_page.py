@@ -108,7 +108,7 @@ class Seen:
 
     def looked(self) -> Seen:
         """Wait until it is known what is missing."""
-        self.page.get_by_text("Probability that the model is complete").wait_for()
+        self.page.get_by_text("no testable candidate is missing").wait_for()
         return self
 
     def add(self, effect: str) -> Seen:

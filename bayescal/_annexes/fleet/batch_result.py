@@ -62,14 +62,15 @@ HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the pop
 HEADERS |= {"typical sd": "standard uncertainty (median)"}
 EFFECT_HEADERS = {"devices": "devices found in", "possible": "devices possibly found in"}
 EFFECT_HEADERS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
-EFFECT_HEADERS |= {"share": "expected share", "low": "95 % interval if any: from", "high": "to"}
+EFFECT_HEADERS |= {"share": "expected share", "low": "if any, share from", "high": "to (95 %)"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:
     """Format a table with `digits` significant digits; `headers` are column headers, by name of the column."""
 
     def format_cell(v: Any) -> str:
-        return "–" if v != v else ws.number(v, digits) if isinstance(v, float) else str(v)
+        text = ws.number(v, digits) if isinstance(v, float) else str(v)
+        return {"nan": "–", "0": "not resolved"}.get(text, text) if isinstance(v, float) else text
 
     columns = (
         ws.TableColumn(headers.get(n, n), n, ws.unit_label if n == "unit" else format_cell)
@@ -258,14 +259,13 @@ class BatchResult:
 
     def data(self) -> dict[str, Any]:
         """Return a summary of the batch as JSON data, without the results of single devices."""
-        fields = ("checked", "odd", "missing", "left_out", "about")
         return ws.as_json(
             {
                 "schema": FORMAT,
                 "devices": len(self),
                 "fitted": self.fitted,
                 "not_fitted": list(self.unreliable),
-                **{name: getattr(self, name) for name in fields},
+                **{n: getattr(self, n) for n in ("checked", "odd", "missing", "left_out", "about")},
                 "coefficients": self.coefficients().to_dict("records"),
                 "effects": self.effects.to_dict("records"),
             }
@@ -304,8 +304,10 @@ class BatchResult:
         if len(effects := self.effects.head(MAX_PRINTED_ROWS)):
             table = effects.assign(**{"in fleet": effects["in fleet"].map(ws.probability)})
             lines += ["effects missing from the model:", format_table(table, 3, EFFECT_HEADERS)]
-            names = ", ".join(effects.query("devices > 0 and `in fleet` < 0.5")["effect"])
-            lines += [f"found in single devices, improbable in the fleet: {names}"] * bool(names)
+            for name in effects.query("devices > 0 and `in fleet` < 0.5")["effect"]:
+                has_it = self.table()["coefficient"].str.match(rf"{name}(?!\w)", na=False)
+                devices = ", ".join(dict.fromkeys(self.table()["device"][has_it]))
+                lines.append(f"{name}: found in {devices}, but improbable in the fleet")
         return "\n".join(lines)
 
 
@@ -323,11 +325,10 @@ def load_batch(path: str | Path) -> BatchResult:
         metadata = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if metadata["schema"] != FORMAT:
             raise KeyError(metadata["schema"])
-        fields = ("about", "odd", "checked", "missing", "left_out")
         return BatchResult(
             _split_by_device(table.select(SCHEMA.names).cast(SCHEMA)),
             effects=pd.DataFrame(metadata["effects"], columns=EFFECTS),
-            **{name: metadata[name] for name in fields},
+            **{n: metadata[n] for n in ("about", "odd", "checked", "missing", "left_out")},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(

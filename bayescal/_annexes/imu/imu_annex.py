@@ -18,7 +18,7 @@ OUTPUTS = ("output_x", "output_y", "output_z")
 CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
-CAPTION = "Three axes: outputs = offset + matrix · input, each a polynomial in T − T0; ± one standard uncertainty"
+CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy"
 
 
 class Triad(NamedTuple):
@@ -30,7 +30,8 @@ class Triad(NamedTuple):
 
     def __str__(self) -> str:
         """Format the search path, the coefficients, and the correction."""
-        return f"{self.trail}\n\n{ws.coefficients_text(self.trail)}\n\n{self.correction}"
+        text = f"{ws.coefficients_text(self.trail)}\nverdict: {self.trail.gate}"
+        return f"{self.trail}\n\n{text}\n\n{self.correction}"
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):

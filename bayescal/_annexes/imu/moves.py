@@ -477,6 +477,5 @@ def _build_rest_design(
     k, identity = len(force), np.eye(3)
     force_design = np.einsum("ab,kj->kabj", identity, force).reshape(k, 3, 9)
     earth_rate, zero = matrix @ pose_rotations.transpose(0, 2, 1), np.zeros((k, 3, 9))
-    bias = np.broadcast_to(identity, (k, 3, 3))
-    design = [bias, zero, force_design, zero[..., :3], earth_rate]
+    design = [np.broadcast_to(identity, (k, 3, 3)), zero, force_design, zero[..., :3], earth_rate]
     return np.concatenate(design, axis=2).reshape(3 * k, -1)

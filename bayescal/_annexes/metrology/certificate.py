@@ -182,20 +182,10 @@ def dcc_text(
         schema=SCHEMA_VERSION,
         version=bc.__version__,
         stated=stated,
-        standards=[
-            {key: entry.get(key, "") for key in SECTIONS["standards"]}
-            for entry in stated.entries("standards")
-            if "name" in entry
-        ],
         conditions={name: value for name, value in conditions.items() if value},
         hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *hashes],
-        model=calibration.model,
-        description="Coefficients of the measurement equation, with U = k*u, k = "
-        f"{COVERAGE_FACTOR:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "
-        + "; ".join(f"{e.name} in {e.slot}: {e.equation}" for e in calibration.model.effects)
-        + ". Coefficients are correlated; their covariance is in the calibration with this SHA-256. All is valid "
-        "in the influence conditions covered.",
-        method=f"{calibration.method}, seed {calibration.seed}",
+        calibration=calibration,
+        k=f"{COVERAGE_FACTOR:g}",
         covered=list(_column_ranges(calibration, local_gravity)),
         quantities=list(_quantities(calibration, local_gravity)),
         decisions=decisions,
@@ -238,8 +228,7 @@ def dsi_real(
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
     """
     factor, text = d_si(unit, gravity)
-    value, sd = float(value) * factor, float(sd) * factor
-    k = COVERAGE_FACTOR
+    value, sd, k = float(value) * factor, float(sd) * factor, COVERAGE_FACTOR
     number = DsiReal(_round_value(value, k * sd), text, "", {})
     if not sd > 0:
         return number
@@ -277,10 +266,8 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
             parts = {D_SI[base]: power}
         for name, p in parts.items():
             powers[name] = powers.get(name, 0.0) + p
-    text = "".join(
-        f"\\{name}" + ("" if p == 1 else f"\\tothe{{{p:g}}}") for name, p in powers.items() if p
-    )
-    return factor, text or "\\one"
+    texts = (f"\\{name}" + f"\\tothe{{{p:g}}}" * (p != 1) for name, p in powers.items() if p)
+    return factor, "".join(texts) or "\\one"
 
 
 def _round_value(value: float, uncertainty: float) -> str:

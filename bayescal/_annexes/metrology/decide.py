@@ -168,6 +168,7 @@ class Decision:
     estimate: tuple[float, float]  # posterior mean, lowest and highest over the range of the limit
     uncertainty: float  # standard uncertainty; over a range, the larger of lowest and highest value
     scatter: float  # standard deviation of single readings, the largest; zero without scatter
+    worst_uncertainty: float  # standard uncertainty at the least favourable point, with scatter
     probability: float  # of conformity
     probability_error: float  # its Monte-Carlo standard error
     guard_bands: tuple[float, float] | None  # lower, upper; None if no estimate is accepted
@@ -241,8 +242,8 @@ class Decisions(ws.Printed):
         """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
         def estimate(d: Decision) -> str:
-            u = math.hypot(d.uncertainty, d.scatter)  # of the quantity whose probability is given
-            return f"{ws.with_error(worst_end(d), u)} {ws.unit_label(d.unit)}".strip()
+            text = ws.with_error(worst_end(d), d.worst_uncertainty)
+            return f"{text} {ws.unit_label(d.unit)}".strip()
 
         columns = (
             ws.TableColumn("limit", lambda d: d.limit),
@@ -281,7 +282,11 @@ def _fill(text: str) -> str:
 def _format_acceptance(d: Decision) -> str:
     if d.accepted is None:
         return "none"
-    low, high = (ws.number(end, 4) for end in d.accepted)
+    low, high = (ws.number(end, 6) for end in d.accepted)
+    if d.accepted != d.tolerance:  # rounded inward, to a hundredth of the uncertainty or less
+        places = max(0, 2 - math.floor(math.log10(d.worst_uncertainty or 1.0)))
+        ends = np.ceil(d.accepted.low * 10**places), np.floor(d.accepted.high * 10**places)
+        low, high = (f"{end / 10**places:.{places}f}" for end in ends)
     is_upper, is_lower = map(math.isinf, d.accepted)
     text = f"≤ {high}" if is_upper else f"≥ {low}" if is_lower else f"{low} … {high}"
     return f"{text} {ws.unit_label(d.unit)}".strip()
@@ -289,15 +294,22 @@ def _format_acceptance(d: Decision) -> str:
 
 def statement_lines(d: Decision) -> list[str]:
     """Format a decision as lines: decision and risk, operating point, global risks, next calibration."""
-    lines = [f"{d.limit}: {d.decision}; {d.why}."]
+    lines, worst_point = [f"{d.limit}: {d.decision}; {d.why}."], ""
+    unit, u = ws.unit_label(d.unit), d.worst_uncertainty
     if d.at:
         worst_point = _format_point({n: p for n, p in d.worst_at.items() if p != d.at[n]})
         worst_point = f", least favourable at {worst_point}" * bool(worst_point)
-        scatter = f"{ws.number(d.scatter)} {ws.unit_label(d.unit)}"
+        scatter = f"{ws.number(d.scatter)} {unit}"
         scatter_note = f"; single readings scatter by {scatter}: u and p apply to one reading"
         lines.append(f"  at {_format_point(d.at)}{scatter_note * (d.scatter > 0)}{worst_point}")
+    bands = [w for w in d.guard_bands or () if math.isfinite(w) and u > 0]
+    if bands and d.accepted != d.tolerance:
+        texts = [*dict.fromkeys(f"{w:#.3g} {unit} = {w / u:.2f}·u" for w in bands)]
+        kind = "lower and upper guard bands" if len(texts) > 1 else "guard band"
+        texts[-1] += f"; u = {u:#.3g} {unit}" + " there" * bool(worst_point)
+        lines.append(f"  {kind} w = {' and '.join(texts)}")
     if (g := d.global_risks) is not None:
-        moments = f"{ws.with_error(*d.population)} {ws.unit_label(d.unit)}" if d.population else ""
+        moments = f"{ws.with_error(*d.population)} {unit}" if d.population else ""
         lines.append(
             f"  of devices {moments}: {format_percent(g.conforming)} conform, "
             f"{format_percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
@@ -313,7 +325,7 @@ def _format_point(at: Mapping[str, tuple[float, float, str]]) -> str:
         ends, unit = ([*map(math.degrees, ends)], "deg") if unit == "rad" else (ends, unit)
         value = " to ".join(dict.fromkeys(ws.number(end, 4) for end in ends))
         texts[name] = f"{value} {ws.unit_label(unit)}"
-    return ws.list_inputs(texts)
+    return ws.list_inputs(texts, {name: unit for name, (*_, unit) in at.items()})
 
 
 def format_percent(p: float, error: float = 0.0) -> str:
@@ -434,6 +446,7 @@ def _build_decision(
         estimate=draws.estimate,
         uncertainty=uncertainty,
         scatter=float(draws.scatter.max()),
+        worst_uncertainty=float(u[i]),
         probability=p,
         probability_error=draws.probability_error(p),
         guard_bands=guarded and (guarded.low - limits.low, limits.high - guarded.high),
@@ -471,7 +484,8 @@ def _decide_limit(
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
         if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
             return UNDECIDED, f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
-    p_text, q_text = format_percent(p, error), format_percent(1 - p, error)
+    count = f" (none of {len(draws.values)} posterior draws)" * (p in (0.0, 1.0))
+    p_text, q_text = (format_percent(q, error) + count for q in (p, 1 - p))
     if rule == "guarded":
         if p >= 1 - false_accept:
             return ACCEPT, f"specific risk of false acceptance {q_text}"

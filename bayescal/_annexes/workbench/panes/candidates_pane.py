@@ -46,7 +46,7 @@ class CandidatesPane(Pane):
         if discovery is None:
             self.completeness.object, self.rows.rows = reason, []
             return
-        text = f"Probability that the model is complete: {discovery.complete_in_words}"
+        text = f"P(complete), that no testable candidate is missing: {discovery.complete_in_words}"
         self.completeness.object = f"{text}\n{discovery.stopped}" if discovery.stopped else text
         self.rows.rows = build_candidate_rows(discovery)
 

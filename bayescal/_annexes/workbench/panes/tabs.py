@@ -73,7 +73,7 @@ STEP_ACTIONS = [
     {"id": "compare", "label": "Compare", "title": "with the current step"},
     {"id": "go", "label": "Go back", "title": "further changes branch off here"},
 ]
-TITLES = {"P(complete)": "probability that no testable effect is missing"}
+TITLES = {"P(complete)": "probability that no testable candidate is missing"}
 
 
 def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
