@@ -20,18 +20,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.workshop import summary, unit_label, with_error
+from bayescal.workshop import number, summary, unit_label, with_error
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from tests.support.contract_cases import Case
-from tests.support.inside import (
-    Triad,
-    d_si,
-    dcc_of,
-    format_with_unit,
-    result_of,
-    screen_of,
-    text_of,
-)
+from tests.support.inside import Triad, d_si, dcc_of, result_of, screen_of, text_of
 from tests.support.stated import STATED
 from tests.support.tiers import slow_but
 
@@ -165,7 +157,7 @@ def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> N
     assert drawn.uncertainty[0] == pytest.approx(budget.uncertainty, rel=0.01)
     text = bc.report(found, tmp_path / "report.html").read_text("utf-8")
     shown = budget.in_output_unit()
-    assert f"U = {format_with_unit(shown.expanded, shown.unit, 3)}" in text
+    assert f"U = {number(shown.expanded, 3)}" in text
 
 
 def searched(module: Any, hidden: dict[str, Any] | None = None) -> bc.SearchPath:

@@ -47,7 +47,6 @@ from bayescal._model.noise_law import Parameters as Parameters
 from bayescal._model.summed_noise import build_sum as build_sum
 from bayescal._model.vector import invert_equation as invert_equation
 from bayescal._model.vector import radial_residual as radial_residual
-from bayescal._report.report_text import format_with_unit as format_with_unit
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._search.next_experiment import CampaignPrediction as CampaignPrediction
