@@ -77,9 +77,9 @@ class Pictures:
             return figure
 
         names = [e.against for e in checks.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
-        lags = {n: "lagged " * (plots.body_temperature(calibration, n) is not None) for n in names}
-        texts = {n: f"Residuals of the last model against {lag}{n}" for n, lag in lags.items()}
-        return [self.draw(partial(panel, n), text) for n, text in texts.items()]
+        body, text = plots.compute_body_temperature, "Residuals of the last model against "
+        lags = {n: "lagged " * (body(calibration, n) is not None) for n in names}
+        return [self.draw(partial(panel, n), f"{text}{lag}{n}") for n, lag in lags.items()]
 
     def draw_missing(self, found: dict[str, Any], title: str) -> Picture | None:
         """Draw the log Bayes factors of an entry of `missing` in result.json; return None if it has none."""
