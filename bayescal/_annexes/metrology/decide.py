@@ -305,9 +305,10 @@ def statement_lines(d: Decision) -> list[str]:
     bands = [w for w in d.guard_bands or () if math.isfinite(w) and u > 0]
     if bands and d.accepted != d.tolerance:
         texts = [*dict.fromkeys(f"{w:#.3g} {unit} = {w / u:.2f}·u" for w in bands)]
-        kind = "lower and upper guard bands" if len(texts) > 1 else "guard band"
         texts[-1] += f"; u = {u:#.3g} {unit}" + " there" * bool(worst_point)
-        lines.append(f"  {kind} w = {' and '.join(texts)}")
+        lines.append(
+            f"  guard band{'s (lower, upper)' * (len(texts) > 1)} w = {' and '.join(texts)}"
+        )
     if (g := d.global_risks) is not None:
         moments = f"{ws.with_error(*d.population)} {unit}" if d.population else ""
         lines.append(
