@@ -176,14 +176,13 @@ def dcc_text(
         autoescape=True,
         finalize=lambda value: value if isinstance(value, Markup) else _to_xml_text(value),
     )
-    sources = ws.sources_of(calibration.readings)
-    hashes = (("other", f"SHA-256 of {s.file}", s.sha256) for s in sources)
     xml = layout.render(
         schema=SCHEMA_VERSION,
         version=bc.__version__,
         stated=stated,
         conditions={name: value for name, value in conditions.items() if value},
-        hashes=[("other", "calibration, SHA-256", ws.identity(calibration)), *hashes],
+        identity=ws.identity(calibration),
+        sources=ws.sources_of(calibration.readings),
         calibration=calibration,
         k=f"{COVERAGE_FACTOR:g}",
         covered=list(_column_ranges(calibration, local_gravity)),

@@ -306,9 +306,8 @@ def statement_lines(d: Decision) -> list[str]:
     if bands and d.accepted != d.tolerance:
         texts = [*dict.fromkeys(f"{w:#.3g} {unit} = {w / u:.2f}·u" for w in bands)]
         texts[-1] += f"; u = {u:#.3g} {unit}" + " there" * bool(worst_point)
-        lines.append(
-            f"  guard band{'s (lower, upper)' * (len(texts) > 1)} w = {' and '.join(texts)}"
-        )
+        head = "  guard bands (lower, upper)" if len(texts) > 1 else "  guard band"
+        lines.append(f"{head} w = {' and '.join(texts)}")
     if (g := d.global_risks) is not None:
         moments = f"{ws.with_error(*d.population)} {unit}" if d.population else ""
         lines.append(
