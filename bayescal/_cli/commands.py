@@ -141,7 +141,7 @@ class SimulateCommand(AsJson, Command):
         readings.write(self.out)
         units = {n: unit_label(e.coefficients[0].unit) for n, e in instrument.known.items()}
         terms = {n: e.equation.split(",")[0].split(" + ")[0] for n, e in instrument.known.items()}
-        words = {n: f"{units[n]} in {term}" for n, term in terms.items()}
+        words = {n: f"{units[n]} in {term}".lstrip() for n, term in terms.items()}
         texts = (f"{n} = {v:g} {words.get(n, '')}".rstrip() for n, v in hidden_effects.items())
         listing = ", ".join(texts) or "none"
         text = f"{self.out}: {len(readings)} readings, hidden effects: {listing}; seed {self.seed}"
