@@ -92,11 +92,11 @@ class Density(NumericDensity):
             keys = [self._get_jacobian_key(v) for v in batch]
             self._cache = {key: self._cache[key] for key in keys if key in self._cache}
             uncached = {k: v for k, v in zip(keys, batch, strict=True) if k not in self._cache}
-            if problem.is_affine and not problem.is_noisy and len(uncached) > 1:
+            if len(uncached) > 1:
                 points = np.tile(self.x, (len(uncached), 1))
                 lines = problem.linearise(points, problem.hyper(np.array([*uncached.values()]).T))
                 for i, key in enumerate(uncached):
-                    self._cache[key] = Linearisation(lines.mean[i], lines.jacobian[i], lines.inputs)
+                    self._cache[key] = Linearisation(*(part[i] for part in lines))
             for key, v in zip(keys, batch, strict=True):
                 yield self._cache.get(key) or self._linearise_at(v, problem.hyper(v))
 
