@@ -189,8 +189,11 @@ def solve_tri(
     chol: Float[np.ndarray, "b p p"], rhs: Float[np.ndarray, "b p"], upper: bool = False
 ) -> Float[np.ndarray, "b p"]:
     """Solve L·z = rhs, or Lᵀ·z = rhs if `upper`, for many lower triangular matrices L at once."""
-    # A loop over the few coefficients, vectorised over φ, is faster than one LAPACK call per φ.
     z, order = np.empty_like(rhs), range(rhs.shape[1])
+    if len(rhs) <= 2 * len(order):  # one LAPACK call per φ is then faster; the transpose needs no copy
+        for k in range(len(rhs)):
+            z[k] = dtrtrs(chol[k].T, rhs[k], lower=0, trans=0 if upper else 1)[0]
+        return z
     for i in reversed(order) if upper else order:
         solved_rows = slice(i + 1, None) if upper else slice(i)
         row = chol[:, solved_rows, i] if upper else chol[:, i, solved_rows]
