@@ -21,7 +21,6 @@ from bayescal._inference.noise_on_record import (
     Whitening,
     density_terms,
     total_log_density,
-    whitened_grams,
     whitening,
 )
 from bayescal._inference.problem import Problem, Values
@@ -126,8 +125,7 @@ class Density(NumericDensity):
         if not self.problem.noise.gaussian:
             return Gram(*(part[0] for part in self._compute_laplace_grams(v[None])))
         line = self._linearise_at(v, hyper)
-        whitened, logdet = self._get_whitening(line, hyper).whiten(self._stack_residual_table(line))
-        return Gram.split(whitened.T @ whitened, logdet)
+        return Gram.split(*self._get_whitening(line, hyper).gram(self._stack_residual_table(line)))
 
     def _stack_residual_table(self, line: Linearisation) -> Float[np.ndarray, "n q"]:
         return np.column_stack([line.jacobian, self.problem.record.y - line.mean])
@@ -157,28 +155,22 @@ class Density(NumericDensity):
         groups = list[list[int]]()
         for members in sorted(rows_by_noise.values(), key=len):
             groups += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
-        hypers, column_sets = self.problem.hyper_of_each(vs), list[list[list[int]]]()
-
-        def yield_tables() -> Iterator[tuple[Whitening | SdWhitening, np.ndarray]]:
-            lines = self._linearise_many(vs[[i for group in groups for i in group]])
-            line, first_table = None, np.empty(0)
-            for group in groups:
-                previous, line = line, next(lines)
-                first_table = first_table if line is previous else self._stack_residual_table(line)
-                columns, group_columns = [*first_table.T], [[*range(first_table.shape[1])]]
-                for _ in group[1:]:
-                    group_columns.append([*group_columns[0]])
-                    table = self._stack_residual_table(next(lines))
-                    for j in np.flatnonzero(np.any(table != first_table, axis=0)):
-                        group_columns[-1][j] = len(columns)
-                        columns.append(table[:, j])
-                column_sets.append(group_columns)
-                whitener = self._get_whitening(line, hypers[group[0]])
-                yield whitener, first_table if len(group) == 1 else np.column_stack(columns)
-
-        grams: dict[int, Gram] = {}
-        for k, (products, logdet) in enumerate(whitened_grams(yield_tables())):
-            for i, members in zip(groups[k], column_sets[k], strict=True):
+        hypers, grams = self.problem.hyper_of_each(vs), dict[int, Gram]()
+        lines = self._linearise_many(vs[[i for group in groups for i in group]])
+        line, first_table = None, np.empty(0)
+        for group in groups:
+            previous, line = line, next(lines)
+            first_table = first_table if line is previous else self._stack_residual_table(line)
+            columns, column_sets = [*first_table.T], [[*range(first_table.shape[1])]]
+            for _ in group[1:]:
+                column_sets.append([*column_sets[0]])
+                table = self._stack_residual_table(next(lines))
+                for j in np.flatnonzero(np.any(table != first_table, axis=0)):
+                    column_sets[-1][j] = len(columns)
+                    columns.append(table[:, j])
+            table = first_table if len(group) == 1 else np.column_stack(columns)
+            products, logdet = self._get_whitening(line, hypers[group[0]]).gram(table)
+            for i, members in zip(group, column_sets, strict=True):
                 grams[i] = Gram.split(products[np.ix_(members, members)], logdet)
         return [grams[i] for i in range(len(vs))]
 

@@ -190,7 +190,9 @@ def solve_tri(
 ) -> Float[np.ndarray, "b p"]:
     """Solve L·z = rhs, or Lᵀ·z = rhs if `upper`, for many lower triangular matrices L at once."""
     z, order = np.empty_like(rhs), range(rhs.shape[1])
-    if len(rhs) <= 2 * len(order):  # one LAPACK call per φ is then faster; the transpose needs no copy
+    if len(rhs) <= 2 * len(
+        order
+    ):  # one LAPACK call per φ is then faster; the transpose needs no copy
         for k in range(len(rhs)):
             z[k] = dtrtrs(chol[k].T, rhs[k], lower=0, trans=0 if upper else 1)[0]
         return z

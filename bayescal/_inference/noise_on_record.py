@@ -7,9 +7,8 @@ discarded.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
-from itertools import groupby, islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,8 +43,29 @@ class Whitening(NamedTuple):
 
     def whiten(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         """Return the whitened table L⁻¹·table, rows in the order of the readings, and log|Σ|."""
-        ((whitened, logdet),) = _whiten_all([(self, table)])
+        whitened, logdet = self._whiten_in_time(table)
         return _unsort_rows(self.law, self.record, whitened), logdet
+
+    def gram(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "m m"], float]:
+        """Return the Gram matrix of the whitened table, and log|Σ|."""
+        whitened, logdet = self._whiten_in_time(table)
+        return whitened.T @ whitened, logdet
+
+    def _whiten_in_time(self, table: Float[np.ndarray, "n m"]) -> tuple[np.ndarray, float]:
+        """Return the whitened table, rows in time order for a correlated law, and log|Σ|."""
+        law, record, (n, m) = self.law, self.record, table.shape
+        width = MIN_TABLE_COLUMNS
+        while width < m:
+            width *= 2
+        padded = np.zeros((record.padded_size, width))
+        padded[:n, :m] = _sort_by_time(law, record, table, 0)
+        extra = np.asarray(self.extra, float)
+        if extra.ndim:
+            extra = record.pad(_sort_by_time(law, record, extra, 0))
+        values = {name: np.float64(self.values[name]) for name in law.parameters()}
+        results = _run_whitening(*record.prepare_for_law(law), padded, extra, values)
+        whitened, log_sd = map(np.asarray, results)
+        return whitened[:n, :m], 2.0 * float(np.sum(log_sd[:n]))
 
 
 class SdWhitening(NamedTuple):
@@ -59,6 +79,11 @@ class SdWhitening(NamedTuple):
 
     def whiten(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "n m"], float]:
         return self(table), 2.0 * float(np.sum(np.log(self.sd)))
+
+    def gram(self, table: Float[np.ndarray, "n m"]) -> tuple[Float[np.ndarray, "m m"], float]:
+        """Return the Gram matrix of the whitened table, and log|Σ|."""
+        whitened, logdet = self.whiten(table)
+        return whitened.T @ whitened, logdet
 
 
 def whitening(
@@ -102,64 +127,9 @@ def _unsort_rows(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) 
     return restored
 
 
-def _pad_table(law: Noise, record: Record, table: np.ndarray) -> np.ndarray:
-    """Sort a table's rows by time if the law is correlated, and pad it with rows and columns of zeros."""
-    n, m = table.shape
-    padded = np.zeros((record.padded_size, _pad_width(table)))
-    padded[:n, :m] = _sort_by_time(law, record, table, 0)
-    return padded
-
-
-def _pad_width(table: np.ndarray) -> int:
-    """Return the padded number of columns of a table."""
-    width = MIN_TABLE_COLUMNS
-    while width < table.shape[1]:
-        width *= 2
-    return width
-
-
 @compile_on_call
-def _run_whitening(law: Noise, frame: Frame, tables, extras, values):
-    """Whiten tables, or one table at several φ; return whitened tables and log deviations of innovations."""
-    axis = 0 if tables.ndim == 3 else None
-    return jax.vmap(lambda *args: law.whiten(*args, frame), (axis, 0, 0))(tables, extras, values)
-
-
-def whitened_grams(
-    pairs: Iterable[tuple[Whitening | SdWhitening, Float[np.ndarray, "n m"]]],
-) -> Iterator[tuple[Float[np.ndarray, "m m"], float]]:
-    """Yield the Gram matrix of each whitened table, and log|Σ|; all tables are of one noise law.
-
-    Laws with several Kalman states are evaluated in small batches of tables.
-    """
-    for _, group in groupby(pairs, lambda pair: _pad_width(pair[1])):
-        for whitening, table in (members := iter(group)):
-            if isinstance(whitening, SdWhitening):
-                whitened, logdet = whitening.whiten(table)
-                yield whitened.T @ whitened, logdet
-                continue
-            part: list[Any] = [(whitening, table)]
-            if whitening.law.several_states and BATCH_DRAWS * table.size <= MAX_BATCH_ELEMENTS:
-                part += islice(members, BATCH_DRAWS - 1)
-            yield from ((whitened.T @ whitened, logdet) for whitened, logdet in _whiten_all(part))
-
-
-def _whiten_all(part: list[tuple[Whitening, np.ndarray]]) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield each whitened table, rows in time order for a correlated law, and log|Σ|; tables of one padded width."""
-    (whitening, first), record = part[0], part[0][0].record
-    # Batches of one or of `BATCH_DRAWS`: two programs to compile.
-    padding = BATCH_DRAWS - len(part) if len(part) > 1 else 0
-    law, pairs = whitening.law, part + part[-1:] * padding
-    is_shared = all(table is first for _, table in part)
-    tables = [_pad_table(law, record, table) for _, table in (part[:1] if is_shared else pairs)]
-    extras = [np.asarray(w.extra, float) for w, _ in pairs]
-    if np.ndim(whitening.extra):
-        extras = [record.pad(_sort_by_time(law, record, extra, 0)) for extra in extras]
-    values = {n: np.array([float(w.values[n]) for w, _ in pairs]) for n in law.parameters()}
-    args = tables[0] if is_shared else np.stack(tables), np.stack(extras), values
-    whitened, log_sd = map(np.asarray, _run_whitening(*record.prepare_for_law(law), *args))
-    for (_, table), result, each_sd in zip(part, whitened, log_sd, strict=False):
-        yield result[: record.size, : table.shape[1]], 2.0 * float(np.sum(each_sd[: record.size]))
+def _run_whitening(law: Noise, frame: Frame, table, extra, values):
+    return law.whiten(table, extra, values, frame)
 
 
 class DensityTerms(NamedTuple):
@@ -217,9 +187,7 @@ def _run_densities(law: Noise, frame: Frame, y, residuals, extra, values):
         residual, extra, phi = args
         return log_density_with_extra(law, y, y - residual, extra, phi, frame)
 
-    # A filter step of several states is a few small matrix products: vectorise over several φ.
-    batch_size = BATCH_DRAWS if law.several_states else None
-    return jax.lax.map(log_density, (residuals, extra, values), batch_size=batch_size)
+    return jax.lax.map(log_density, (residuals, extra, values))
 
 
 @partial(compile_on_call, costly=True)  # random numbers are expensive

@@ -244,11 +244,6 @@ class Noise(abc.ABC):
         return float(np.sqrt(np.max(allan)))
 
     @property
-    def several_states(self) -> bool:
-        """Return whether the Kalman filter has more than one state."""
-        return len(self.parts) > 1
-
-    @property
     def stationary(self) -> bool:
         """Return whether the noise has a power spectrum on evenly spaced readings."""
         has_spectrum = bool(self.parts) and all(part.has_spectrum for part in self.parts)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bayescal._core.lazy_jax import Array, jax, jnp
 
@@ -18,6 +18,7 @@ class Block(NamedTuple):
     noise: Float[Array, "n k k"]  # covariance Q of the process noise
     start: Float[Array, "k k"]  # stationary covariance
     observes_all: bool = False  # whether a reading observes the sum of all states, or the first
+    coupled: bool = True  # whether it has two states, each driven by both, or independent ones
 
 
 def exponential_block(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
@@ -25,7 +26,9 @@ def exponential_block(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
     time, variance = jnp.atleast_1d(time), jnp.atleast_1d(variance)
     steps, eye = h[:, None] / time, jnp.eye(len(time))
     decay, noise = jnp.exp(-steps), -jnp.expm1(-2 * steps) * variance
-    return Block(decay[..., None] * eye, noise[..., None] * eye, variance * eye, observes_all=True)
+    return Block(
+        decay[..., None] * eye, noise[..., None] * eye, variance * eye, True, coupled=False
+    )
 
 
 def matrix_2x2(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
@@ -39,6 +42,7 @@ class States(NamedTuple):
     transition: Float[Array, "n p p"]  # transition matrices A over the step before each reading
     noise: Float[Array, "n p p"]  # covariance Q of the process noise
     observation: Float[np.ndarray, "p"]  # observation vector h: a reading is hᵀ·state + white noise
+    partner: Int[np.ndarray, "p"]  # index of the state coupled with each; its own if there is none
 
 
 def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
@@ -48,14 +52,15 @@ def assemble_states(blocks: Sequence[Block], step: Float[Array, "n"]) -> States:
     """
     is_first, offset, size = (step < 0)[:, None, None], 0, sum(len(block.start) for block in blocks)
     transition = noise = jnp.zeros((step.shape[0], size, size))
-    observation = np.zeros(size)
+    observation, partner = np.zeros(size), np.arange(size)
     for block in blocks:
         rows = slice(offset, offset + len(block.start))
         transition = transition.at[:, rows, rows].set(jnp.where(is_first, 0.0, block.transition))
         noise = noise.at[:, rows, rows].set(jnp.where(is_first, block.start, block.noise))
         observation[rows if block.observes_all else offset] = 1.0
+        partner[rows] = partner[rows][:: -1 if block.coupled else 1]
         offset = rows.stop
-    return States(transition, noise, observation)
+    return States(transition, noise, observation, partner)
 
 
 def draw_states(key: Array, states: States) -> Float[Array, "n"]:
@@ -65,8 +70,8 @@ def draw_states(key: Array, states: States) -> Float[Array, "n"]:
 
     def advance(state, row):
         transition, noise = row
-        next_state = transition @ state + noise
-        return next_state, next_state @ jnp.asarray(states.observation)
+        state = transition @ state + noise
+        return state, state @ jnp.asarray(states.observation)
 
     rows = states.transition, jnp.einsum("nij,nj->ni", eigenvectors, normal)
     return jax.lax.scan(advance, jnp.zeros(len(states.observation)), rows)[1]
@@ -80,12 +85,19 @@ def kalman_whiten(
     With P the covariance of the states given earlier readings, h the observation vector and w the white variance of a
     reading (`white_variance`): g = P·h, innovation variance s = hᵀg + w, gain g/s, and P ← A·(P − g·gᵀ/s)·Aᵀ + Q.
     """
-    h, count = jnp.asarray(states.observation), len(states.observation)
+    h, partner = jnp.asarray(states.observation), states.partner
+    is_coupled = partner != (rows := np.arange(len(partner)))
+    coefficients = states.transition[:, rows, rows], states.transition[:, rows, partner]
+
+    def propagate(coefficients, x):
+        """Return A·x as at most two elementwise products, which XLA fuses with adjacent operations."""
+        own, cross = (c[:, None] for c in coefficients)
+        return own * x + (is_coupled[:, None] * cross * x[partner] if is_coupled.any() else 0.0)
 
     # Variances and gains do not depend on the data: they are computed once for all columns.
     def advance_covariance(previous, reading):
         transition, noise, reading_variance = reading
-        predicted = _multiply(transition, _multiply(transition, previous).T) + noise
+        predicted = propagate(transition, propagate(transition, previous).T) + noise
         state_covariance = jnp.sum(predicted * h, axis=1)
         variance = jnp.sum(state_covariance * h) + reading_variance
         gain = state_covariance / variance
@@ -93,14 +105,14 @@ def kalman_whiten(
 
     def advance_mean(previous, reading):
         transition, gain, row = reading
-        predicted = _multiply(transition, previous)
+        predicted = propagate(transition, previous)
         innovation = row - jnp.sum(predicted * h[:, None], axis=0)
         return predicted + gain[:, None] * innovation, innovation
 
-    initial, rows = jnp.zeros((count, count)), (states.transition, states.noise, white_variance)
-    variance, gain = jax.lax.scan(advance_covariance, initial, rows, unroll=2)[1]
-    initial, rows = jnp.zeros((count, columns.shape[1])), (states.transition, gain, columns)
-    innovation = jax.lax.scan(advance_mean, initial, rows, unroll=2)[1]
+    initial, rows = jnp.zeros((len(h), len(h))), (coefficients, states.noise, white_variance)
+    variance, gain = jax.lax.scan(advance_covariance, initial, rows)[1]
+    initial, rows = jnp.zeros((len(h), columns.shape[1])), (coefficients, gain, columns)
+    innovation = jax.lax.scan(advance_mean, initial, rows)[1]
     return innovation / jnp.sqrt(variance)[:, None], 0.5 * jnp.log(variance)
 
 
@@ -136,8 +148,3 @@ def smooth(
 
     mean = jax.grad(sum_log_z)(weighted, precision)
     return mean, -2 * jax.grad(sum_log_z, argnums=1)(jnp.zeros((len(precision), 1)), precision)
-
-
-def _multiply(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
-    """Multiply small matrices by broadcasting, which XLA fuses with adjacent operations."""
-    return jnp.sum(a[:, :, None] * b[None], axis=1)

@@ -119,8 +119,7 @@ class SumOfTerms(Noise, interface=True):
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Return the state space over time steps, s (−1 begins a run); z: covariate scaled to −1 … 1 (n,)."""
         parameters = parameters if z is None else {**parameters, self.column: z}
-        h = jnp.maximum(step, 0.0)
-        blocks = [part.block(parameters, h) for part in self.parts]
+        blocks = [part.block(parameters, jnp.maximum(step, 0.0)) for part in self.parts]
         return assemble_states(blocks, step)
 
     def whiten(self, columns: Array, extra: Any, parameters: Parameters, frame: Frame) -> Any:
