@@ -69,8 +69,7 @@ def draw_states(key: Array, states: States) -> Float[Array, "n"]:
     normal = jnp.sqrt(jnp.maximum(eigenvalues, 0.0)) * jax.random.normal(key, eigenvalues.shape)
 
     def advance(state, row):
-        transition, noise = row
-        state = transition @ state + noise
+        state = row[0] @ state + row[1]
         return state, state @ jnp.asarray(states.observation)
 
     rows = states.transition, jnp.einsum("nij,nj->ni", eigenvectors, normal)

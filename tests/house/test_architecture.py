@@ -228,27 +228,27 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_007,
+    "bayescal/_core": 2_006,
     "bayescal/_tables": 1_459,
     "bayescal/_data": 4_085,
     "bayescal/_model": 5_313,
     "bayescal/effects": 651,
-    "bayescal/_inference": 5_968,
+    "bayescal/_inference": 5_933,
     "bayescal/_calibration": 4_432,
     "bayescal/_use": 2_739,
-    "bayescal/_search": 5_629,
+    "bayescal/_search": 5_628,
     "bayescal/_report": 1_601,
     "bayescal/_cli": 1_658,
-    "bayescal/_annexes/fleet": 1_671,
+    "bayescal/_annexes/fleet": 1_670,
     "bayescal/_annexes/imu": 2_683,
     "bayescal/_annexes/metrology": 1_572,
     "bayescal/_annexes/validation": 726,
     "bayescal/_annexes/workbench": 2_402,
     "models": 8_133,
-    "tests": 22_442,
+    "tests": 22_441,
     "benchmarks": 10_606,
 }
-WORDS = 48_581  # of docs/, README.md and CHANGELOG.md together
+WORDS = 48_460  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
