@@ -248,7 +248,7 @@ CEILINGS = {
     "tests": 22_440,
     "benchmarks": 10_606,
 }
-WORDS = 48_470  # of docs/, README.md and CHANGELOG.md together
+WORDS = 48_522  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
