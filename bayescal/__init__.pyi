@@ -92,9 +92,7 @@ from ._search.discover import Discovery as Discovery
 from ._report.save_search import (
     SearchPath as SearchPath,
 )  # with `save`, which save_search.py attaches
-from ._report.save_search import (
-    Channels as Channels,
-)  # with `save`, which save_search.py attaches
+from ._report.save_search import Channels as Channels  # with `save`, which save_search.py attaches
 from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.undetermined import Undetermined as Undetermined
 from ._use.compensator import Compensator as Compensator

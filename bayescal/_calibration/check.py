@@ -267,7 +267,7 @@ def check(calibration: Calibration) -> Check:
 
 
 def why_not(calibration: Calibration, checks: Check | None = None) -> str:
-    """Return why a calibration is not fit for use, or ""; run acceptance checks if needed (`checks`: residual ones)."""
+    """Return why a calibration is not fit for use, or ""; run the checks if needed (`checks`: result of `check`)."""
     verdict = calibration.verdict
     if verdict.checked or not verdict.reliable:
         return verdict.why_not
@@ -478,9 +478,11 @@ def noise_floor(calibration: Fitted) -> float:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         has_previous[0] = False
-    sorted_values = residuals[order]
+    ordered_residuals = residuals[order]
     has_both = has_previous[1:-1] & has_previous[2:]
-    differences = (sorted_values[1:-1] - 0.5 * (sorted_values[:-2] + sorted_values[2:]))[has_both]
+    differences = (
+        ordered_residuals[1:-1] - 0.5 * (ordered_residuals[:-2] + ordered_residuals[2:])
+    )[has_both]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))
     return float(np.sqrt(np.mean(differences**2) / 1.5))

@@ -94,7 +94,7 @@ def predict(
             noise = _conditional_noise(calibration, part, frame, past)
         moments = predictive_moments(problem, calibration.draws(draws), noise)
         model_var = calibration.form_factor**2 * moments.variance + moments.unknown
-        model_var += _unseen_member_variance(calibration, problem)
+        model_var += _compute_unseen_member_variance(calibration, problem)
         residual = np.asarray(frame["output"]) - moments.mean
         return np.stack([residual, np.sqrt(model_var), np.sqrt(model_var + moments.noise)])
 
@@ -107,7 +107,7 @@ def predict(
     return Prediction(readings["output"] - residual, model_sd, sd, residual)
 
 
-def _unseen_member_variance(calibration: Calibration, problem: Problem) -> np.ndarray:
+def _compute_unseen_member_variance(calibration: Calibration, problem: Problem) -> np.ndarray:
     """Return the variance (n,) of unseen members' readings due to plausible group deviations not in the model."""
     known_effects, variances = calibration.model.instrument.known, np.zeros(problem.record.size)
     for name, sd in calibration.unfound_spreads.items():

@@ -246,20 +246,22 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
                 f"such as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
-        sums = _evaluate_sums(readings, seed := seed_of(seed))
-    readings, runs, unit = sums.readings, sums.runs, readings.unit("output") or ""
-    measured = allan.allan_deviation(readings, sums.residuals, runs)
-    draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in sums.noises])
+        evaluated = _evaluate_sums(readings, seed := seed_of(seed))
+    readings, runs, unit = evaluated.readings, evaluated.runs, readings.unit("output") or ""
+    measured = allan.allan_deviation(readings, evaluated.residuals, runs)
+    draws = np.concatenate(
+        [model.allan_variance(runs.factors, runs.step) for model in evaluated.noises]
+    )
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
     edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
     estimates = np.sqrt(draws * np.random.default_rng(seed).chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
-    claims, step = list(sums.claims), runs.step / (sums.count or 1)
-    if sums.count is None:
+    claims, step = list(evaluated.claims), runs.step / (evaluated.count or 1)
+    if evaluated.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
-    elif sums.count > 1:
-        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=sums.count))
+    elif evaluated.count > 1:
+        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=evaluated.count))
     is_outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
     if is_outside.sum() > limit("noise.outside", "times"):
         tau = tuple(number(t) for t in measured.tau[is_outside])
@@ -268,9 +270,11 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         file=readings.file,
         unit=unit,
         step=step,
-        terms=sums.noises[0].model.terms,
-        probabilities={SummedNoise(1.0, 2.0, t).in_words: p for t, p in sums.probabilities.items()},
-        figures=_summarise_figures(sums, unit, draws),
+        terms=evaluated.noises[0].model.terms,
+        probabilities={
+            SummedNoise(1.0, 2.0, t).in_words: p for t, p in evaluated.probabilities.items()
+        },
+        figures=_summarise_figures(evaluated, unit, draws),
         measured=measured,
         expected=median,
         low=low,
@@ -278,7 +282,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         estimate_low=estimate_low,
         estimate_high=estimate_high,
         claims=tuple(claims),
-        densities=_filter_densities(sums),
+        densities=_filter_densities(evaluated),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
@@ -386,10 +390,10 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
         criteria[QUANTISATION if negative_z > 0 else AVERAGING] = abs(negative_z), NEIGHBOUR_Z
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
-    variance, _ = allan.allan_variances(output, runs)
+    allan_variances, _ = allan.allan_variances(output, runs)
     max_duration = runs.step * 2.0 ** math.ceil(math.log2(max(runs.lengths)))
-    channel_fields = scale, max_duration, runs.factors * runs.step, variance, line
-    walk = math.sqrt(3 * variance[-1] / (runs.factors[-1] * runs.step))
+    channel_fields = scale, max_duration, runs.factors * runs.step, allan_variances, line
+    walk = math.sqrt(3 * allan_variances[-1] / (runs.factors[-1] * runs.step))
     parameters = {WHITE: np.full((1, 1), scale), "noise.walk": np.full((1, 1), walk)}
     model = SummedNoise(runs.step, max_duration, ("walk",))
     random, weights = np.random.default_rng(seed), Counter[Terms]()
@@ -624,8 +628,10 @@ def _impute_run(
     from scipy.sparse.linalg import LinearOperator, cg  # loading takes a third of a second
 
     indices, (m,) = np.arange(n), np.nonzero(is_lost)
-    curve = [np.interp(indices, indices[~is_lost], column[~is_lost]) for column in columns.T[:-1]]
-    design = np.column_stack([np.ones(n), *curve])
+    temperatures = [
+        np.interp(indices, indices[~is_lost], column[~is_lost]) for column in columns.T[:-1]
+    ]
+    design = np.column_stack([np.ones(n), *temperatures])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
     terms = model.spectrum(values, step, compute_eigenvalues(n, np.arange(n)))
     density = values[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
@@ -638,7 +644,7 @@ def _impute_run(
     deviations = np.where(is_lost, 0.0, columns[:, -1] - mean)
     rhs = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - product(deviations)
     deviations[m], _ = cg(q, rhs, rtol=1e-6)
-    return np.column_stack([*curve, mean + deviations])
+    return np.column_stack([*temperatures, mean + deviations])
 
 
 def _fit_sum(channel: _RestRecord, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> GaussianFit:

@@ -179,7 +179,7 @@ def describe(calibration: Fitted) -> dict[str, Any]:
     """Return the fields of a calibration except its arrays, for JSON; instrument and effects by name."""
     model, readings = calibration.model, calibration.readings
     flags = (f for f in (*readings.flags, *calibration.verdict.against) if isinstance(f, Flag))
-    known = _instrument_effects(model.instrument)
+    known = _collect_instrument_effects(model.instrument)
     return {
         **{name: getattr(calibration, name) for name in STORED_FIELDS},
         "instrument": model.instrument.name,
@@ -217,7 +217,7 @@ def _is_resized(e: Effect, catalogue: Mapping[str, Effect]) -> bool:
     return replace(e, coefficients=default.coefficients, shapes=default.shapes) == default
 
 
-def _instrument_effects(instrument: Instrument) -> dict[str, Effect]:
+def _collect_instrument_effects(instrument: Instrument) -> dict[str, Effect]:
     """Return every effect of an instrument's structures and catalogue, by name."""
     structural_effects = [e for _, make in instrument.structures for e in make().effects]
     return {**{e.name: e for e in structural_effects}, **instrument.known}
@@ -278,14 +278,14 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     names = metadata["effects"]
     formulas = metadata["typed"].items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in formulas}
-    catalogue = {**_instrument_effects(instrument), **{e.name: e for e in effects}, **typed}
+    catalogue = {**_collect_instrument_effects(instrument), **{e.name: e for e in effects}, **typed}
     for n in names:
         with suppress(ModelError):
             catalogue[n] = instrument.effect(n, catalogue)
     if missing := [n for n in names if n not in catalogue]:
         raise InputError(
-            f"{path.name} uses the effect {', '.join(missing)}, which {instrument.name!r} does not have. Give the file "
-            f"that defines it: {EFFECT_ADVICE}"
+            f"{path.name} uses effects that instrument {instrument.name!r} does not have: {', '.join(missing)}. Give "
+            f"the file that defines them: {EFFECT_ADVICE}"
         )
     model_effects = [catalogue[n].with_ranges(ranges.get(n, {})) for n in names]
     model_effects = [e.averaged if e.name in metadata["averaged"] else e for e in model_effects]

@@ -64,7 +64,7 @@ def unknowns_parts(
     names = calibration.model.names if effects is None else effects
     pairs = ((n, p) for n, p in calibration.inclusion.items() if n in names and p < 1)
     if text := ", ".join(f"{name} {probability(p)}" for name, p in pairs):
-        lines.append(f"* if the effect is present (probability): {text}")
+        lines.append(f"* conditional on the effect being present; its probability: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 
@@ -227,15 +227,15 @@ def null_vectors(
     whitened = linear.white_nuisance[:, : layout.size][:, is_unknown]
     exact = null_space.null_rows(whitened) if with_exact else np.zeros((0, whitened.shape[1]))
     weak = null_space.weak_rows(whitened, exact, WEAK_INFORMATION, limit("direction.none", "share"))
-    classes: tuple[list[Direction], ...] = [], [], []
+    directions_by_kind: tuple[list[Direction], ...] = [], [], []
     for kind_index, directions in enumerate((exact, weak)):
         for direction in directions:
             vector = np.zeros(layout.size)
             vector[is_unknown] = direction
             # Directions without single coefficients are those of group deviations or curves.
             concerns = float(np.sum(vector[single] ** 2)) > CONCERNED_SHARE * float(vector @ vector)
-            classes[kind_index if concerns else 2].append(vector)
-    return classes[0], classes[1], classes[2]
+            directions_by_kind[kind_index if concerns else 2].append(vector)
+    return directions_by_kind[0], directions_by_kind[1], directions_by_kind[2]
 
 
 def _format_combination(terms: list[tuple[float, str]]) -> str:

@@ -514,8 +514,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         [], help="Result folders or calibrations (.nc): one, one per axis, or a device's."
     )
     format_: str | None = opt(
-        "json, c, python, px4-params, ardupilot-params or dcc.",
-        *(None, "--format"),
+        "json, c, python, px4-params, ardupilot-params or dcc.", *(None, "--format")
     )
     out: Path | None = opt("Output file; default: standard output.", None, "--out", "-o")
     axis: Texts = opt("gyro_x=a.nc: calibration of an axis that its readings do not name.")

@@ -106,7 +106,7 @@ class Options:
         if hasattr(cls, "answer"):
             pairs = [p for base in cls.__mro__ for p in inspect.get_annotations(base).items()]
             types = {**dict(pairs), **dict(reversed(pairs))}  # own options first and overriding
-            for name in (n for n, kind in types.items() if kind in (bool, "bool")):
+            for name in (n for n, annotation in types.items() if annotation in (bool, "bool")):
                 getattr(cls, name).param_decls = (f"--{name.strip('_').replace('_', '-')}",)
             cls.__annotations__ = types
             dataclass(kw_only=True, eq=False, repr=False)(cls)
@@ -349,9 +349,7 @@ class DefinitionOptions(Options):
 
     effects_file: Path | None = Shared.effects
     instrument_file: str | None = opt(
-        "my.py:INSTRUMENT, if the calibration's instrument is not installed.",
-        None,
-        "--instrument",
+        "my.py:INSTRUMENT, if the calibration's instrument is not installed.", None, "--instrument"
     )
 
 

@@ -154,7 +154,7 @@ def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) 
         lines = [f"{claim.subjects[0]} and {' + '.join(claim.numbers['beside'])}" for claim in rows]
         parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
     for i, step in enumerate(path.steps if verbose else ()):
-        heading = f"WHAT IS MISSING FROM STEP {i} ({step.title})"
+        heading = f"EFFECTS MISSING FROM STEP {i} ({step.title})"
         parts.append(_section(heading, step.discovery or _reason_not_tested(step)))
     notes = [] if verbose else _missing_lines(path)
     notes += [folded(f"end: {path.ending}")] if path.ending else []
@@ -182,8 +182,8 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
         return _section("STRUCTURES", plain_table(["effects added", "probability"], rows, fold=60))
     if (others := len(shares) - MAX_STRUCTURES) > 1:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
-    texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
-    text = f"coefficients, corrections and budgets average {len(path.shares)} structures: {texts}"
+    probability_list = ", ".join(f"{name} {probability(p)}" for name, p in shares)
+    text = f"coefficients, corrections and budgets average {len(path.shares)} structures: {probability_list}"
     return folded(f"{text}; --structure best uses the first alone")
 
 

@@ -1,4 +1,4 @@
-"""Flags: sentences about readings with a code and the names concerned, so that programs need not parse the text."""
+"""Flags: sentences about the readings, each with a code and the names concerned, for programs that parse no text."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def _transliterate(character: str) -> str:
 
 
 def one_line(text: Any) -> str:
-    """Format text as one line, with non-printing characters (controls, direction marks) as <U+001B>."""
+    """Format text as one line, each non-printing character (control, direction mark) as its code point: <U+001B>."""
     return "".join(
         c if c.isprintable() else " " if c.isspace() else f"<U+{ord(c):04X}>" for c in str(text)
     )
@@ -64,7 +64,7 @@ def c_comment(text: Any) -> str:
 
 
 def python_words(text: Any) -> str:
-    """Quote text for a Python docstring or comment: ASCII, one line, without double quotes and backslashes."""
+    """Make text safe in a Python docstring or comment: one line of ASCII, with single quotes, and / for backslashes."""
     return _quote(text).replace('"', "'")
 
 

@@ -179,7 +179,8 @@ def even_runs(readings: Measurements) -> EvenRuns:
         return EvenRuns(tuple(rows), step)
     if not median > 0:
         raise InputError(
-            f"{text} distinct times: most equal the preceding one. Record the time with more digits, or give a counter"
+            f"{text} distinct times: most equal the preceding one. Record the time with more digits, or give a sample "
+            "counter as the column 'time'"
         )
     grids = list[np.ndarray]()
     for name, run_steps, run_rows in zip(names, steps, rows, strict=True):

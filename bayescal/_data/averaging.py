@@ -1,4 +1,4 @@
-"""Averages of readings over short times, which shorten a long log, and the noise of each mean."""
+"""Averaging of readings over short intervals to shorten a long log, and the noise of each mean."""
 
 from __future__ import annotations
 

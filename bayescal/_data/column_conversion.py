@@ -382,7 +382,7 @@ class ColumnReader:
         of_instrument = "" if is_given else f" of {self.file.instrument.name}"
         advice = " (for another sensor: --nominal-scale and --nominal-zero)" * (not is_given)
         self._flag(
-            f"converted to {units.format_unit(self.column.unit or '1')} by the nominal scale{of_instrument}: "
+            f"converted to {units.format_unit(self.column.unit or '1')} by the nominal scale factor{of_instrument}: "
             f"{reading}/{scale.gain:g}, reading in {units.format_unit(scale.unit)}{advice}"
         )
         if scale.by_gravity:

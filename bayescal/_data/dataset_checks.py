@@ -163,9 +163,9 @@ def find_clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
 
 def _find_saturation(columns: Columns, output: str) -> Iterator[str]:
     values = columns.get(output, np.zeros(0))
-    for end, level in find_clip_levels(values):
+    for extremum, level in find_clip_levels(values):
         count = int((values == level).sum())
-        yield f"column {output!r} may be saturated: {count} readings equal its {end} {level:g}"
+        yield f"column {output!r} may be saturated: {count} readings equal its {extremum} {level:g}"
 
 
 MAX_STEP_DEGREES = 40.0  # °C, largest credible change between consecutive readings

@@ -546,11 +546,13 @@ class MatchedFile:
             if unit and is_convertible(unit, unit):  # it is a unit
                 further_columns[name] = Column(name, base_unit(unit), required=False)
                 continue
-            unit, possible = unit or find_unit_ending(header), self._find_column(header)
+            unit, matching_column = unit or find_unit_ending(header), self._find_column(header)
             text = (unit or "").lower()
-            is_unit = text not in BLANK_UNITS or (possible and not text)
-            if is_unit and (possible or _find_known_unit(unit) or not self._holds_labels(position)):
-                self._note_unclear(header, unit, possible)
+            is_unit = text not in BLANK_UNITS or (matching_column and not text)
+            if is_unit and (
+                matching_column or _find_known_unit(unit) or not self._holds_labels(position)
+            ):
+                self._note_unclear(header, unit, matching_column)
             else:
                 without_unit.append(header.raw)
         numbered = enumerate(self.table.headers, 1)

@@ -138,7 +138,7 @@ class Measurements(Printed):
 
     @cached_property
     def records(self) -> Records:
-        """Return the records in time: one per run of each device and axis."""
+        """Return the time records: one per run of each device and axis."""
         return Records.of(self.values)
 
     @cached_property
@@ -232,11 +232,11 @@ class Measurements(Printed):
         self[name]
         return self.units[name]
 
-    def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
-        """Exclude existing columns as covariates; if not `others`, allow all other columns again."""
+    def without_causes(self, names: Collection[str], keep_excluded: bool = True) -> Measurements:
+        """Exclude existing columns as covariates; if not `keep_excluded`, allow all other columns again."""
         for name in names:
             self[name]
-        no_causes = self.no_causes if others else frozenset()
+        no_causes = self.no_causes if keep_excluded else frozenset()
         return replace(self, no_causes=no_causes.union(names))
 
     def add_to(self, digest: Any) -> None:
@@ -363,16 +363,16 @@ class Measurements(Printed):
     def average(self, step: str | float) -> Measurements:
         """Average consecutive readings with equal labels and settings over an averaging time.
 
-        `noise.white` of a fit is the noise of the mean of most readings; the column `output_uncertainty` contains the
-        excess noise of means of fewer readings, and a flag states the noise of a single reading. Correlated noise with
-        time constants above `step` is unchanged. Rates, lags, vibration and spikes within `step` are averaged out:
-        exclude spikes first (`set_aside`).
+        `noise.white` of a later fit is the noise of a mean of the largest number of readings; the column
+        `output_uncertainty` has the excess noise of means of fewer, and a flag states the noise of a single reading.
+        Correlated noise with time constants above `step` is unchanged. Signals faster than `step` (rates, lags,
+        vibration, spikes) are averaged out: exclude spikes first (`set_aside`).
 
         Args:
             step: averaging time, such as "1 s", "0.5 s" or "2 min"; a number is in s.
 
         Raises:
-            InputError: invalid time, no column `time`, or a time over which no two readings, or all, are averaged.
+            InputError: invalid `step`, no column `time`, or averaging would combine no two readings, or all of them.
         """
         seconds, time, units = averaging.parse_duration(step), self["time"], self.units
         labels = [n for n, unit in units.items() if unit is None or n == SOAK_POINT]

@@ -12,12 +12,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements, measure_tables
-from bayescal._data.read_options import (
-    InstrumentLike,
-    ReadOptions,
-    expected_columns,
-    output_name,
-)
+from bayescal._data.read_options import InstrumentLike, ReadOptions, expected_columns, output_name
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.raw_table import Objections, Table
 

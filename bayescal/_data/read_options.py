@@ -197,7 +197,7 @@ def _parse_scale(instrument: InstrumentLike, text: str, local_gravity: float) ->
                 by_gravity = needs_gravity(gain_unit, target)
                 return NominalScale(raw, 1 / gain if is_inverse and gain else gain, 0.0, by_gravity)
     raise InputError(
-        f"{argument} is not in raw units per {unit}: give the raw output per unit of output, such as {example!r}"
+        f"{argument} is not a scale factor from {unit} to raw units: give one such as {example!r}"
     )
 
 
@@ -285,7 +285,7 @@ def check_options(tables: Sequence[Table], options: ReadOptions, problems: Objec
     known_names = {n for h in headers for n in (h.raw, *(r.name for r in list_splits(h)))}
     known_names |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
     if "" in options.begin and others:
-        fault = f"needs a begin of its own: {options.begin['']!r} is given for {len(tables)} files"
+        fault = f"needs its own start time: --begin {options.begin['']!r} is given for {len(tables)} files"
         suggestion = option("--begin", f"{first}={options.begin['']}")
         problems.append(Objection(first, fault, cure="Give one for each file", option=suggestion))
     arguments = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}

@@ -152,25 +152,25 @@ class Density(NumericDensity):
             key = i if self.problem.is_noisy else tuple(v[is_noise])
             rows_by_noise.setdefault(key, []).append(i)
         batch_size = max(1, MAX_FILTER_COLUMNS // (self.problem.size + 1))
-        groups = list[list[int]]()
+        batches = list[list[int]]()
         for members in sorted(rows_by_noise.values(), key=len):
-            groups += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
+            batches += [members[k : k + batch_size] for k in range(0, len(members), batch_size)]
         hypers, grams = self.problem.hyper_of_each(vs), dict[int, Gram]()
-        lines = self._linearise_many(vs[[i for group in groups for i in group]])
+        lines = self._linearise_many(vs[[i for batch in batches for i in batch]])
         line, first_table = None, np.empty(0)
-        for group in groups:
+        for batch in batches:
             previous, line = line, next(lines)
             first_table = first_table if line is previous else self._stack_residual_table(line)
             columns, column_sets = [*first_table.T], [[*range(first_table.shape[1])]]
-            for _ in group[1:]:
+            for _ in batch[1:]:
                 column_sets.append([*column_sets[0]])
                 table = self._stack_residual_table(next(lines))
                 for j in np.flatnonzero(np.any(table != first_table, axis=0)):
                     column_sets[-1][j] = len(columns)
                     columns.append(table[:, j])
-            table = first_table if len(group) == 1 else np.column_stack(columns)
-            products, logdet = self._get_whitening(line, hypers[group[0]]).gram(table)
-            for i, members in zip(group, column_sets, strict=True):
+            table = first_table if len(batch) == 1 else np.column_stack(columns)
+            products, logdet = self._get_whitening(line, hypers[batch[0]]).gram(table)
+            for i, members in zip(batch, column_sets, strict=True):
                 grams[i] = Gram.split(products[np.ix_(members, members)], logdet)
         return [grams[i] for i in range(len(vs))]
 
@@ -195,7 +195,7 @@ class Density(NumericDensity):
             return array if len(rows) == len(array) else array[rows]
 
         def evaluate(rows: np.ndarray, shift: np.ndarray) -> list[np.ndarray]:
-            """Return −2·log density, its derivatives, EM weights, standardised x and log|Σ| at given φ."""
+            """Return deviance + Σz², −∂ and −∂² of log density in each residual, EM weights, z, log|Σ|; φ in `rows`."""
             r = select(residual, rows) - (select(jacobian, rows) @ shift[:, :, None])[:, :, 0]
             phi = {name: np.broadcast_to(v, (len(vs),))[rows] for name, v in hyper.items()}
             variance = input_variance[rows] if np.ndim(input_variance) else input_variance

@@ -22,7 +22,7 @@ MAX_ELEMENTS = 4_000_000  # array elements per batch, which bounds memory
 
 
 class HostColumns:
-    """Evaluator of basis columns on the readings of one device, or of several, the leading axis of the frame."""
+    """Evaluator of basis columns on the readings of one device, or of several along the leading axis of the frame."""
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame

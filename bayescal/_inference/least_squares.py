@@ -236,8 +236,10 @@ class _Refinement:
         if problem.is_noisy:
             total = variance(problem.noise, problem.hyper(v), problem.record) + extra
             steps = DIFF_STEP * self.prior(v).sd
-            extra_grad = differentiate(lambda t: problem.extra(linearise_at(t)), theta, steps)
-            table[:, :-1] += 0.5 * (residual / total)[:, None] * extra_grad.T
+            input_variance_gradient = differentiate(
+                lambda t: problem.extra(linearise_at(t)), theta, steps
+            )
+            table[:, :-1] += 0.5 * (residual / total)[:, None] * input_variance_gradient.T
         return table, extra
 
     def whiten(self, v: np.ndarray, extra: Any, residual: np.ndarray) -> Whitening | SdWhitening:
@@ -311,7 +313,7 @@ class _Refinement:
         table, extra = self.table(theta, v)
         # Homoscedastic: the table is replaced by its R factor, and whitening divides by σ.
         is_even, law = self.is_homoscedastic, self.problem.noise
-        place = law.variance_place(self.problem.record.frame)
+        coordinate = law.variance_coordinate(self.problem.record.frame)
         reduced = np.triu(dgeqrf(table)[0][: table.shape[1]]) if is_even else table
         nans = np.full((theta.size, theta.size), np.nan)
         undefined_result = _Conditional(np.full(theta.size, np.nan), nans, np.nan, np.nan)
@@ -319,7 +321,7 @@ class _Refinement:
         def condition_at(v: np.ndarray) -> _Conditional:
             prior = self.prior(v)
             if is_even:
-                variance = float(law.variance_along(self.problem.hyper(v), place))
+                variance = float(law.variance_at(self.problem.hyper(v), coordinate))
                 if not variance > np.finfo(float).tiny:
                     return undefined_result
                 whitened = reduced / math.sqrt(variance)

@@ -83,7 +83,7 @@ class Draws:
 
     @classmethod
     def of(cls, x: ArrayLike, v: ArrayLike) -> Draws:
-        """Split a sequence of draws into `CHAINS` chains of equal length, dropping the remainder."""
+        """Split a sequence of draws into `CHAINS` chains of equal length; its length must be a multiple of `CHAINS`."""
         arrays = (np.asarray(a) for a in (x, v))
         return cls(*(a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:]) for a in arrays))
 

@@ -129,12 +129,12 @@ def fit_gaussian(
 
 
 class NumericDensity:
-    """Log density with gradient and curvature by finite differences; `scale`: prior standard deviations or larger.
+    """Log density with gradient and curvature by finite differences; `scale`: at least the prior standard deviations.
 
     A maximisation updates the curvature of the previous point, or of a similar density, with a new diagonal and by BFGS
     (J. Nocedal and S. Wright, Numerical Optimization, 2006, eq. 6.19). Differences are one-sided in coordinates that
-    `guess` calls reliable. If `exact`, cross terms are central differences, or correlations of the similar density if
-    these are small or its point is close.
+    `guess` calls reliable. If `exact`, cross terms are central differences, except in reliable coordinates where the
+    similar density has a small correlation or its point is close: there its correlation is used.
     """
 
     def __init__(
@@ -170,8 +170,8 @@ class NumericDensity:
         return float(self.values(v[None])[0]) if value is None else value.log_density
 
     def evaluate(self, v: Float[np.ndarray, "d"], exact: bool = False) -> LocalModel | None:
-        """Return value, gradient and curvature at v, the latest cached; None if the density is undefined."""
-        last, guess = self._last, self.next_guess
+        """Return value, gradient, curvature at v, None if undefined; `exact`: cross terms by differences, not BFGS."""
+        last, guess = self._last, self.next_guess  # `last`: the latest point and its result
         if last is not None and (self._exact or not exact) and np.array_equal(last[0], v):
             return last[1]
         scale = np.broadcast_to(self.scale, v.shape)

@@ -80,12 +80,12 @@ class SingleNode:
     def weights(self, law: Noise, values: Values) -> Weights:
         """Return the weights of the nodes at s parameter sets of the noise law."""
         parameters = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        variance = law.variance_along(parameters, self.nodes)
+        variance = law.variance_at(parameters, self.nodes)
         return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
 class ColumnNodes(SingleNode):
-    """Interpolation nodes for independent noise whose variance is a smooth function of z (`Noise.variance_place`)."""
+    """Interpolation nodes for independent noise whose variance is a smooth function of z (`Noise.variance_coordinate`)."""
 
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
@@ -96,8 +96,8 @@ class ColumnNodes(SingleNode):
         self.rows = self.lagrange.sum(axis=0)
 
     def products(self, a, b):
-        weighted = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
-        return (weighted @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
+        weighted_columns = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
+        return (weighted_columns @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
 
 class Segment(NamedTuple):
@@ -357,7 +357,7 @@ def _assemble_blocks(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q
 
 
 class EvenSpectrum:
-    """Restricted likelihood of stationary noise laws on evenly spaced runs, with levels and columns integrated out.
+    """Restricted likelihood of stationary noise laws on evenly sampled runs, with levels and columns integrated out.
 
     The frequency k = 0 is omitted, which marginalises the level of each run under a flat prior.
 

@@ -164,7 +164,7 @@ class Record:
 
     def nodes(self, law: Noise) -> SingleNode | None:
         """Return the nodes that interpolate inner products in the noise parameters; None if the law has none here."""
-        coordinate = law.variance_place(self.frame)
+        coordinate = law.variance_coordinate(self.frame)
         if coordinate is not None:
             key: Any = coordinate.tobytes()
         elif UNCERTAINTY in self.frame.columns or not law.stationary:

@@ -376,7 +376,7 @@ class TabulatedDensity:
     def _differentiate_log_sd(
         self, v: Float[np.ndarray, "d"], hyper: Values
     ) -> tuple[Float[np.ndarray, "d p1"], Float[np.ndarray, "d p1"]]:
-        """Return the first and second derivatives of log prior deviations of x (d, p + 1); the last column is zero.
+        """Return ∂/∂v and ∂²/∂v² of the log prior standard deviations of x, (d, p + 1) each; the last column is zero.
 
         A standard deviation that depends on several shapes is a product of functions of one shape each.
         """
@@ -491,7 +491,7 @@ class _StructureRows:
         return entries
 
     def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
-        """Return the diagonal elements d (b, R) of the rows at several φ (b, d), for unit prior deviations."""
+        """Return the element of D in each row (b, R) at several φ (b, d), for unit prior standard deviations."""
         factors = np.tile(self.multipliers, (len(vs), 1))
         for i, rows, terms in self._dynamic_rows:
             shape_values = vs[:, self.blocks[i].shape_indices]

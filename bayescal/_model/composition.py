@@ -225,7 +225,7 @@ class TracedColumns:
         """Return the columns of the readings that the instrument's response uses directly."""
         return find_response_columns(self.instrument, self.frame)
 
-    def matrix(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
+    def evaluate_basis(self, basis: Basis, frame: Frame, shapes: Mapping[str, Any]) -> Any:
         """Evaluate an effect's basis function as a matrix of columns (n, k)."""
         return basis.evaluate(frame, shapes)
 
@@ -234,13 +234,15 @@ class TracedColumns:
         basis_shapes = dict(zip(spec.basis_shapes, shapes, strict=False))
 
         def evaluate_correction(spec: ColumnSpec, values: Sequence[Any]) -> Any:
-            return self.matrix(spec.basis, self.frame, dict(zip(spec.shapes, values, strict=True)))
+            return self.evaluate_basis(
+                spec.basis, self.frame, dict(zip(spec.shapes, values, strict=True))
+            )
 
         path_shifts = spec.shift_paths(shapes, evaluate_correction)
 
         def evaluate(shifts: dict) -> Any:
             totals = {n: path_shifts.get(n, 0.0) + shifts.get(n, 0.0) for n in path_shifts | shifts}
-            return self.matrix(spec.basis, self.frame.shift_columns(totals), basis_shapes)
+            return self.evaluate_basis(spec.basis, self.frame.shift_columns(totals), basis_shapes)
 
         if not (shifts and with_grad):
             return evaluate(shifts), {}

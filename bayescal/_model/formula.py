@@ -383,7 +383,7 @@ class _TypedLine:
                 raise self.make_error(self.locate(column_node), "rate takes a temperature column")
             unit = unit.times(parse("s"), -1.0)
         elif times[0] not in self.shapes or self.units[times[0]].powers != {"s": 1.0}:
-            reason = f"the second argument of {function} is a time constant, such as tau"
+            reason = f"the second argument of {function} must be a time constant (a shape in s), such as tau"
             raise self.make_error(self.locate(tau[0]), reason)
         return FormulaPart((function, column, *times), unit, self.locate(column_node))
 

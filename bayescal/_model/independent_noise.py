@@ -44,15 +44,15 @@ class White(Noise):
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE,)
 
-    def variance_place(self, frame: Frame) -> np.ndarray | None:
+    def variance_coordinate(self, frame: Frame) -> np.ndarray | None:
         """Return the logarithm of the known uncertainties, −∞ for all readings if there are none."""
         sigma = frame.columns.get(UNCERTAINTY)
         if sigma is None:
             return np.array(-np.inf)
         return np.log(np.asarray(sigma)) if np.all(sigma > 0) else None
 
-    def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
-        return values[WHITE] ** 2 + np.exp(2 * place)
+    def variance_at(self, values: Parameters, coordinate: np.ndarray) -> Any:
+        return values[WHITE] ** 2 + np.exp(2 * coordinate)
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         return white_variance(parameters, frame)
@@ -115,17 +115,17 @@ class Heteroscedastic(Noise):
         ends = (xp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
         return xp.abs(frame.columns[self.column]) / xp.maximum(*ends)
 
-    def variance_place(self, frame: Frame) -> np.ndarray | None:
+    def variance_coordinate(self, frame: Frame) -> np.ndarray | None:
         position = None if UNCERTAINTY in frame.columns else np.asarray(self._scale_column(frame))
         if position is None or not self.proportional:
             return position
         # 1/variance has poles near |x| = 0, where a polynomial in |x| converges slowly; in log |x| it is smooth.
         return np.log(position) if np.all(position > 0) else None
 
-    def variance_along(self, values: Parameters, place: np.ndarray) -> Any:
+    def variance_at(self, values: Parameters, coordinate: np.ndarray) -> Any:
         if self.proportional:
-            return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(place)) ** 2
-        return (values[WHITE] * relative_scatter(values, place)) ** 2
+            return values[WHITE] ** 2 + (values[PROPORTIONAL] * np.exp(coordinate)) ** 2
+        return (values[WHITE] * relative_scatter(values, coordinate)) ** 2
 
     def variance(self, parameters: Parameters, frame: Frame) -> Array:
         position = self._scale_column(frame)

@@ -262,13 +262,13 @@ class Instrument:
         return tuple(e for e in effects.values() if available.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """Return an effect for an unknown dependence of the output on a covariate: smooth, step, kink, cycle in time.
+        """Return an effect for an unknown dependence of the output on a covariate: a smooth curve or another form.
 
         Its plausible amplitudes are estimated from the readings to which the model is fitted.
 
         Args:
             covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
-                "temperature rate"; "humidity, jump", "humidity, kink" and "time, cycle" for these forms.
+                "temperature rate". Other forms: "humidity, line" (or jump, kink, peak), "time, cycle".
 
         Raises:
             ModelError: no slot has the output's unit.

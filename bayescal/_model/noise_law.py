@@ -172,18 +172,18 @@ class Noise(abc.ABC):
 
     def even(self, frame: Frame) -> bool:
         """Return whether readings are independent with one common variance (homoscedastic)."""
-        place = self.variance_place(frame)
-        return place is not None and place.ndim == 0
+        coordinate = self.variance_coordinate(frame)
+        return coordinate is not None and coordinate.ndim == 0
 
-    def variance_place(self, frame: Frame) -> Float[np.ndarray, "*n"] | None:
+    def variance_coordinate(self, frame: Frame) -> Float[np.ndarray, "*n"] | None:
         """Return a coordinate of each reading, of which its variance is a smooth function; shape () if common to all.
 
         For independent Gaussian noise only; None if there is none.
         """
         return None
 
-    def variance_along(self, values: Parameters, place: Float[np.ndarray, "j"]) -> Any:
-        """Return the variance at coordinates of `variance_place` (s, j), output unit squared; parameters are (s, 1)."""
+    def variance_at(self, values: Parameters, coordinate: Float[np.ndarray, "j"]) -> Any:
+        """Return the variance at coordinates of `variance_coordinate` (s, j), output unit squared; parameters are (s, 1)."""
         raise NotImplementedError(f"{self.name} noise has no variance coordinate")
 
     def whiten(
@@ -234,7 +234,7 @@ class Noise(abc.ABC):
         return sum((part.variance(values) for part in self.parts), 0.0)
 
     def lasting_deviation(self, values: Parameters) -> float:
-        """Return the largest Allan deviation of the correlated part over 0.1 to 0.5 of the longest run, output unit."""
+        """Return the correlated part's largest Allan deviation, output unit, at 0.1 to 0.5 of the longest run."""
         if not self.parts:
             return 0.0
         step = self.parts[0].shortest

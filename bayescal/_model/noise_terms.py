@@ -222,9 +222,9 @@ class FlickerTerm(ExponentialTerm):
 
 
 class SmoothTerm(NoiseTerm):
-    """A smooth process: Matérn's of order 3/2, with the correlation (1 + λ·Δt)·exp(−λ·Δt), λ = √3/time.
+    """A Matérn process of smoothness ν = 3/2, with the correlation (1 + λ·Δt)·exp(−λ·Δt), λ = √3/time.
 
-    States: the process f, and its time derivative f′/λ.
+    States: the process f, and its scaled derivative f′/λ.
     Source: J. Hartikainen and S. Särkkä, Kalman filtering and smoothing solutions to temporal Gaussian process
     regression models (MLSP 2010).
     """

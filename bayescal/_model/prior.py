@@ -189,7 +189,7 @@ class FlatLine:
 
 
 def standard_deviation(prior: Any) -> float | None:
-    """Return the standard deviation of the value under a prior, in its own unit; None if it does not exist."""
+    """Return the standard deviation of a prior, in the value's unit; None for half-Cauchy, flat and NumPyro priors."""
     match prior:
         case Normal():
             return prior.sd

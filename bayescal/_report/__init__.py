@@ -1,1 +1,1 @@
-"""Presentation and storage of results: result.json, its folder, pictures, tables, the report."""
+"""Presentation and storage of results: result.json, the result folder, plots, tables, the report."""

@@ -176,10 +176,7 @@ def report(
 
 
 def render_page(
-    parts: list[Chapter],
-    pictures: Pictures,
-    title: str = "",
-    forewords: Sequence[Foreword] = (),
+    parts: list[Chapter], pictures: Pictures, title: str = "", forewords: Sequence[Foreword] = ()
 ) -> str:
     """Return the report as HTML, with `forewords` as sections before the first chapter."""
     filters = {

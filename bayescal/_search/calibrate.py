@@ -160,10 +160,10 @@ class StepwiseSearch:
             return effect.name in {e.name for e in discover.list_placeholders(model, readings)}
         has_baseline = {e.name for e in instrument.effects} <= {*model.names}
         baseline_effects = (*instrument.effects, *instrument.nuisances)
-        catalogue_names = {*instrument.known} - {e.name for e in baseline_effects}
+        candidate_names = {*instrument.known} - {e.name for e in baseline_effects}
         is_free = (model - effect).fixed == model.fixed
         is_testable = why_untestable(effect, readings) is None
-        return has_baseline and effect.name in catalogue_names and is_free and is_testable
+        return has_baseline and effect.name in candidate_names and is_free and is_testable
 
     def list_structures(self, step: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
         """Set the structures to search (`library`) and the untestable candidates, from a fitted first step."""
@@ -174,7 +174,7 @@ class StepwiseSearch:
             self.max_effects, widen_noise = 0, False
         # A given effect takes the place of the catalogue's effect of that name: its size may be the user's own.
         named_effects = [e for e in self.reconsidered if not e.is_placeholder]
-        options = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
+        options = {"widen_noise": widen_noise, "include_latent": self.max_effects > 0}
         structures, self.untestable = discover.enumerate_structures(
             c.model, self.readings, c.reference, effects=(*effects, *named_effects), **options
         )

@@ -171,10 +171,10 @@ def calibrate_channels(
         InputError: models, readings and holdout have different channels.
         ModelError: the readings lack what a model needs.
     """
-    for records in (readings, holdout):
+    for kind, records in (("readings", readings), ("hold-out data", holdout)):
         if records is not None and set(records) != set(models):
             raise InputError(
-                f"models are given for {', '.join(models)}; readings for {', '.join(records)}: "
+                f"models are given for {', '.join(models)}; {kind} for {', '.join(records)}: "
                 "give both for each channel"
             )
     channels, count, paths = list[_Channel](), len(models), dict[str, SearchPath]()

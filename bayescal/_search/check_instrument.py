@@ -107,10 +107,11 @@ def check_instrument(
     if readings is not None:
         instrument = instrument.for_readings(readings)
     elif instrument.unit == ANY or instrument.simulator is None:
-        raise ModelError(
-            f"instrument {instrument.name!r} has no simulator, or takes its unit from readings: give readings "
-            "(--readings FILE, in Python readings=)"
+        fault = (
+            "has no simulator" if instrument.simulator is None else "takes its unit from readings"
         )
+        cure = "give readings (--readings FILE, in Python readings=)"
+        raise ModelError(f"instrument {instrument.name!r} {fault}: {cure}")
     check = InstrumentCheck(instrument.name, instrument.unit)
     readings = instrument.simulate({}, seed=seed) if readings is None else readings
     baseline = Model(instrument, instrument.effects, instrument.noise)

@@ -252,11 +252,11 @@ def enumerate_structures(
     *,
     effects: Sequence[Effect] = (),
     widen_noise: bool = True,
-    latent: bool = True,
+    include_latent: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
     """Return the structures to search over a model, and the effects that these readings cannot test, with reasons.
 
-    If `latent`, the structures include latent effects: those that these readings cannot distinguish from others.
+    If `include_latent`, the structures include latent effects: those that these readings cannot distinguish from others.
     """
     instrument = model.instrument
     instrument_effects = (*instrument.candidates, *instrument.effects)
@@ -292,7 +292,7 @@ def enumerate_structures(
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, testable_effects.values(), reference)[0]
     structures = Structures(model, layout, record, testable_effects, laws)
-    if latent:
+    if include_latent:
         with deadline.finishing():  # the first model needs them, whatever the time limit
             structures = with_spans(structures, amplitudes[0] * math.sqrt(record.size))
     return structures, list(untested.values())
@@ -314,12 +314,12 @@ def restrict_causes(
             readings[name]
         declared_names = {c.name for c in instrument.columns} | {"output_uncertainty"}
         undeclared = {n for n in readings.columns if readings.unit(n) is not None} - declared_names
-        readings = readings.without_causes(undeclared - {*covariates}, others=False)
+        readings = readings.without_causes(undeclared - {*covariates}, keep_excluded=False)
     return readings.without_causes(ignore)
 
 
 def list_placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """Return the unknown dependences on each covariate, in each of their forms."""
+    """Return the placeholder effects: an unknown dependence on each covariate, in each form."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
@@ -431,23 +431,23 @@ def _describe_findings(discovery: Discovery) -> list[str]:
 def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the table of testable candidates of a result.json, without curves that lack evidence."""
 
-    def factor(c: Mapping[str, Any]) -> str:
+    def format_factor(c: Mapping[str, Any]) -> str:
         value = c["log_bayes_factor"]
         return ("–" if value is None else f"{value:z.1f}") + " *"[c["source"] == "refit"]
 
-    def size(c: Mapping[str, Any]) -> str:
+    def format_size(c: Mapping[str, Any]) -> str:
         prefix = "".join(f"{n} = " for n in [*c["shape"]][: c["unit"] == "s"])  # a body's time
         return prefix + with_error(c["size"] or 0.0, c["size_sd"] or 0.0)
 
-    def detectable(c: Mapping[str, Any]) -> str:
+    def format_detectable(c: Mapping[str, Any]) -> str:
         return number(None if c["unit"] == "s" else c["minimum_detectable"], 2)
 
     columns = (
         TableColumn("candidate", "effect"),
         TableColumn("probability", "probability", probability),
-        TableColumn("log BF", factor),
-        TableColumn("size if added", size),
-        TableColumn("detectable size", detectable),
+        TableColumn("log BF", format_factor),
+        TableColumn("size if added", format_size),
+        TableColumn("detectable size", format_detectable),
         TableColumn("unit", "unit", unit_label, left=True),
         TableColumn("remark", "kind", lambda kind: REMARKS.get(kind, kind or "")),
     )

@@ -133,7 +133,7 @@ def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tup
 
 
 def find_equivalents(spans: Spans) -> list[Equivalent]:
-    """Return minimal sets of two or three equivalent candidates, and single ones equivalent to the model's effects."""
+    """Return minimal sets of two or three collinear candidates, and candidates in the span of the model's columns."""
     sets = [Equivalent((name,), coefficients) for name, coefficients in spans.latent.items()]
     spanned_names = [n for n in spans.left if spans.is_spanned(n, {*spans.left} - {n})]
     for count, name in itertools.product(range(MAX_SPANNING, 0, -1), spanned_names):

@@ -110,7 +110,7 @@ class Posterior:
         """Return the probability of a noise law."""
         return self._sum_probability([s.noise == name for s in self.structures])
 
-    def inclusion(self, *names: str) -> float:
+    def inclusion_probability(self, *names: str) -> float:
         """Return the posterior inclusion probability: that the structure has at least one of these effects."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
         return self._sum_probability(self._has_any(self.space.families(names)))
@@ -133,7 +133,7 @@ class Posterior:
 
     @cached_property
     def _form_probability(self) -> dict[str, float]:
-        """Return the inclusion probability of each candidate."""
+        """Return the inclusion probability of each form, by name."""
         return _sum_by_name([s.effects for s in self.structures], self.probability)
 
     def most_probable_form(self, name: str) -> str:
@@ -156,17 +156,17 @@ class Posterior:
         for effect in self.best.effects - self.condition:
             name = self.space.family(effect)
             members = [name, *sorted(self.space.families(equivalents[effect]) - {name})]
-            while self.inclusion(*members) < settings().found_probability:
+            while self.inclusion_probability(*members) < settings().found_probability:
                 substitute = self._next_substitute(members)
                 if substitute is None:
                     break
                 members.append(substitute)
-            if self.inclusion(*members) >= settings().found_probability:
+            if self.inclusion_probability(*members) >= settings().found_probability:
                 sets = [self.space.families(s.effects) for s in self.structures]
                 share = {n: self._sum_probability([n in f for f in sets]) for n in members}
                 order = sorted(members, key=lambda n: -share[n])
                 findings.append(Finding(tuple(order), self.probability_of_names(*members)))
-        findings.sort(key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects)))
+        findings.sort(key=lambda f: (-self.inclusion_probability(f.effects[0]), len(f.effects)))
         return tuple(findings)
 
     def _next_substitute(self, members: list[str]) -> str | None:

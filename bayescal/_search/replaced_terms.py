@@ -43,10 +43,10 @@ class TermComparison(NamedTuple):
     def is_measured(self) -> bool:
         """Return whether the last model's coefficient still measures the term.
 
-        A named effect is a separate cause and may rightly correct the coefficient. It replaces the term if it shifted
-        the coefficient significantly (chance grows with 1/√tolerance), and halved it or left hardly any tolerance. An
-        unnamed effect describes, but explains nothing: if collinear with the term it may describe the term itself, and
-        if it shifts the coefficient significantly, the readings cannot determine which of the two values is right.
+        A named effect is a separate cause and may rightly change the coefficient. It replaces the term if the shift is
+        significant (above a multiple of 1/√tolerance former standard uncertainties), and the coefficient is less than
+        half its former value or nearly collinear with the effect. An unnamed effect has no physical interpretation:
+        either a significant shift or near collinearity suffices, as it may describe the term itself.
         """
         # Estimates with and without further columns of zero effect differ by chance by √(1/tolerance − 1) former
         # standard uncertainties (J. Hausman, Econometrica 46 (1978) 1251): below 1/√tolerance.

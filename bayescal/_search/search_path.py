@@ -146,10 +146,10 @@ class SearchPath(Printed):
         if search is None or not search.structures:
             return ""
         if len(self.steps) > 1:
-            error = f"{number(self.final.rmse_fitted)} {unit} rms as fitted"
+            error = f"rms residual {number(self.final.rmse_fitted)} {unit}"
             return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error}"
         best = search.structures[0]
-        text = f"{number(best.rms)} {unit} rms as fitted"
+        text = f"rms residual {number(best.rms)} {unit}"
         if search.weighed == 1:
             return f"{search.seconds:.0f} s, first model: {text}"
         share = f"probability {probability(best.probability)} among {search.weighed} structures"
@@ -228,7 +228,7 @@ class SearchPath(Printed):
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
         first, last = self.steps[0].rmse_fitted, self.final.rmse_fitted
-        return f"{', '.join(s.title for s in self.steps)}; rms as fitted {number(first)} → {number(last)} {unit}"
+        return f"{', '.join(s.title for s in self.steps)}; rms residual {number(first)} → {number(last)} {unit}"
 
 
 def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:

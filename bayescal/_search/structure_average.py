@@ -236,10 +236,7 @@ def _union_model(structures: Structures, models: Sequence[Model]) -> Model:
 
 
 def _combine_draws(
-    last: Calibration,
-    model: Model,
-    parts: Sequence[tuple[Model, _Values]],
-    shuffled: bool = True,
+    last: Calibration, model: Model, parts: Sequence[tuple[Model, _Values]], shuffled: bool = True
 ) -> Calibration:
     """Combine the draws of several models as draws of one with all their effects, in random order if `shuffled`."""
     # Groups of labels that another structure has and the last model lacks.

@@ -1,7 +1,8 @@
 """Structures, sets of added effects with a noise law: their prior probabilities and their evidence.
 
-Candidates are included independently, with prior odds such that P(model complete) is one half; unknown dependences
-have a tenth of the prior. A candidate is a family of forms, which share its odds; a structure has one of them at most.
+Candidates are included independently, with prior odds such that P(model complete) is one half: unknown dependences
+take a tenth of −log P(complete), the named candidates the rest. A candidate is a family of forms, which share its odds;
+a structure has one of them at most.
 A plausible size is known to an order of magnitude: evidence is averaged over 1, 3 and 10 times that size.
 Effects that readings cannot distinguish from those of a structure are latent in its model, with their priors.
 """

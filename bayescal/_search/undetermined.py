@@ -30,7 +30,7 @@ from bayescal._model.vector import Vector
 # Information on a combination of coefficients over its prior's, from which it is determined: 0.7 of the prior's sd.
 DETERMINED_INFORMATION = 1.0
 # Share of the best pose's reduction of log volume from which a pose that is simpler to set is preferred.
-SIMPLER_SHARE = 0.5
+MIN_SHARE_OF_BEST_REDUCTION = 0.5
 
 DIRECTIONS = np.array([d for d in product((1.0, 0.0, -1.0), repeat=3) if any(d)])
 DIRECTIONS = DIRECTIONS[np.argsort(np.abs(DIRECTIONS).sum(axis=1), kind="stable")]
@@ -166,6 +166,8 @@ def _choose_poses(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tup
         log_volumes[chosen_indices] = 0.0
         if not log_volumes.max() > np.log1p(DETERMINED_INFORMATION):
             return chosen_indices, open_columns.shape[2]
-        near_best = np.flatnonzero(log_volumes > SIMPLER_SHARE * log_volumes.max()).tolist()
+        near_best = np.flatnonzero(
+            log_volumes > MIN_SHARE_OF_BEST_REDUCTION * log_volumes.max()
+        ).tolist()
         chosen_indices.append(min(near_best, key=lambda i: (effort[i], i)))
         information = information + columns[chosen_indices[-1]].T @ columns[chosen_indices[-1]]

@@ -118,7 +118,7 @@ def has_time_zone(text: str) -> bool:
 
 
 def format_date(seconds: float) -> str:
-    """Format seconds since 1970 as a date, to the microsecond."""
+    """Format seconds since 1970 as an ISO 8601 date and time, UTC, to the microsecond."""
     date_time = _EPOCH + timedelta(seconds=float(seconds))
     return date_time.replace(tzinfo=None).isoformat(sep=" ")
 

@@ -298,11 +298,11 @@ def _scan_lines(text: CsvText) -> None:
         if fields != expected and len(ragged_rows) < MAX_INVALID_ROWS:
             ragged_rows.append((row, line.decode().strip()[:80], fields))
     if ragged_rows:
-        _refuse_ragged(text, ragged_rows)
+        _refuse_ragged_rows(text, ragged_rows)
     text.reading_rows = np.setdiff1d(np.arange(text.first_row, row + 1), blank_rows)
 
 
-def _refuse_ragged(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
+def _refuse_ragged_rows(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
     """Raise InputError for rows (row, text, number of fields) with more or fewer fields than the header."""
     _, line, fields = ragged_rows[0]
     expected = len(text.header)

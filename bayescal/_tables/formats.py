@@ -88,10 +88,10 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def open_excel(path: Path, file: str, max_bytes: int) -> Table:
-    """Open an Excel file (.xlsx): the first sheet that is not empty. Arguments as in `open_table`.
+    """Return the first non-empty sheet of an Excel file (.xlsx) as a table; `file`: its name in messages.
 
     Raises:
-        InputError: openpyxl is not installed, or the file is invalid, or too large when unpacked.
+        InputError: openpyxl is not installed, or the file is invalid, empty, or too large (unpacked, or as text).
     """
     try:
         from openpyxl import load_workbook

@@ -154,8 +154,8 @@ class Budget(Printed):
         omitted = len(b.coefficients) - len(by_coefficient.rows)
         note = f" {omitted} coefficients below {100 * LEAST_VARIANCE_SHARE:g} % are not shown."
         u, total = b.uncertainty, b.expanded_reading / b.k
-        sizes = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
-        texts = (number(s) if s >= 100 else f"{s:#.3g}" for s in sizes)
+        uncertainties = u, b.noise, total, b.expanded, b.expanded_reading, b.k_95 * u
+        texts = (number(s) if s >= 100 else f"{s:#.3g}" for s in uncertainties)
         combined, noise, total, expanded, of_reading, u_95 = (f"{text} {unit}" for text in texts)
         expanded = f"Expanded uncertainty (k = {b.k:g}): {expanded}; with the noise of one reading: {of_reading}."
         coverage = f"For 95 % coverage, from the posterior draws: k = {b.k_95:.2f}, U = {u_95}."
@@ -363,7 +363,7 @@ def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
 
 
 def list_budget_claims(correction: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
-    """Return claims on a budget's coverage and omissions; `of_correction` is False for the budget of a slot."""
+    """Return the claims about what a budget includes and omits; `of_correction` is False for the budget of a slot."""
     notes = list_clock_claims(correction.equation)
     sources = [f"{name} of a new run" for name in correction.equation.unfound_spreads]
     sources += ["model inadequacy"] * (correction.calibration.form_factor > 1)

@@ -344,7 +344,7 @@ class CompensationProgram:
 
     @cached_property
     def cholesky_factor(self) -> np.ndarray:
-        """Return the lower triangular L of C = LLᵀ, by QR of a symmetric root of C, which may be singular."""
+        """Return the lower triangular L of C = LLᵀ, by QR of Λ^½Vᵀ (correlation matrix VΛVᵀ); C may be singular."""
         covariance = np.array(self.covariance, float).reshape(2 * (len(self.unknowns),))
         sd = np.sqrt(np.diag(covariance))
         scale = np.where(sd > 0, sd, 1.0)

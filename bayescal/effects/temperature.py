@@ -54,9 +54,9 @@ def _make_power(kind: Kind, order: int, meaning: str) -> Power:
         unit: unit of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit over that power of the
             column's.
         source: source of the size: a document, or the person who estimated it.
-        column: the temperature T, °C: T0 is its rounded mean in the fit; or another numeric column, such as "pressure",
-            in its own unit: its reference value is the middle of its range in the fit. Both are printed and stored with
-            the result.
+        column: the temperature, °C, or another numeric column in its own unit, such as "pressure". The reference value
+            is the rounded mean of the temperature in the fit, or the middle of the other column's range; it is printed
+            and stored with the result.
         name: name of the effect after the slot, `slot.name{suffix}`; the column's name if not given.
 
     Source: a truncated Taylor series about T0; assumes only that the output is smooth in T.

@@ -305,12 +305,12 @@ def _evaluate_lag(column: str, r: Frame, tau: Any) -> Any:
     return xp.stack([r.lag(tau, column), xp.exp(-r.elapsed / tau)], axis=-1)
 
 
-def _multiply_lag(column: str, r: Frame, tau: Any) -> Any:
-    return r.centred(column) * r.lag(tau, column)
+def _multiply_lag(column: str, frame: Frame, tau: Any) -> Any:
+    return frame.centred(column) * frame.lag(tau, column)
 
 
 def _explain_monotonic(column: str, widths: Any, readings: Measurements) -> str | None:
-    """Return a message if a column does not both rise and fall, which identifies a hysteresis; otherwise None."""
+    """Return why a hysteresis is not identifiable, if the column does not both rise and fall within runs; else None."""
     frame = build_frame(readings, reference_of(readings))
     direction = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
     limit = MIN_DIRECTION_FRACTION

@@ -82,7 +82,9 @@ def test_beam_search_finds_what_enumeration_finds(
     assert len(walked.visited) < len(whole.visited)
     assert found.completeness() == pytest.approx(exact.completeness(), abs=0.05)
     for name in few:
-        assert found.inclusion(name) == pytest.approx(exact.inclusion(name), abs=0.05)
+        assert found.inclusion_probability(name) == pytest.approx(
+            exact.inclusion_probability(name), abs=0.05
+        )
 
 
 def test_evidence_is_averaged_over_the_plausible_sizes() -> None:

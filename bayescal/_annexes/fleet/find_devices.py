@@ -177,8 +177,8 @@ def build_common_model(
     """
     in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     by_name = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
-    count = Counter(name for structure in structures for name in structure.effects)
-    for name, _ in count.most_common():  # of a family its most frequent form
+    effect_counts = Counter(name for structure in structures for name in structure.effects)
+    for name, _ in effect_counts.most_common():  # of a family its most frequent form
         effect = by_name.get(name) or model.instrument.effect(name)
         effects = {e.family or e.name for e in model.effects}
         family = effect.family or name
@@ -188,11 +188,11 @@ def build_common_model(
 
 
 def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
-    """Tabulate the effects found in a fleet, one row per effect, the most frequent first.
+    """Tabulate the effects found in a fleet, one row per effect, in decreasing order of expected number.
 
-    Columns: effect; number of devices whose structure has it; number where it is one of several indistinguishable
-    effects, one of which is missing. From all devices jointly: probability that any has it, expected number with it,
-    their share, and the share's 95 % interval if any device has it.
+    Columns: `effect`; `devices`: number whose structure has it; `possible`: number where it is in a set of effects of
+    which at least one is missing. From all devices jointly: `in fleet`: probability that any has it; `expected`:
+    expected number with it; `share`: their share, with its 95 % interval `low`, `high` if any device has it.
     """
     in_structure = Counter(name for structure in structures for name in structure.families)
     possible = Counter(name for structure in structures for name in structure.possible)

@@ -142,14 +142,14 @@ def fit_batch(
     if isinstance(method, bc.Marginal):  # without chains, which take minutes per device
         method = replace(method, chains=False)
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
-    paths, missing, left_out = _list_paths(readings), dict[str, str](), dict[str, str]()
+    paths, missing, skip_reasons = _list_paths(readings), dict[str, str](), dict[str, str]()
     ws.check_files_exist([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
     with ws.deadline.until(time_limit):
         if paths:
-            files, left_out = list_files([path.resolve() for path in paths])
-            lines = format_reasons(left_out, "not read: ")
+            files, skip_reasons = list_files([path.resolve() for path in paths])
+            lines = format_reasons(skip_reasons, "not read: ")
             ws.print_notes(line.strip() for line in lines)
             devices, missing = read_files(files, model, read_options, client)
         else:
@@ -160,7 +160,7 @@ def fit_batch(
         options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
         request = Request(model, *options)
         result = _fit_and_compare(client, request, devices, missing)
-    result = replace(result, missing=missing, left_out=left_out)
+    result = replace(result, missing=missing, left_out=skip_reasons)
     if out is not None:
         result.save(out)
     return result

@@ -37,7 +37,9 @@ class Triad(NamedTuple):
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
     """Options of the commands that calibrate one triad, or both triads of a unit."""
 
-    shortest: float | None = ws.opt("Minimum duration of a pose, s; default: 2 or 1.", min=0.1)
+    shortest: float | None = ws.opt(
+        "Minimum duration of a pose, s; default: 2, or 1 if over a quarter are shorter.", min=0.1
+    )
     baseline: bool = ws.opt("Fit bias, scale, misalignment only, without a search.", False)
     time_limit: float | None = ws.Shared.time_limit
     seed: int = ws.Shared.seed

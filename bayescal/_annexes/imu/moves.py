@@ -281,7 +281,7 @@ class _Session(NamedTuple):
 
     @property
     def spans(self) -> Float[np.ndarray, "km 2"]:
-        """Return the begin and end of each pose, then of each move, s."""
+        """Return the start and end times, s, of each pose, then of each move."""
         moves = np.stack([self.windows[:-1, 1], self.windows[1:, 0]], axis=1)
         return np.concatenate([self.windows, moves])
 

@@ -64,10 +64,7 @@ class CorrectedVector:
         roll_sd = self._propagate(np.array([0 * x, np.cos(roll), -np.sin(roll)]))
         pitch_slope = np.array([-r, x * np.sin(roll), x * np.cos(roll)]) / (x**2 + r**2)
         roll_sd = np.divide(roll_sd, r, np.full_like(r, np.inf), where=r > 0)
-        return {
-            "roll": (roll, roll_sd),
-            "pitch": (np.arctan2(-x, r), self._propagate(pitch_slope)),
-        }
+        return {"roll": (roll, roll_sd), "pitch": (np.arctan2(-x, r), self._propagate(pitch_slope))}
 
     def _propagate(self, gradient: Float[np.ndarray, "3 n"]) -> np.ndarray:
         """Return the standard uncertainty of a quantity, given its gradient with respect to f̂."""

@@ -44,10 +44,7 @@ def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty:
         for name, c in corrections.items()
     }
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
-        named=corrections,
-        data=data,
-        uncertainty=with_uncertainty,
-        newton=NEWTON_STEPS,
+        named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS
     )
 
 

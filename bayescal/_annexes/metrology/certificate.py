@@ -259,11 +259,11 @@ def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[
     for base, power in parsed.powers.items():
         if base == "ug":
             factor *= (1e-6 * local_gravity) ** power
-            parts = {"metre": power, "second": -2 * power}
+            si_powers = {"metre": power, "second": -2 * power}
         else:
             factor *= 1e-6**power if base == "uT" else 1.0
-            parts = {D_SI[base]: power}
-        for name, p in parts.items():
+            si_powers = {D_SI[base]: power}
+        for name, p in si_powers.items():
             powers[name] = powers.get(name, 0.0) + p
     texts = (f"\\{name}" + f"\\tothe{{{p:g}}}" * (p != 1) for name, p in powers.items() if p)
     return factor, "".join(texts) or "\\one"

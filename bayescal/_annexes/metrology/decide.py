@@ -100,7 +100,7 @@ def compute_recalibration(
             reason = f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
             return Recalibration(stated, None, why_not=reason, notes=(ADVICE,))
     if delay is None:
-        reason = f"not within {HORIZON_S / YEAR_S:g} years, with the drift of the model"
+        reason = f"not due within {HORIZON_S / YEAR_S:g} years at the modelled drift rate"
         return Recalibration(stated, None, why_not=reason)
     time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))

@@ -1,7 +1,4 @@
-"""Registration of the metrology annex: decisions on conformity, certificates, and their parts of reports.
-
-Heavy modules are imported on use.
-"""
+"""Registration of the metrology annex: decisions on conformity, certificates, report parts; heavy imports on use."""
 
 from __future__ import annotations
 

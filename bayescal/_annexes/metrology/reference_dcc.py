@@ -130,7 +130,10 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
 
 
 def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
-    """Return values and standard uncertainties (2, n) in `unit`, NaN without coverage factor; None in other units."""
+    """Return values and standard uncertainties (2, n) in `unit`; None if no value has a unit that converts to it.
+
+    The uncertainty is NaN if an expanded one lacks its coverage factor, 0 if none is stated.
+    """
     children = (list(e) if _tag(e) in ("hybrid", "list") else [e] for e in quantity)
     for real in (e for group in children for e in group if _tag(e) in ("real", "realList")):
         texts = {_tag(e): (e.text or "").split() for e in real.iter()}

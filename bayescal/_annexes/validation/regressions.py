@@ -48,7 +48,7 @@ def fit(
         y, columns, u: response, regressors, standard uncertainties of y (None: one is estimated from the residuals).
         start, expected: starting values of b1, b2, …, and the equation of the response.
         prior: prior of the coefficients of columns; flat if not given.
-        value, stimulus: equation of the quantity that a compensation computes; or the column that it solves for.
+        value, stimulus: equation of the compensated quantity; its name, or a column, for which the response is solved.
         further, method: additional effects; method of the fit, least squares if not given.
     """
     starts = {f"b{i}": float(b) for i, b in enumerate(start, 1)} or {LINE: 0.0}

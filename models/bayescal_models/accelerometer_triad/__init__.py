@@ -16,18 +16,10 @@ COLUMNS = (
         ("accel_{axis}", "acc_{axis}", "a{axis}"),
     ),
     bc.Column(
-        "magnitude",
-        "g",
-        "local gravity in the unit of the outputs",
-        default=1.0,
-        low=0.9,
-        high=1.1,
+        "magnitude", "g", "local gravity in the unit of the outputs", default=1.0, low=0.9, high=1.1
     ),
     *triple(
-        "direction",
-        "1",
-        "specific force at rest (up) along axis {axis}, if known",
-        required=False,
+        "direction", "1", "specific force at rest (up) along axis {axis}, if known", required=False
     ),
     *pose_columns("g"),
     ASSUMED_GRAVITY,

@@ -35,7 +35,13 @@ RATIOS = 0.6**ORDERS  # relative prior sd of the orders of u
 
 
 def model(acceleration, sign, device, devices, orders, output=None) -> None:
-    """Define the NumPyro model: acceleration µg, sign and device index (n,), P_n (n, 9); output µg or None."""
+    """Define the NumPyro model.
+
+    Args:
+        acceleration, sign, device: acceleration, µg, sign s and index of the device, (n,) each.
+        devices, orders: number of devices; Legendre polynomials P_0 to P_8 of the time, (n, 9).
+        output: outputs, µg, (n,); None to draw them.
+    """
     group_sds = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
         for name, size in (("scale.device", 5000.0), (SENSITIVITY_SITE, 0.2))

@@ -36,9 +36,9 @@ def simulated_columns(
     """Simulate readings with hidden effects; return columns by name.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, multiplied by
-            `triad.simulator.FACTORS` for these; or a size for each coefficient. Constant bias, scale and
-            misalignment have default sizes.
+        effects: canonical name → true size in the unit of the effect's coefficients: a number, which
+            `triad.simulator.FACTORS` scales for each coefficient, or one size per coefficient. Constant bias,
+            scale and misalignment have default sizes.
         seed: seed of the random-number generator.
         campaign: plan of the test; by default six mountings at five rates.
 

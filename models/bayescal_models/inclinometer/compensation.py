@@ -121,8 +121,8 @@ def compensate(
         if np.any(is_invalid := ~(np.abs(reading) <= MAX_READING_RAD)):
             row = int(np.argmax(is_invalid))
             raise bc.InputError(
-                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, more than a right angle: give "
-                "radians, such as np.deg2rad(readings)"
+                f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad: expected a finite angle of at most "
+                "about π/2 (90°). Give radians, such as np.deg2rad(readings)"
             )
     axis_x, axis_y = (_make_axis(calibration, axis, device, covariates) for axis in axes)
     if law == "document":

@@ -106,7 +106,7 @@ class Conditions:
 
 
 def _zero_test(plan: Campaign, prefix: str):
-    """Yield labels (axis, run) and columns (placement, tilt, forward, angle since reversal in deg) of each mounting."""
+    """Yield labels (axis, run) and columns (placement, tilt, rad; direction; deg since reversal) of each mounting."""
     sweep = np.asarray(plan.angles, dtype=float)
     angles, forward, since_reversal = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
     if plan.backward:

@@ -27,13 +27,7 @@ from bayescal_models.simulated import ReferenceProblem, readings_simulator
 from bayescal_models.triad.campaign import TWO_SESSIONS
 from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, axis_slots, output_function
 from bayescal_models.triad.experiments import list_pose_experiments
-from bayescal_models.triad.families import (
-    constant,
-    drift,
-    run_offset,
-    tempco,
-    triad_rotation,
-)
+from bayescal_models.triad.families import constant, drift, run_offset, tempco, triad_rotation
 from bayescal_models.triad.scatter import set_noise_prior
 
 # Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; the contribution of iron differs between axes.

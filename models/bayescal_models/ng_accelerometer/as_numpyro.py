@@ -56,14 +56,15 @@ def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
                 ) * wave(phase)
         return 1e-9 * tilt_sum
 
-    change = temperature - T0
+    temperature_change = temperature - T0
     K0 = (
-        constant("bias.constant", 850.0, 200.0) + constant("bias.temperature", 10.0, 5.0) * change
+        constant("bias.constant", 850.0, 200.0)
+        + constant("bias.temperature", 10.0, 5.0) * temperature_change
     )  # µg
     K0 += deviation("bias.cell", 5.0)[cell]
     kappa = (
         constant("scale.constant", 1500.0, 2000.0)
-        + constant("scale.temperature", 60.0, 100.0) * change
+        + constant("scale.temperature", 60.0, 100.0) * temperature_change
     )
     kappa = 1e-6 * (kappa + deviation("scale.cell", 50.0)[cell])  # from ppm
     fixture_tilt = 1e-6 * (

@@ -273,7 +273,7 @@ def of_circuit(order: int) -> bc.Model:
 
 
 def with_rate() -> bc.Model:
-    """Return the model with a cubic of t1, its rate and their product: the second earlier method in source 2."""
+    """Return the model with a cubic in t1, dt1/dt and t1·dt1/dt: the second earlier method in source 2."""
     return _build_model("rate_circuit", "temperature_x_rate_circuit", base=of_circuit(3))
 
 

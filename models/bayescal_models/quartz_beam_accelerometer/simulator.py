@@ -195,8 +195,8 @@ def simulated_columns(
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficient; for random effects (`*.run`,
-            `*.cell`) the standard deviation. The coefficients of the cubic device, relative to `campaign.T0`,
-            can be replaced by name.
+            `*.cell`) the standard deviation. The coefficients of bias and scale factor, cubic polynomials of the
+            head temperature about `campaign.T0`, can be replaced by name.
         seed: seed of the random-number generator.
         campaign: plan of the test.
 

@@ -11,7 +11,7 @@ SENSOR = instrument("ug", size=1000.0, constant=5000.0, span=40.0, pace=3.0)
 
 
 def model() -> bc.Model:
-    """Return the baseline, a line over temperature, of a sensor whose output is in µg."""
+    """Return the baseline model, linear in temperature, of a sensor with output in µg."""
     return SENSOR.baseline()
 
 

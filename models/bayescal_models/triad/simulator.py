@@ -50,7 +50,7 @@ def member_sizes(
     """
     requested, names = dict(effects or {}), counts if names is None else names
     for name, size in requested.items():
-        raise_if(name not in names, f"no effect {name}: choose among {', '.join(names)}")
+        raise_if(name not in names, f"unknown effect {name!r}: choose among {', '.join(names)}")
         raise_if(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is not finite")
     sizes = {name: np.zeros(count) for name, count in counts.items()}
     sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
@@ -107,8 +107,8 @@ def make_pose_simulator(
         """Simulate poses with hidden effects; return columns by name.
 
         Args:
-            effects: canonical name → true size, in the unit of the effect's coefficients, multiplied by
-                `FACTORS` for these; constant bias, scale and misalignment have default sizes.
+            effects: canonical name → true size in the unit of the effect's coefficients: a number, which `FACTORS`
+                scales for each coefficient, or one per coefficient. Bias, scale, misalignment have default sizes.
             seed: seed of the random-number generator.
             campaign: plan of the poses; None: the default campaign.
 

@@ -30,7 +30,7 @@ class ModelPane(Pane):
         self.coefficient = widget(pn.widgets.Select, "unknown", **room)
         self.value = widget(pn.widgets.FloatInput, "fixed at", **room)
         self.size = widget(pn.widgets.FloatInput, "plausible size", start=0.0, **room)
-        self.buttons = remove, fix, free, resize = (
+        self.buttons = remove_button, fix_button, free_button, resize_button = (
             button("Take out", lambda _: self._act("take_out", self._effect)),
             button("Fix", lambda _: self._act("fix", self.coefficient.value, self.value.value)),
             button("Free", lambda _: self._act("free", self.coefficient.value)),
@@ -39,10 +39,10 @@ class ModelPane(Pane):
         self.form = column(
             self.title,
             self.consequences,
-            row(remove, button("Close", lambda _: self._open_form(""))),
+            row(remove_button, button("Close", lambda _: self._open_form(""))),
             row(self.coefficient),
-            row(self.value, fix, free),
-            row(self.size, resize),
+            row(self.value, fix_button, free_button),
+            row(self.size, resize_button),
             kinds=("form",),
             visible=False,
             sizing_mode="stretch_width",
@@ -100,8 +100,8 @@ class ModelPane(Pane):
         self.page.preview(show, "take_out", effect)
 
     def _show_coefficient(self) -> None:
-        coefficients, others = ws.summary(self._calibration)
-        means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *others)}
+        coefficients, other_unknowns = ws.summary(self._calibration)
+        means = {r["name"]: (r["mean"], r["unit"]) for r in (*coefficients, *other_unknowns)}
         mean, unit = means.get(self.coefficient.value, (None, ""))
         mean = dict(self._calibration.model.fixed).get(self.coefficient.value, mean)
         self._enable_buttons()

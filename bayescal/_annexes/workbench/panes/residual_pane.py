@@ -316,7 +316,7 @@ class ResidualPane(Pane):
         self._fill_curve()
 
     def _change_columns(self, event: Any) -> None:
-        """Lay out the selected columns; of too many, drop those that were selected first."""
+        """Show a panel for each selected column; if too many are selected, deselect the earliest."""
         if self._is_updating:
             return
         new = [n for n in event.new if n not in event.old]

@@ -77,7 +77,7 @@ TITLES = {"P(complete)": "probability that no testable candidate is missing"}
 
 
 def list_steps(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the column headers, and a row per state with its errors, as in a printed `SearchPath`, and actions."""
+    """Return the headers, and one row per state: the errors that a printed `SearchPath` shows, and its actions."""
     steps = []
     for n, state in sorted(states.items()):
         parent, is_branch = states.get(state.parent), state.parent not in (None, n - 1)

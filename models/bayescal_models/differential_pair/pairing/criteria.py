@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-DEGREE = 3  # of the polynomials in time
+POLYNOMIAL_DEGREE = 3  # of the polynomials in time
 
 
 def fit_polynomial(time: Array, records: Array) -> Array:
     """Fit polynomials in time to records (…, T) by least squares; return coefficients c_0 … c_3, (…, 4)."""
     t = (time - time[0]) / (time[-1] - time[0])
-    return records @ np.linalg.pinv(np.vander(t, DEGREE + 1, increasing=True)).T
+    return records @ np.linalg.pinv(np.vander(t, POLYNOMIAL_DEGREE + 1, increasing=True)).T
 
 
 def ratio_variance(coefficients: Array, outer: int) -> Array:

@@ -33,8 +33,9 @@ def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> P
 
     Args:
         batch: calibration of a batch, or its devices.
-        criterion: ranking criterion: "residual", "ratio-variance" (commanded acceleration removed), or
-            "ratio-variance-raw" (on raw records, as in source 3).
+        criterion: ranking criterion (equations: `pairing.criteria`): "residual", the expected rms of the environment
+            that remains in a pair; "ratio-variance", by the variance over orders of the ratio of the devices'
+            polynomial coefficients, commanded acceleration removed; "ratio-variance-raw", the same of raw records.
 
     Raises:
         InputError: the readings cannot be paired, or an unknown criterion.
