@@ -50,7 +50,7 @@ class Calibration(Printed, Fitted):
         unfound_spreads: between-run sd of plausible effects that the search did not add, by effect, coefficient's unit.
     """
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         return [*unknowns_parts(self), self.remarks]
 
     @property
@@ -69,7 +69,7 @@ class Calibration(Printed, Fitted):
         ]
         return "\n".join(folded(line, "") for line in lines)
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         status = "converged" if self.verdict.ok else "NOT converged"
         status = "NOT reliable" if self.verdict.against else status
         return f"{status}, {len(self.readings)} readings of {self.readings.file}, {format_model(self.model)}"

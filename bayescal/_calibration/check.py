@@ -56,7 +56,7 @@ class Entry:
     worst: Region  # region with the largest |z|
     by_group: bool = False
 
-    def data(self, unit: str) -> dict[str, Any]:
+    def to_json_data(self, unit: str) -> dict[str, Any]:
         """Return the entry as in result.json: means in `unit`, that of the output, ranges in the covariate's unit."""
         worst = dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
@@ -108,24 +108,25 @@ class Check(Printed):
         """Return whether the rms with fixed coefficients is more than twice the noise with free ones."""
         return self.free_noise is not None and self.rms > 2 * self.noise
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         return format_check(self)
 
-    def data(self) -> list[dict[str, Any]]:
+    def to_json_data(self) -> list[dict[str, Any]]:
         """Return one record per covariate, as in result.json."""
-        return [e.data(self.unit) for e in self.entries]
+        return [e.to_json_data(self.unit) for e in self.entries]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         unit = unit_label(self.unit)
         text = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
         for entry in self.entries[:1]:
-            factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}"
-            text += f"; most against {entry.against}, {factor}"
+            text += (
+                f"; most against {entry.against}, log Bayes factor {entry.log_bayes_factor:z.1f}"
+            )
         return text
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per covariate or group; means in the output's unit, ranges in the covariate's."""
-        return check_table(self.data()).data()
+        return check_table(self.to_json_data()).to_columns()
 
 
 def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
@@ -154,7 +155,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 def format_check(check: Check, max_rows: int | None = None) -> list[str | ResultTable]:
     """Format residual checks, the worst covariate first; `max_rows` also omits the tests of the noise model."""
-    unit, rows = unit_label(check.unit), check.data()[:max_rows]
+    unit, rows = unit_label(check.unit), check.to_json_data()[:max_rows]
     noise = f"judged against this model's own noise, {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.free_noise is not None:
@@ -478,11 +479,9 @@ def noise_floor(calibration: Fitted) -> float:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         has_previous[0] = False
-    ordered_residuals = residuals[order]
+    r = residuals[order]
     has_both = has_previous[1:-1] & has_previous[2:]
-    differences = (
-        ordered_residuals[1:-1] - 0.5 * (ordered_residuals[:-2] + ordered_residuals[2:])
-    )[has_both]
+    differences = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[has_both]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))
     return float(np.sqrt(np.mean(differences**2) / 1.5))

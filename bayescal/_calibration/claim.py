@@ -83,7 +83,7 @@ class Claim(Flag):
         """Return the severity: "stop" and "doubt" fail the acceptance checks, a "note" does not."""
         return CRITERIA[self.code].severity
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the claim's record in result.json."""
         record = {"code": self.code, "of": list(self.subjects), "severity": self.severity}
         return {**record, "in_words": str(self)}

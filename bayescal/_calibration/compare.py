@@ -69,7 +69,7 @@ class Comparison(Printed):
     chosen_by: str
     warnings: tuple[Claim, ...]
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         """Return the table, its heading and the warnings."""
         is_grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
         fold, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
@@ -92,7 +92,7 @@ class Comparison(Printed):
         heading = f"best first, by {self.chosen_by}{count}; differences are from the best. {NOTE}"
         return [table, *(folded(line, "") for line in (heading, *self.warnings))]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
 
     def _columns(self) -> dict[str, list[Any]]:

@@ -51,6 +51,7 @@ class Vectors(NamedTuple):
 
 @renamed(having="inclusion_masks", dated="dated_effects", thinned="thin_draws")
 @renamed(likeliest="likeliest_effects", held_at="reference_constants")
+@renamed(chi_squared="chi_squared_test")
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The fields and computations of a fit result; `Calibration` documents them and adds printing and saving."""
@@ -153,7 +154,7 @@ class Fitted:
         return linearise_model(self.problem, self.mode)
 
     @property
-    def chi_squared(self) -> tuple[float, int, float]:
+    def chi_squared_test(self) -> tuple[float, int, float]:
         """Return χ² of the residuals against their known variance, its degrees of freedom, its p-value.
 
         The variance is that of the noise model and of uncertain inputs; χ² tests the fit if `noise.white` is fixed.

@@ -1,7 +1,7 @@
 """Acceptance checks of a fit: implausible values, and misfit in its own readings.
 
-Each check is a function of a `Subject`; thresholds and messages are in `claims.toml`. Residual checks detect that an
-effect is missing; a search identifies which.
+Each check is a function of a `Subject`; thresholds and messages: `claims.toml`. Residual checks detect that an effect
+is missing; a search identifies which.
 """
 
 from __future__ import annotations
@@ -260,8 +260,8 @@ def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
 def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Return Pearson's correlation of two columns and its p-value under independence."""
     r, dof = float(np.corrcoef(first, second)[0, 1]), len(first) - 2
-    t = np.sqrt(dof / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
-    return r, float(2 * stdtr(dof, -abs(r) * t))
+    t = abs(r) * np.sqrt(dof / np.float64((1 - r) * (1 + r))) if abs(r) < 1 else np.inf
+    return r, float(2 * stdtr(dof, -t))
 
 
 def check_reading_count(subject: Subject) -> Iterator[Claim]:

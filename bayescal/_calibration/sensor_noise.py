@@ -162,7 +162,7 @@ class SensorNoise(Printed):
         """Return the most probable sum of noise terms, in words."""
         return SummedNoise(1.0, 2.0, self.terms).in_words
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         sum_texts = [
             f"{w} {probability(p)}" for w, p in self.probabilities.items() if p >= MIN_PROBABILITY
@@ -183,7 +183,7 @@ class SensorNoise(Printed):
         lines = [line for note in remarks for line in ("", folded(note, ""))]
         return [terms, *lines, "", plain_table(header, curve, left=0)]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         figures = (f"{f.symbol} {f.row()[1] or f.row()[2]}" for f in self.figures)
         return f"{self.law}; {', '.join(figures)}"
 
@@ -204,7 +204,7 @@ class SensorNoise(Printed):
         n, k = (float(np.quantile(d, quantile)) for d in self.densities)
         return n, k
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the result as a JSON object."""
         (n, k), m = self.for_filter(), self.measured
         band = (self.expected, self.low, self.high)
@@ -218,7 +218,7 @@ class SensorNoise(Printed):
             "figures": [{**vars(f), "si": list(f.si)} for f in self.figures],
             "curve": [dict(zip(KEYS, row, strict=True)) for row in zip(*columns, strict=True)],
             "for_filter": {"quantile": FILTER_QUANTILE, "N": n, "K": k, "horizon": self.horizon},
-            "claims": [claim.data() for claim in self.claims],
+            "claims": [claim.to_json_data() for claim in self.claims],
         }
 
 
@@ -246,22 +246,20 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
                 f"such as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
     with deadline.until(time_limit):
-        evaluated = _evaluate_sums(readings, seed := seed_of(seed))
-    readings, runs, unit = evaluated.readings, evaluated.runs, readings.unit("output") or ""
-    measured = allan.allan_deviation(readings, evaluated.residuals, runs)
-    draws = np.concatenate(
-        [model.allan_variance(runs.factors, runs.step) for model in evaluated.noises]
-    )
+        fits = _evaluate_sums(readings, seed := seed_of(seed))
+    readings, runs, unit = fits.readings, fits.runs, readings.unit("output") or ""
+    measured = allan.allan_deviation(readings, fits.residuals, runs)
+    draws = np.concatenate([model.allan_variance(runs.factors, runs.step) for model in fits.noises])
     tail = 0.5 * (1 - CONFIDENCE)
     low, median, high = np.sqrt(np.quantile(draws, [tail, 0.5, 1 - tail], axis=0))
     edf = allan.degrees_of_freedom(runs, allan.noise_types(np.median(draws, axis=0)))
     estimates = np.sqrt(draws * np.random.default_rng(seed).chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(estimates, [tail, 1 - tail], axis=0)
-    claims, step = list(evaluated.claims), runs.step / (evaluated.count or 1)
-    if evaluated.count is None:
+    claims, step = list(fits.claims), runs.step / (fits.count or 1)
+    if fits.count is None:
         claims.insert(0, Claim("noise.no_level", "N", name=allan.data_sheet_terms(unit).names[0]))
-    elif evaluated.count > 1:
-        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=evaluated.count))
+    elif fits.count > 1:
+        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=fits.count))
     is_outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
     if is_outside.sum() > limit("noise.outside", "times"):
         tau = tuple(number(t) for t in measured.tau[is_outside])
@@ -270,11 +268,9 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         file=readings.file,
         unit=unit,
         step=step,
-        terms=evaluated.noises[0].model.terms,
-        probabilities={
-            SummedNoise(1.0, 2.0, t).in_words: p for t, p in evaluated.probabilities.items()
-        },
-        figures=_summarise_figures(evaluated, unit, draws),
+        terms=fits.noises[0].model.terms,
+        probabilities={SummedNoise(1.0, 2.0, t).in_words: p for t, p in fits.probabilities.items()},
+        figures=_summarise_figures(fits, unit, draws),
         measured=measured,
         expected=median,
         low=low,
@@ -282,7 +278,7 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
         estimate_low=estimate_low,
         estimate_high=estimate_high,
         claims=tuple(claims),
-        densities=_filter_densities(evaluated),
+        densities=_filter_densities(fits),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
@@ -628,9 +624,7 @@ def _impute_run(
     from scipy.sparse.linalg import LinearOperator, cg  # loading takes a third of a second
 
     indices, (m,) = np.arange(n), np.nonzero(is_lost)
-    temperatures = [
-        np.interp(indices, indices[~is_lost], column[~is_lost]) for column in columns.T[:-1]
-    ]
+    temperatures = [np.interp(indices, indices[~is_lost], c[~is_lost]) for c in columns.T[:-1]]
     design = np.column_stack([np.ones(n), *temperatures])
     mean = design @ np.linalg.lstsq(design[~is_lost], columns[~is_lost, -1], rcond=None)[0]
     terms = model.spectrum(values, step, compute_eigenvalues(n, np.arange(n)))

@@ -42,7 +42,7 @@ def unknowns_parts(
     if fixed_text := ", ".join(f"{name} = {value:g}" for name, value in model.fixed):
         lines.append(f"fixed: {fixed_text}")
     if model.noise_as_stated:
-        squares, dof, p = calibration.chi_squared
+        squares, dof, p = calibration.chi_squared_test
         lines.append(
             f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (p-value {p:.2g})"
         )

@@ -306,7 +306,7 @@ class CheckCommand(DefinitionOptions, AsJson, Command):
         from bayescal._calibration.check import why_not
 
         reason = why_not(calibration, check := bc.check(calibration))
-        data = {"check": [{"step": 0, **row} for row in check.data()]}
+        data = {"check": [{"step": 0, **row} for row in check.to_json_data()]}
         data["verdict"] = {"ok": not reason, "reason": reason}
         return Answer(f"{check}\nverdict: {'NOT ' if reason else ''}fit for use", data, why=reason)
 
@@ -460,7 +460,7 @@ class NoiseCommand(ReadRequest, AsJson, Command):
             warning = f"not to be used as they are: {', '.join(doubted)}" if doubted else ""
             return Answer(
                 "\n\n".join(f"{name}\n\n{result}" for name, result in results.items()),
-                {name: result.data() for name, result in results.items()},
+                {name: result.to_json_data() for name, result in results.items()},
                 warning=warning,
                 drawn=folder is None or draw_safely(draw, folder),  # before `written` is listed
                 written=", ".join(map(str, written)),

@@ -123,7 +123,7 @@ class Answer:
     """Result of a command, printed as text or as JSON; it determines the exit status."""
 
     content: Any  # printed as text, plain data as JSON; nothing for None
-    data: Any = None  # printed with --json; default: `content.data()`
+    data: Any = None  # printed with --json; default: `content.to_json_data()`
     why: str = ""  # reason why the result is not fit for use; the exit status is then 1
     warning: str = ""  # warning about a usable result; the exit status is 1 too
     drawn: bool = True  # whether all figures were drawn; if not, the exit status is 1
@@ -133,8 +133,10 @@ class Answer:
         """Print the answer; return True for exit status 0: fit for use, all figures drawn, no warning."""
         content = self.content
         if json_:
-            data = content.data() if self.data is None and hasattr(content, "data") else self.data
-            content = content if data is None else data
+            if self.data is not None:
+                content = self.data
+            elif hasattr(content, "to_json_data"):
+                content = content.to_json_data()
         if isinstance(content, dict | list):
             content = json_text(as_json(content)).rstrip("\n")
         if content is not None:

@@ -7,7 +7,7 @@ from typing import Self
 from bayescal._core.renamed import renamed
 
 
-@renamed(of="subjects")
+@renamed(of="subjects", data="to_json_data")
 class Flag(str):
     """Text with a `code`, such as "column.ignored" ("" for none), and `subjects`, the names that it concerns."""
 

@@ -1,8 +1,7 @@
 """Unidentified directions of unknowns: null spaces, exact and weak, and collinear groups of columns.
 
 Basis vectors of a null space of several dimensions are arbitrary mixtures. The reduced row echelon form with complete
-pivoting gives each direction a pivot coefficient that no other has, and separates directions without a common
-coefficient.
+pivoting gives each direction a pivot coefficient that no other has, and separates those without a common one.
 """
 
 from __future__ import annotations

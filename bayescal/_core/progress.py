@@ -1,7 +1,4 @@
-"""Progress lines on stderr, for operations of more than a second, and then every ten seconds.
-
-A line names the operation and its duration so far.
-"""
+"""Progress lines on stderr: name of an operation of over a second and its duration so far, every ten seconds."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._core.formatting import WIDTH
 from bayescal._core.quoting import html_text
+from bayescal._core.renamed import renamed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,7 +82,7 @@ class ResultTable:
         columns_by_head = {c.head: c for c in self.printed_columns}
         return replace(self, columns=tuple(columns_by_head[head] for head in heads), fold=0)
 
-    def data(self) -> dict[str, list[Any]]:
+    def to_columns(self) -> dict[str, list[Any]]:
         """Return the unformatted values: name of a column → one value per row."""
         columns = {c.head if c.name is None else c.name: c for c in self.columns}
         return {n: [c.value(row) for row in self.rows] for n, c in columns.items() if n}
@@ -161,32 +162,34 @@ def _width(text: str) -> int:
     return sum(not unicodedata.combining(c) for c in text)  # combining marks have no width
 
 
+@renamed(data="to_json_data")
 class Printed:
-    """Base class of printable results.
+    """Base class of printable results, from whose parts text, HTML in a notebook and numbers are derived.
 
-    Subclasses define `_brief`, a short summary, and `_parts`, the printed lines and tables, from which the text, the
-    HTML in a notebook and the numbers are derived.
+    Subclasses define `_format_summary`, one short line, and `_list_parts`, the printed lines and tables.
     """
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         raise NotImplementedError
 
-    def _parts(self) -> Sequence[str | ResultTable]:
+    def _list_parts(self) -> Sequence[str | ResultTable]:
         raise NotImplementedError
 
     def _columns(self) -> Mapping[str, Sequence[Any]]:
         """Return the unformatted values of the first table, by column; the first column names the rows."""
-        return next(part for part in self._parts() if isinstance(part, ResultTable)).data()
+        return next(
+            part for part in self._list_parts() if isinstance(part, ResultTable)
+        ).to_columns()
 
     def __str__(self) -> str:
-        return "\n".join(map(str, self._parts()))
+        return "\n".join(map(str, self._list_parts()))
 
     def __repr__(self) -> str:
-        brief = textwrap.shorten(self._brief(), MAX_REPR_CHARACTERS, placeholder=" …")
-        return f"<{type(self).__name__}: {brief}>"
+        summary = textwrap.shorten(self._format_summary(), MAX_REPR_CHARACTERS, placeholder=" …")
+        return f"<{type(self).__name__}: {summary}>"
 
     def _repr_html_(self) -> str:
-        return as_html(self._parts())
+        return as_html(self._list_parts())
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the printed table with all digits as a `pandas.DataFrame`, indexed by the names of rows."""

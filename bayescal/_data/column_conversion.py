@@ -365,7 +365,7 @@ class ColumnReader:
                 self._note_scale(scale, difference)
                 raw = units.convert(values, unit, scale.unit, **settings)
                 return scale.apply(raw, difference=difference)
-            alternative = f", or {scale.unit} (by the nominal scale)" if scale else ""
+            alternative = f", or {scale.unit} (by the nominal scale factor)" if scale else ""
             unit_divisor = f"({target})" if "/" in target else target
             scale_option = option("--nominal-scale", f"250 {unit}/{unit_divisor}")
             hint = f"Give the scale factor of the raw output, such as {scale_option}, or the correct unit"
@@ -375,7 +375,7 @@ class ColumnReader:
         return None
 
     def _note_scale(self, scale: NominalScale, difference: bool) -> None:
-        """Flag that raw outputs are converted by the nominal scale."""
+        """Flag that raw outputs are converted by the nominal scale factor."""
         is_given = self.options.nominal_scale is not None
         has_offset = scale.offset and not difference
         reading = f"(reading − {scale.offset:g})" if has_offset else "reading"

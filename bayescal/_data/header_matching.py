@@ -442,8 +442,10 @@ class MatchedFile:
             if column.unit != ANY or name not in self.positions:
                 continue
             if self.options.nominal_scale is not None:
-                fault = "a nominal scale was given, but this instrument has no fixed output unit to convert to"
-                cure = "Omit the nominal scale, or choose an instrument whose output has a unit"
+                fault = "a nominal scale factor was given, but this instrument has no fixed output unit to convert to"
+                cure = (
+                    "Omit the nominal scale factor, or choose an instrument whose output has a unit"
+                )
                 self.report(name, fault, cure=cure)
             unit = unit_of(self.header(name), name, self.options)
             if name == UNCERTAINTY:
@@ -504,7 +506,7 @@ class MatchedFile:
         names = ", ".join(header.raw for header in shown_headers)
         advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
         if "--nominal-scale" in suggestion:
-            advice += "The nominal scale is the raw output per unit of output, --nominal-zero the raw output at zero. "
+            advice += "The nominal scale factor is the raw output per unit of output, --nominal-zero the raw output at zero. "
         units = {h.name: (split_off_unit(h) or h).unit or "" for h in candidates}
         channel_names = [
             n for n, u in units.items() if any(is_convertible(u, m) for m in MOTION_UNITS)

@@ -170,7 +170,7 @@ class Measurements(Printed):
     def __reduce__(self) -> Any:  # calls `__post_init__`, since unpickled arrays are writable
         return Measurements, tuple(getattr(self, f.name) for f in fields(self))
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         rows = []
         for name in self.columns:
             values, unit = self[name], self.unit(name)
@@ -186,7 +186,7 @@ class Measurements(Printed):
         table = plain_table(["column", "unit", "range"], rows, left=3)
         return [f"{len(self)} readings of {self.file}", table]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         columns = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)
         return f"{len(self)} readings of {self.file}: {', '.join(columns)}"
 

@@ -236,10 +236,8 @@ class _Refinement:
         if problem.is_noisy:
             total = variance(problem.noise, problem.hyper(v), problem.record) + extra
             steps = DIFF_STEP * self.prior(v).sd
-            input_variance_gradient = differentiate(
-                lambda t: problem.extra(linearise_at(t)), theta, steps
-            )
-            table[:, :-1] += 0.5 * (residual / total)[:, None] * input_variance_gradient.T
+            variance_grad = differentiate(lambda t: problem.extra(linearise_at(t)), theta, steps)
+            table[:, :-1] += 0.5 * (residual / total)[:, None] * variance_grad.T
         return table, extra
 
     def whiten(self, v: np.ndarray, extra: Any, residual: np.ndarray) -> Whitening | SdWhitening:

@@ -85,7 +85,7 @@ class SingleNode:
 
 
 class ColumnNodes(SingleNode):
-    """Interpolation nodes for independent noise whose variance is a smooth function of z (`Noise.variance_coordinate`)."""
+    """Interpolation nodes for independent noise, its variance a smooth function of z (`Noise.variance_coordinate`)."""
 
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
@@ -96,8 +96,8 @@ class ColumnNodes(SingleNode):
         self.rows = self.lagrange.sum(axis=0)
 
     def products(self, a, b):
-        weighted_columns = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
-        return (weighted_columns @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
+        weighted_a = (self.lagrange.T[:, :, None] * a[0]).transpose(0, 2, 1).reshape(-1, self.size)
+        return (weighted_a @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
 
 class Segment(NamedTuple):

@@ -162,15 +162,11 @@ class BatchedDensity:
         self.rng = np.random.default_rng(0)
         self.far_fraction = min(1.0, FAR_ELEMENTS / (PRIOR_WEIGHT * MAX_PROPOSALS * self.size))
 
-    def draw_at(
-        self, v: Float[np.ndarray, "b d"], normal_deviates: np.ndarray
-    ) -> tuple[np.ndarray, XDraws]:
-        """Return the log density of each φ (b,), and map standard normal numbers (b, p) to draws of x given φ."""
+    def draw_at(self, v: Float[np.ndarray, "b d"], z: np.ndarray) -> tuple[np.ndarray, XDraws]:
+        """Return the log density of each φ (b,), and map standard normal z (b, p) to draws of x given φ."""
         log_prior = self.problem.log_priors(v)
         args = self.mode.flat, self.density.origin
-        draws = self.problem.draw_x(
-            (self.table or self.density).grams(v), v, *args, normal_deviates
-        )
+        draws = self.problem.draw_x((self.table or self.density).grams(v), v, *args, z)
         is_computed = np.zeros(len(v), dtype=bool)
         if self.table is not None:
             # A random subset, reweighted: a distant mode is detected at bounded cost.
@@ -178,8 +174,8 @@ class BatchedDensity:
             is_computed = is_outside & (self.rng.random(len(v)) < self.far_fraction)
             draws.log_marginal[is_outside] = NOWHERE
             if is_computed.any():
-                grams, normals = self.density.grams(v[is_computed]), normal_deviates[is_computed]
-                computed = self.problem.draw_x(grams, v[is_computed], *args, normals)
+                grams, z_computed = self.density.grams(v[is_computed]), z[is_computed]
+                computed = self.problem.draw_x(grams, v[is_computed], *args, z_computed)
                 for target, source in zip(draws, computed, strict=True):
                     target[is_computed] = source
         log_density = draws.log_marginal + log_prior
@@ -535,10 +531,8 @@ def _update_mixture(mixture: Mixture, mode: Mode, v: np.ndarray, log_weight: np.
     chol = KERNEL_WIDTH * np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
     kernel_count = MIN_KERNEL_COUNT if v.shape[1] <= 3 else KERNEL_COUNT
     # Systematic resampling without its random offset: equal steps of the cumulative weights.
-    cumulative_probabilities = (np.arange(kernel_count) + 0.5) / kernel_count
-    indices = np.minimum(
-        np.searchsorted(np.cumsum(weight), cumulative_probabilities), weight.size - 1
-    )
+    probabilities = (np.arange(kernel_count) + 0.5) / kernel_count
+    indices = np.minimum(np.searchsorted(np.cumsum(weight), probabilities), weight.size - 1)
     split_weight = max(0.1, 1 - confidence) if mixture.dof > T_DOF else 0.1
     return mixture._replace(centres=v[indices], chol=chol, split_weight=split_weight)
 

@@ -234,9 +234,8 @@ class TracedColumns:
         basis_shapes = dict(zip(spec.basis_shapes, shapes, strict=False))
 
         def evaluate_correction(spec: ColumnSpec, values: Sequence[Any]) -> Any:
-            return self.evaluate_basis(
-                spec.basis, self.frame, dict(zip(spec.shapes, values, strict=True))
-            )
+            named_values = dict(zip(spec.shapes, values, strict=True))
+            return self.evaluate_basis(spec.basis, self.frame, named_values)
 
         path_shifts = spec.shift_paths(shapes, evaluate_correction)
 

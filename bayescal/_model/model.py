@@ -48,13 +48,13 @@ class Model(Printed):
                     factor_of(self.instrument, effect, coefficient)
                 _require_known_group(self.instrument, effect, coefficient.per)
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
         table = [effects_table(self.effects)] if self.effects else []
         return [*lines, *table, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return format_model(self)
 
     def _columns(self) -> dict[str, list[Any]]:

@@ -183,7 +183,7 @@ class Noise(abc.ABC):
         return None
 
     def variance_at(self, values: Parameters, coordinate: Float[np.ndarray, "j"]) -> Any:
-        """Return the variance at coordinates of `variance_coordinate` (s, j), output unit squared; parameters are (s, 1)."""
+        """Return the variance (s, j), output unit squared, at values of `variance_coordinate`; parameters: (s, 1)."""
         raise NotImplementedError(f"{self.name} noise has no variance coordinate")
 
     def whiten(

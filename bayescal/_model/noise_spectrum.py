@@ -84,8 +84,7 @@ def _compute_end_coefficient(variance: Any, x: Any, n: int, sign: int) -> Any:
 def matern(variance: Any, time: Any, step: float, lam: Lambda) -> SpectralTerm:
     """Return the transformed covariance of a Matérn-3/2 process, of correlation (1 + x)·exp(−x), x = √3·Δt/time.
 
-    With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their derivatives with respect to log r, by
-    complex step.
+    With x = r·Δt, (1 + x)·e⁻ˣ = e⁻ˣ − ∂e⁻ˣ/∂log r: formulas of e⁻ˣ minus their complex-step derivatives ∂/∂log r.
     """
     x = -math.sqrt(3) * step / time * COMPLEX_STEP
     symbol, derivative = differentiate(variance * _compute_symbol(x, lam))

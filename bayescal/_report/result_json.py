@@ -67,7 +67,7 @@ def result(path: SearchPath) -> dict[str, Any]:
         del row["probability"], row["given"]  # trivial for a single structure
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(path.steps):
-        tables["check"] += [{"step": i, **row} for row in step.check.data()]
+        tables["check"] += [{"step": i, **row} for row in step.check.to_json_data()]
         tables["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
         if step.discovery is not None:
             tables["missing"].append(missing_data(step.discovery, i, step.check))
@@ -91,7 +91,7 @@ def result(path: SearchPath) -> dict[str, Any]:
             "gate": {
                 "ok": path.gate.ok,
                 "reason": path.gate.reason,
-                "claims": [claim.data() for claim in path.gate.claims],
+                "claims": [claim.to_json_data() for claim in path.gate.claims],
             },
             "other_path": None
             if path.other_path is None
@@ -190,7 +190,7 @@ def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any
         "nothing_missing_probability": discovery.nothing_missing,
         "unnamed": list(discovery.unnamed),
         "latent": list(discovery.latent),
-        "equivalent": [claim.data() for claim in discovery.equivalent],
+        "equivalent": [claim.to_json_data() for claim in discovery.equivalent],
         "unstated": discovery.unstated,
         "correlated_noise": discovery.correlated_noise,
         "noise_laws": discovery.noise,

@@ -62,7 +62,7 @@ class Channels(Printed):
         calibrations = (t.final.calibration for t in self.search_paths.values())
         return tuple(dict.fromkeys(n for c in calibrations for n in c.model.names))
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         parts = [part for table in _split_table(self._rows()) for part in (table, "")][:-1]
         parts += [_format_shared(s) for s in self.shared if s.probability > 0.5]
         searches = ((n, t.search) for n, t in self.search_paths.items() if t.search)
@@ -70,7 +70,7 @@ class Channels(Printed):
         doubtful_gates = ((n, t.gate) for n, t in self.search_paths.items() if not t.ok)
         return [*parts, *(f"{n}: result not reliable: {gate.reason}" for n, gate in doubtful_gates)]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return f"{', '.join(self.search_paths)}; effects {', '.join(self.effects) or 'none'}"
 
     def _columns(self) -> dict[str, list[Any]]:

@@ -61,7 +61,7 @@ class InstrumentCheck(Printed):
         """Return whether the check found no error."""
         return not self.errors
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         def format_estimate(row: dict[str, Any]) -> str:
             return "–" if row["mean"] is None else with_error(row["mean"], row["sd"])
 
@@ -75,16 +75,16 @@ class InstrumentCheck(Printed):
             TableColumn("unit", "unit", unit_label),
             TableColumn("remark", "remark"),
         )
-        tables = [ResultTable(columns, self.data()["rows"], fold=24)] if self.rows else []
+        tables = [ResultTable(columns, self.to_json_data()["rows"], fold=24)] if self.rows else []
         messages = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         error_text = f"{len(self.errors)} error(s)" if self.errors else "no error"
         summary = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip()
         return [*tables, *messages, f"{summary}: {error_text}"]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return all results as JSON-serialisable data."""
         return {**vars(self), "rows": [row._asdict() for row in self.rows], "ok": self.ok}
 

@@ -153,7 +153,7 @@ class Discovery(Printed):
         probabilities = [n.probability for n in self.noise if Noise.correlates(n.law)]
         return sum(probabilities) if probabilities else None
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         """Return the summary of missing effects, and the table of candidates in order of probability."""
         lines: list[str | ResultTable] = [folded(claim) for claim in self.equivalent]
         lines += map(folded, _describe_findings(self))
@@ -173,7 +173,7 @@ class Discovery(Printed):
         lines += [folded(f"not testable, {r}: {', '.join(names)}") for r, names in by_reason]
         return [line for line in lines if line]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return "; ".join(_describe_findings(self))
 
     def _columns(self) -> dict[str, list[Any]]:
@@ -256,7 +256,7 @@ def enumerate_structures(
 ) -> tuple[Structures, list[Candidate]]:
     """Return the structures to search over a model, and the effects that these readings cannot test, with reasons.
 
-    If `include_latent`, the structures include latent effects: those that these readings cannot distinguish from others.
+    If `include_latent`, the structures include latent effects, which these readings cannot distinguish from others.
     """
     instrument = model.instrument
     instrument_effects = (*instrument.candidates, *instrument.effects)

@@ -61,10 +61,10 @@ class NextExperiment(Printed):
     members: tuple[str, ...]
     experiments: tuple[Experiment, ...]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return f"to tell apart {', '.join(self.members)}: {self.experiments[0].name}"
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         """Return the feasible experiments, the most informative first."""
         columns = (
             TableColumn("experiment", lambda e: e.name),

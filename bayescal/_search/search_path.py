@@ -193,7 +193,7 @@ class SearchPath(Printed):
         def save(self, folder: Path) -> None:
             """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         """Return the table of errors by step, and the effects found."""
         rows = self.rows
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
@@ -225,7 +225,7 @@ class SearchPath(Printed):
         by_family = {c.effect: c.probability for c in discovery.candidates} if discovery else {}
         return {e.name: by_family.get(e.family_name) for e in model.effects if e.name not in names}
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         unit = unit_label(self.final.calibration.unit)
         first, last = self.steps[0].rmse_fitted, self.final.rmse_fitted
         return f"{', '.join(s.title for s in self.steps)}; rms residual {number(first)} → {number(last)} {unit}"

@@ -64,7 +64,7 @@ class Undetermined(Printed):
     add: tuple[AddedPose, ...] = ()  # poses that would determine them, the most informative first
     left: int = 0  # number of combinations left undetermined; 0 if no pose was sought
 
-    def _parts(self) -> list[str]:
+    def _list_parts(self) -> list[str]:
         if not self.combinations:
             return [f"{self.readings} readings determine every coefficient."]
         lines = [f"{self.readings} readings do not determine:"]
@@ -75,7 +75,7 @@ class Undetermined(Printed):
             lines.append(f"No further pose determines the other {self.left} combination(s).")
         return lines
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         return f"{len(self.combinations)} combinations not determined, {len(self.add)} poses to add"
 
     def _columns(self) -> dict[str, list[str]]:

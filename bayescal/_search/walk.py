@@ -154,8 +154,7 @@ def _next_in_beam(
 ) -> EvaluatedStructure | None:
     """Return the most probable structure in the beam and in a scope that is not yet expanded; None if there is none.
 
-    The beam also has the best structure under each noise law, which is several changes away from the best under
-    another law.
+    The beam also has the best structure under each noise law, several changes away from that under another law.
     """
     fits = [w for w in structures.visited.values() if scope.contains(w.structure)]
     ranked_fits = sorted(fits, key=lambda w: -w.log_posterior)

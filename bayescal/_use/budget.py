@@ -144,11 +144,11 @@ class Budget(Printed):
             sources=tuple(replace(s, contribution=factor * s.contribution) for s in self.sources),
         )
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the budget as JSON data, in fixed units."""
         return as_json(self) | {n: getattr(self, n) for n in ("expanded", "expanded_reading")}
 
-    def _parts(self) -> list[str | ResultTable]:
+    def _list_parts(self) -> list[str | ResultTable]:
         b = self.in_output_unit()
         unit, (by_coefficient, by_source) = unit_label(b.unit), b.tables()
         omitted = len(b.coefficients) - len(by_coefficient.rows)
@@ -170,7 +170,7 @@ class Budget(Printed):
         ]
         return [line for part in parts for line in (part, "")][:-1]
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         b = self.in_output_unit()
         return f"{self.stimulus} at {b.place}: U = {number(b.expanded)} {unit_label(b.unit)} (k = {self.k:g})"
 

@@ -52,7 +52,7 @@ class CorrectionInUse(Protocol):
     @property
     def why_not(self) -> str: ...  # the reason why the result must not be used; empty if it may
 
-    def data(self) -> dict[str, Any]: ...  # content of the JSON file
+    def to_json_data(self) -> dict[str, Any]: ...  # content of the JSON file
 
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
@@ -407,10 +407,10 @@ class CompensationProgram:
                 )
         return self
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the program as JSON data, with schema and version."""
         content = {"schema": SCHEMA, "version": SCHEMA_VERSION, **as_json(self)}
-        content["equation"]["operations"] = self.graph.data()
+        content["equation"]["operations"] = self.graph.to_json_data()
         return content
 
 

@@ -122,7 +122,7 @@ def include_guard(name: str, *contents: Any) -> str:
 def render_json(sensors: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
     """Render a single correction as JSON, always with its uncertainty."""
     (correction,) = sensors.values()
-    return json_text(correction.data(), indent=1)
+    return json_text(correction.to_json_data(), indent=1)
 
 
 def wrap_writer(write: Callable[..., str], *arguments: Any) -> Writer:

@@ -278,7 +278,7 @@ class Graph:
         """Apply an operation to symbols and numbers."""
         return self._element(self.apply(op, *map(self.node_of, elements)))
 
-    def data(self) -> list[list[Any]]:
+    def to_json_data(self) -> list[list[Any]]:
         """Return the nodes as lists for JSON, with non-finite numbers as text."""
 
         def to_json(value: Any) -> Any:

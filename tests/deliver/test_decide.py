@@ -158,7 +158,7 @@ def test_a_calibration_that_is_not_reliable_decides_nothing(gyro) -> None:
 
 def test_it_prints_and_is_json_without_infinities(gyro) -> None:
     found = bc.decide(gyro, ["bias: ≤ 25 °/s", "scale.constant: ±150 ppm"], population="sd 30 ppm")
-    data = json.loads(json.dumps(found.data(), allow_nan=False))
+    data = json.loads(json.dumps(found.to_json_data(), allow_nan=False))
     assert data["decisions"][0]["tolerance"] == [None, 25.0] and data["conforms"] is False
     assert list(found.to_pandas()["decision"]) == ["accept", "undecided"]
 

@@ -46,7 +46,7 @@ def test_parts_give_what_one_process_gives(lot_folder, result, tmp_path) -> None
     with pytest.raises(bc.InputError):
         found["D99"]
     back = bc.load_batch(tmp_path / "out.parquet")
-    assert str(back) == str(found) and back.data() == found.data()
+    assert str(back) == str(found) and back.to_json_data() == found.to_json_data()
 
 
 @pytest.mark.slow

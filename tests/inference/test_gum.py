@@ -52,7 +52,7 @@ def test_noise_as_stated_is_weighted_least_squares_and_its_chi_squared() -> None
     mean, covariance = estimates(fit)
     np.testing.assert_allclose(mean, cov @ rows.T @ (y / u), rtol=1e-9)
     np.testing.assert_allclose(covariance, cov, rtol=1e-9)
-    squares, freedom, chance = fit.chi_squared
+    squares, freedom, chance = fit.chi_squared_test
     np.testing.assert_allclose(squares, np.sum((y / u - rows @ mean) ** 2), rtol=1e-9)
     assert freedom == 6 and 0 < chance < 1
 

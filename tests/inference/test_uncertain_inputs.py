@@ -126,7 +126,7 @@ def test_the_example_of_iso_28037() -> None:
 @pytest.mark.parametrize("name", LINES)
 def test_chi_squared_counts_the_uncertainty_of_the_inputs(name) -> None:
     found, line = fitted(name, "least squares")
-    squares, freedom, _ = found.chi_squared
+    squares, freedom, _ = found.chi_squared_test
     assert (freedom, squares) == (len(line.x) - 2, pytest.approx(reference(line)[2], rel=1e-4))
 
 

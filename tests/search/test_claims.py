@@ -41,4 +41,4 @@ def test_equal_claims_count_once_and_those_of_a_saved_calibration_too() -> None:
     assert {one, other, as_claim(one), as_claim(str(other))} == {one, other}
     assert pickle.loads(pickle.dumps(one)).numbers == one.numbers
     told = {"code": "prior.widened", "of": ["x"], "severity": "stop"}
-    assert one.data() == {**told, "in_words": str(one)}
+    assert one.to_json_data() == {**told, "in_words": str(one)}

@@ -257,7 +257,7 @@ class BatchResult:
         rows = [summarise(name, unit, fits) for (name, unit), fits in by_unknown]  # pyright: ignore
         return pd.DataFrame(rows, columns=COEFFICIENTS)
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return a summary of the batch as JSON data, without the results of single devices."""
         return ws.as_json(
             {
@@ -281,7 +281,7 @@ class BatchResult:
             InputError: the suffix is not .parquet, or the file cannot be written.
         """
         path = require_parquet(Path(path))
-        metadata = {"bayescal": json.dumps(self.data(), allow_nan=False)}
+        metadata = {"bayescal": json.dumps(self.to_json_data(), allow_nan=False)}
         with ws.replacing_for_user(path) as temporary_path:
             table = _tabulate(self.results).replace_schema_metadata(metadata)
             pq.write_table(table, temporary_path, write_page_checksum=True)

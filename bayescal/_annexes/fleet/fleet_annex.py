@@ -57,7 +57,7 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         n_failed, n_unread = len(batch) - batch.fitted, len(batch.missing)
         messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
         messages += [f"{n_unread} files have no result"] * bool(n_unread)
-        data, why = {"file": str(self.out), **batch.data()}, "; ".join(messages)
+        data, why = {"file": str(self.out), **batch.to_json_data()}, "; ".join(messages)
         return ws.Answer(batch, data, why=why, written=str(self.out))
 
 

@@ -442,9 +442,7 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
     devices = dict[str, int]()
     for name, value in ws.parse_pairs(cmd.device_id, "--device-id").items():
         if not value.isdecimal():
-            raise bc.InputError(
-                f"--device-id {name}={value}: {value!r} is not a non-negative integer"
-            )
+            raise bc.InputError(f"--device-id {name}={value}: expected a non-negative integer")
         devices[name] = int(value)
     options = {"devices": devices, "local_gravity": cmd.gravity}
     file = firmware_parameters(compensators, str(cmd.format_), **options)

@@ -82,7 +82,7 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
                 names = (*ws.files_of(folder / subfolder), ws.MANIFEST)
                 print(f"written: {folder / subfolder}/{', '.join(names)}")
         reasons = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
-        data = {subfolder: triad.correction.data() for subfolder, triad in triads.items()}
+        data = {subfolder: triad.correction.to_json_data() for subfolder, triad in triads.items()}
         json_data = data.get("", data) if self.json_ else None
         return ws.Answer(json_data, why="; ".join(reasons[:1]), drawn=is_drawn)
 
@@ -195,7 +195,7 @@ def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) 
 
     def correction_data(calibration: bc.Calibration) -> dict[str, Any]:
         correction = bc.vector_correction(calibration)
-        data = {**correction.data(), "uncertainty": correction.uncertainty.tolist()}
+        data = {**correction.to_json_data(), "uncertainty": correction.uncertainty.tolist()}
         return {name: value for name, value in data.items() if name != "made_by"}
 
     averaged = None if average is None else {**correction_data(average), "averaged": None}

@@ -126,7 +126,7 @@ class VectorCorrection:
         """Return the reason why the result must not be used; empty if it may be used."""
         return self.reason
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the correction as JSON data."""
         equation = (
             "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference, °C; "

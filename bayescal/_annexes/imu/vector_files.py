@@ -40,7 +40,9 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
 def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as one Python module."""
     data = {
-        name: repr({k: v for k, v in c.data().items() if with_uncertainty or k != "covariance"})
+        name: repr(
+            {k: v for k, v in c.to_json_data().items() if with_uncertainty or k != "covariance"}
+        )
         for name, c in corrections.items()
     }
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(

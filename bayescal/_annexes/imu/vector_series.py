@@ -163,8 +163,7 @@ def _list_notes(
         notes.append(f"Valid from {correction.low:.4g} to {correction.high:.4g} °C.")
     else:
         notes.append(
-            f"The model has no temperature dependence: use the correction only at the temperatures of the "
-            f"calibration ({at})."
+            f"The model has no temperature dependence: use it only at the temperatures of the calibration ({at})."
         )
     model = calibration.model
     for name, slot_sds in contributions.items():

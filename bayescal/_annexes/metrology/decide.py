@@ -230,11 +230,11 @@ class Decisions(ws.Printed):
             table=("Decisions", replace(table, columns=(*table.columns, why), fold=1)),
         )
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the decisions as JSON data."""
         return {"schema": "bayescal.decisions/1", "conforms": self.conforms} | ws.as_json(self)
 
-    def _brief(self) -> str:
+    def _format_summary(self) -> str:
         text = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
         return f"{'conforms' if self.conforms else 'not shown to conform'}: {text}"
 
@@ -260,7 +260,7 @@ class Decisions(ws.Printed):
         )
         return ws.ResultTable(columns, self.decisions)
 
-    def _parts(self) -> list[str | ws.ResultTable]:
+    def _list_parts(self) -> list[str | ws.ResultTable]:
         parts = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
         of_each = (note for d in self.decisions for note in (*d.recalibration.notes, *d.notes))
         parts += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]

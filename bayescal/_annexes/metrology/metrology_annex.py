@@ -37,7 +37,7 @@ class DecideCommand(ws.MemberOptions, ws.DecisionRule, ws.AsJson, ws.Command):
             local_gravity=self.local_gravity or ws.STANDARD_GRAVITY,
         )
         if self.out is not None:
-            ws.write_json(decisions.data(), self.out, indent=1)
+            ws.write_json(decisions.to_json_data(), self.out, indent=1)
         return ws.Answer(decisions, warning=decisions.doubt)
 
 

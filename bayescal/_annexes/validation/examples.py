@@ -81,7 +81,7 @@ def regression(
     reading: Any = {"output": output or 0.0, "output_uncertainty": output_u}
     options: Any = {"noise": output is not None, "method": "first order", "warn": False}
     answer = {"b": draws.mean(axis=1), "u": sd, "covariance": cross_covariance}
-    answer |= {"r": cross_covariance / (sd[0] * sd[-1]), "chi_squared": fitted.chi_squared}
+    answer |= {"r": cross_covariance / (sd[0] * sd[-1]), "chi_squared": fitted.chi_squared_test}
     answer["corrected"] = bc.compensator(fitted)(**reading, **inputs, **options)
     if u is None:
         answer["s"] = fitted.samples("noise.white")[0]

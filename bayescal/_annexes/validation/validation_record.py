@@ -99,7 +99,7 @@ class ValidationRecord:
         table = ws.plain_table(head, [[*map(str, row)] for row in counts])
         return "\n".join([str(table), *(" ".join((r.standard, *r.cells)) for r in self.failed)])
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the record as JSON data."""
         rows = [{**row._asdict(), "passed": row.passed} for row in self.rows]
         nist = {name: {"condition": k, "performance": p} for name, (k, p) in self.nist.items()}

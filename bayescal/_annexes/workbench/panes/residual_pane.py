@@ -102,8 +102,8 @@ class ResidualsOfState:
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms_text}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
-            f"on average, {ws.place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
-            f"{worst.log_bayes_factor:.1f})."
+            f"on average, {ws.place_in_words(worst.to_json_data(self.check.unit))} (z = {worst.worst.z:+.1f}; log "
+            f"Bayes factor {worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
 

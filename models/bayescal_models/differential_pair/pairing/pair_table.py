@@ -121,7 +121,7 @@ class PairTable:
                 return pair
         raise bc.InputError(f"{outer!r} and {inner!r} are not a pair")
 
-    def data(self) -> dict[str, Any]:
+    def to_json_data(self) -> dict[str, Any]:
         """Return the table as JSON data."""
         return {
             "criterion": self.criterion,
