@@ -45,8 +45,7 @@ class Calibration(Printed, Fitted):
         mode: posterior mode φ̂, x̂: the expansion point of the linearised model.
         log_evidence: log evidence and its Monte-Carlo standard error (or None); None if a prior is flat.
         start: starting values of φ by name for the mode search, besides prior draws; usually empty.
-        form_factor: factor on the standard uncertainty of the expected output for model inadequacy, from P(complete);
-            1 without a search.
+        form_factor: factor on the expected output's standard uncertainty for model inadequacy; 1 without a search.
         unfound_spreads: between-run sd of plausible effects that the search did not add, by effect, coefficient's unit.
     """
 

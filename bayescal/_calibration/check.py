@@ -119,9 +119,8 @@ class Check(Printed):
         unit = unit_label(self.unit)
         text = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
         for entry in self.entries[:1]:
-            text += (
-                f"; most against {entry.against}, log Bayes factor {entry.log_bayes_factor:z.1f}"
-            )
+            log_factor = f"{entry.log_bayes_factor:z.1f}"
+            text += f"; most against {entry.against}, log Bayes factor {log_factor}"
         return text
 
     def _columns(self) -> dict[str, list[Any]]:

@@ -506,7 +506,7 @@ class MatchedFile:
         names = ", ".join(header.raw for header in shown_headers)
         advice = f"{names} {'looks' if len(candidates) == 1 else 'look'} like it. "
         if "--nominal-scale" in suggestion:
-            advice += "The nominal scale factor is the raw output per unit of output, --nominal-zero the raw output at zero. "
+            advice += "--nominal-scale is the raw output per unit of output, --nominal-zero the raw output at zero. "
         units = {h.name: (split_off_unit(h) or h).unit or "" for h in candidates}
         channel_names = [
             n for n, u in units.items() if any(is_convertible(u, m) for m in MOTION_UNITS)

@@ -170,14 +170,14 @@ def _set_zero(instrument: InstrumentLike, scale: NominalScale | None, text: str)
     argument = f"nominal_zero={text!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
-            f"{argument} without a nominal scale factor, which {instrument.name!r} does not define. Give the raw output per "
-            "unit of output: --nominal-scale '250 V/g'"
+            f"{argument} without a nominal scale factor, which {instrument.name!r} does not define. Give the raw "
+            "output per unit of output: --nominal-scale '250 V/g'"
         )
     value, unit = _parse_quantity(text, argument, f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"{argument} is in {unit}, but the nominal scale factor applies to raw outputs in {scale.unit}: give the raw "
-            f"output at zero in {scale.unit}"
+            f"{argument} is in {unit}, but the nominal scale factor applies to raw outputs in {scale.unit}: give "
+            f"the raw output at zero in {scale.unit}"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 

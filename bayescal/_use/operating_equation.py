@@ -91,8 +91,8 @@ class TermsInUse(TracedColumns):
         super().__init__(instrument, frame)
         self.graph = graph
 
-    def matrix(self, basis: Basis, frame: Frame, shapes: Values) -> Any:
-        return self.trace(partial(super().matrix, basis), frame, shapes)
+    def evaluate_basis(self, basis: Basis, frame: Frame, shapes: Values) -> Any:
+        return self.trace(partial(super().evaluate_basis, basis), frame, shapes)
 
     def trace(self, function: Callable[[Any, Values], Any], frame: Frame, values: Values) -> Any:
         """Return a function of a frame and named values as symbols: called with NumPy, or else traced by JAX."""

@@ -60,7 +60,7 @@ def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
     m = bc.read(put(text), GYRO)
     np.testing.assert_allclose(m["output"], [3, 4], rtol=1e-12)
     np.testing.assert_allclose(m["output_uncertainty"], [2, 3])
-    assert "converted to °/s by the nominal scale of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
+    assert "by the nominal scale factor of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
     other = bc.read(put(text), GYRO, nominal_scale=bc.NominalScale("mV", gain=2.0))
     np.testing.assert_allclose(other["output"], [601.5, 602])
 
