@@ -133,7 +133,6 @@ def hysteresis(
         column: input of the hysteresis.
         widths: plausible range of w, and its unit: that of the column.
     """
-
     return Effect(
         f"{slot}.hysteresis",
         slot,
@@ -216,7 +215,8 @@ def body(
         name: name of the effect after the slot.
     """
     coefficients = _make_initial_state(start_unit, start, slot), Coefficient("1", Known(1.0))
-    equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)"
+    decay = behind.equation.removeprefix("T → ").partition(",")[0].replace("T̃", "e")
+    equation = f"{behind.equation},  τ·dT̃/dt = T − T̃;  {slot} + d[run]·[{decay}],  e(τ) = exp(−(t − t_start)/τ)"
     options: dict[str, Any] = {"low": low, "high": high, "source": source, "column": column}
     basis = partial(_evaluate_body, behind.modes)
     effect = _make_effect(slot, name, basis, coefficients, equation, behind.shapes, **options)

@@ -211,30 +211,27 @@ class DrawnQuantity:
     @property
     def uncertainty(self) -> float:
         """Return the standard uncertainty; over a range, the larger of those of the lowest and the highest value."""
-        low, high = self.values.min(axis=1), self.values.max(axis=1)
-        return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
+        return float(max(np.std(values, ddof=1) for values in self.extremes))
 
     @cached_property
-    def ends(self) -> DrawnQuantity:
-        """Reduce each draw to its minimum and maximum if the scatter is equal at all points; else return all points."""
-        if np.ptp(self.scatter) > 0:
-            return self
-        ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
-        scores = None if self.scores is None else np.tile(self.scores[0], (2, 1))
-        return DrawnQuantity(ends, np.tile(self.scatter[0], 2), scores)
+    def extremes(self) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
+        """Return the lowest and the highest value of each draw over the range."""
+        return self.values.min(axis=1), self.values.max(axis=1)
 
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
-        """Return the probability of conformity of the posterior shifted by `shift`."""
-        values, scatter, scores = self.ends.values + shift, self.ends.scatter, self.ends.scores
-        if not scatter.any():
-            return float(np.mean(np.all((values >= limits.low) & (values <= limits.high), axis=1)))
-        # The probability of one reading is unimodal in its value: with equal scatter its minimum is at an end.
-        z = (limits.low - values) / scatter, (limits.high - values) / scatter
-        if scores is not None:
-            pairs = list(enumerate(scores))
+        """Return the probability of conformity of the posterior shifted by `shift`.
+
+        Of all points without scatter; with scatter, of one reading at the least favourable point.
+        """
+        if not self.scatter.any():
+            lowest, highest = self.extremes
+            return float(np.mean((lowest + shift >= limits.low) & (highest + shift <= limits.high)))
+        z = ((limit - shift - self.values) / self.scatter for limit in limits)
+        if self.scores is not None:
+            pairs = list(enumerate(self.scores))
             z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in pairs]) for e in z)
         below, above = map(ndtr, z)
-        return float(np.mean(np.min(above - below, axis=1)))
+        return float(np.min(np.mean(above - below, axis=0)))
 
     def probability_error(self, p: float) -> float:
         """Return the Monte-Carlo standard error of a probability; an upper bound for readings with scatter."""
