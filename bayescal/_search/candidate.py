@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
@@ -13,7 +14,6 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import check_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
-from bayescal._inference.density import Density
 from bayescal._inference.linear_model import find_amplitude
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
@@ -113,7 +113,7 @@ def summarise_candidate(
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
         factor = fit_with.log_evidence - fit.log_evidence
-        fitted_fields = _measure_fitted_size(structures.candidates[form], fit_with)
+        fitted_fields = _measure_fitted_size(structures, structures.candidates[form], fit_with)
         return replace(candidate, log_bayes_factor=factor, source="refit", **fitted_fields)
     if not points:
         return candidate
@@ -133,7 +133,9 @@ def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) ->
     return tuple(claims)
 
 
-def _measure_fitted_size(effect, fit: EvaluatedStructure) -> dict:
+def _measure_fitted_size(
+    structures: Structures, effect: Effect, fit: EvaluatedStructure
+) -> dict[str, Any]:
     """Return an effect's size with its uncertainty, and its shapes, at the mode of a fit."""
     problem, mode = fit.problem, fit.mode
     hyper = problem.hyper(mode.v)
@@ -145,11 +147,10 @@ def _measure_fitted_size(effect, fit: EvaluatedStructure) -> dict:
     if amplitude := find_amplitude(effect, problem, mode):
         return {"size": amplitude[0], "size_sd": amplitude[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
-    _, conditional = Density(problem, mode.x, mode.flat, mode.v).condition_at(mode.v)
-    # The uncertainty is conditional on φ̂ (fixed noise and shapes), as in a score.
-    first_index = term.x_slice.start
-    sd = 0.0 if conditional is None else math.sqrt(conditional.covariance[first_index, first_index])
-    return {"size": float(mode.x[first_index]), "size_sd": sd, "shape": shapes}
+    # The uncertainty includes that of shapes, to first order.
+    i = term.x_slice.start
+    sd = structures.linearise(fit).uncertainty(i)
+    return {"size": float(mode.x[i]), "size_sd": sd, "shape": shapes}
 
 
 def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:

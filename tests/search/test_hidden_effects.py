@@ -97,6 +97,14 @@ def test_no_effect_is_added_where_none_is_hidden() -> None:
     assert trail.gate.ok
 
 
+def test_the_size_of_a_candidate_is_as_uncertain_as_in_a_fit_with_it() -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=71)
+    fit = bc.fit(INSTRUMENT.baseline() + "bias.thermal_lag", readings)
+    (found,) = (c for c in bc.discover(fit).candidates if c.effect == "bias.reference_voltage")
+    with_it = bc.fit(fit.model + found.effect, readings, strict=False)
+    assert found.size_sd == pytest.approx(np.std(with_it.samples(found.effect)), rel=0.3)
+
+
 def test_effect_outside_the_catalogue_is_reported() -> None:
     """Humidity acts and is recorded, but no candidate knows it: the check must name it."""
     readings = mems_gyro.simulate({"unlisted.humidity": 0.04}, seed=51)
