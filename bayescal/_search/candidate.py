@@ -14,7 +14,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.judgement import check_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
-from bayescal._inference.linear_model import find_amplitude
+from bayescal._inference.linear_model import find_amplitude, linearise_model
 from bayescal._model.effect import Effect, Role
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, Scores, log_mean_bayes_factor
@@ -113,7 +113,7 @@ def summarise_candidate(
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
         factor = fit_with.log_evidence - fit.log_evidence
-        fitted_fields = _measure_fitted_size(structures, structures.candidates[form], fit_with)
+        fitted_fields = _measure_fitted_size(structures.candidates[form], fit_with)
         return replace(candidate, log_bayes_factor=factor, source="refit", **fitted_fields)
     if not points:
         return candidate
@@ -133,9 +133,7 @@ def flag_off_scale(library: Library, points: Scores, fit: EvaluatedStructure) ->
     return tuple(claims)
 
 
-def _measure_fitted_size(
-    structures: Structures, effect: Effect, fit: EvaluatedStructure
-) -> dict[str, Any]:
+def _measure_fitted_size(effect: Effect, fit: EvaluatedStructure) -> dict[str, Any]:
     """Return an effect's size with its uncertainty, and its shapes, at the mode of a fit."""
     problem, mode = fit.problem, fit.mode
     hyper = problem.hyper(mode.v)
@@ -149,7 +147,7 @@ def _measure_fitted_size(
     term = next(t for t in problem.in_x if t.effect.name == effect.name)
     # The uncertainty includes that of shapes, to first order.
     i = term.x_slice.start
-    sd = structures.linearise(fit).uncertainty(i)
+    sd = linearise_model(problem, mode).uncertainty(i)
     return {"size": float(mode.x[i]), "size_sd": sd, "shape": shapes}
 
 

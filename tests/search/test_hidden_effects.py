@@ -101,8 +101,8 @@ def test_the_size_of_a_candidate_is_as_uncertain_as_in_a_fit_with_it() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=71)
     fit = bc.fit(INSTRUMENT.baseline() + "bias.thermal_lag", readings)
     (found,) = (c for c in bc.discover(fit).candidates if c.effect == "bias.reference_voltage")
-    with_it = bc.fit(fit.model + found.effect, readings, strict=False)
-    assert found.size_sd == pytest.approx(np.std(with_it.samples(found.effect)), rel=0.3)
+    sizes = bc.fit(fit.model + found.effect, readings, strict=False).samples(found.effect)
+    assert found.size_sd == pytest.approx(np.std(sizes), rel=0.3)
 
 
 def test_effect_outside_the_catalogue_is_reported() -> None:
