@@ -78,8 +78,7 @@ def test_the_lag_of_a_step_is_exponential() -> None:
     data = pd.DataFrame({"run": 1, "time": time, "temperature": air})
     lag = FORMULAS["lag"](data, "temperature", "run", tau=8.0)[:, 0]
     assert lag[2:] == pytest.approx(lag[1] * np.exp(-(time[2:] - 1) / 8.0), rel=1e-12)
-    fine = np.linspace(0, 1, 11)[:, None] * np.ones(
-        (1, 1)
-    )  # the same ramp to the step, by small steps
+    # the same ramp to the step, by small steps
+    fine = np.linspace(0, 1, 11)[:, None] * np.ones((1, 1))
     follows = body(np.concatenate([fine[:, 0], np.ones(1)]), 0.1, 8.0)
     assert lag[1] == pytest.approx(follows[10] - 1, abs=0.01)

@@ -157,9 +157,8 @@ def test_values_have_their_documented_meaning(written: dict[str, Any]) -> None:
 
 
 def test_candidates_come_in_order_of_probability(data: dict[str, Any]) -> None:
-    assert (
-        data["missing"] or not data["search"]["weighed"] or len(data["steps"]) == 1
-    )  # or nothing was sought
+    # or nothing was sought
+    assert data["missing"] or not data["search"]["weighed"] or len(data["steps"]) == 1
     for missing in data["missing"]:
         probabilities = [c["probability"] for c in missing["candidates"]]
         tested = [p for p in probabilities if p is not None]

@@ -50,9 +50,8 @@ def test_scheduler_and_workers_listen_on_this_computer_alone() -> None:
 def test_workers_run_nothing_of_the_current_folder(tmp_path, monkeypatch) -> None:
     folder = strangers_folder(tmp_path)
     monkeypatch.chdir(folder)
-    monkeypatch.setenv(
-        "PYTHONSAFEPATH", ""
-    )  # which is set for the workers, and put back after the test
+    # which is set for the workers, and put back after the test
+    monkeypatch.setenv("PYTHONSAFEPATH", "")
     with cluster_of(1) as client:
         settings = client.submit(importlib.import_module, "arviz_base.rcparams")
         assert client.submit(lambda m: m.rcParams["stats.ci_prob"], settings).result() == 0.89

@@ -10,6 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.inside import DeviceResult
 from tests.support.made_up.gyro_lot import MODEL
 
 HIDDEN = {"bias.thermal_lag": 0.05}  # °/s per °C
@@ -60,3 +61,19 @@ def test_a_device_unlike_the_others_is_named(tmp_path) -> None:
     pd.concat(rows).to_parquet(tmp_path / "lot.parquet")
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet")
     assert list(found.odd) == ["D17"] and "bias.constant" in found.odd["D17"][0]
+
+
+def test_the_spread_in_the_population_is_of_devices_with_the_same_effects() -> None:
+    """A device's temperature coefficient differs beside another effect, which alone explains the difference."""
+
+    def device(name: str, *values: float) -> DeviceResult:
+        names = ("bias.temperature", "bias.voltage")[: len(values)]
+        covariance = 1e-4 * np.eye(len(values))
+        return DeviceResult(name, "", names, ("K",) * len(values), np.array(values), covariance)
+
+    values = (1.0, 1.01, 0.99, 1.0, 1.005)
+    fits = (*(device(f"D{i}", v) for i, v in enumerate(values)), device("D9", 0.3, 0.7))
+    found = bc.BatchResult(fits, {"method": "least-squares"})
+    row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
+    assert row["population sd"] == 0 and row["between devices"] < 0.01 and row["devices"] == 5
+    assert "D9: with other effects than most" in str(found)

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from tests.support.inside import DeviceStructure, estimate_shares
+from tests.support.inside import (
+    DeviceStructure,
+    estimate_shares,
+    find_favoured_effects,
+    tabulate_effects,
+)
 
 NAMES, PRIOR, POINTS = ("lag", "voltage", "run"), 0.02, 40
 SETS = [s for count in range(4) for s in itertools.combinations(NAMES, count)]
@@ -64,9 +69,8 @@ def test_intervals_of_shares_cover() -> None:
         true = {"lag": rng.random(), "voltage": rng.random() * (seed % 2)}
         found = estimate_shares(fleet(rng, 30, true, size=6.0)[0], seed, size=400)
         covered += [found.low[n] <= share <= found.high[n] for n, share in true.items() if share]
-    assert (
-        len(covered) == 90 and sum(covered) >= 79
-    )  # of 95 %, less than one time in a hundred fewer
+    # of 95 %, less than one time in a hundred fewer
+    assert len(covered) == 90 and sum(covered) >= 79
 
 
 def test_an_effect_that_a_device_cannot_show_is_not_counted_there() -> None:
@@ -74,3 +78,14 @@ def test_an_effect_that_a_device_cannot_show_is_not_counted_there() -> None:
     cannot = DeviceStructure({}, {(): 0.0})
     found = estimate_shares([shows] * 5 + [cannot] * 45).loc["lag"]
     assert found.expected == pytest.approx(5) and found.low > 0.5
+
+
+def test_a_device_gets_the_effects_that_the_fleet_favours() -> None:
+    prior = dict.fromkeys(NAMES, PRIOR)
+    sure = DeviceStructure(prior, {(): -40.0, ("lag",): 0.0}, ("lag",), frozenset({"lag"}))
+    log = {(): -40.0, ("lag",): -1.0, ("voltage",): 0.0}
+    open_one = DeviceStructure(prior, log, ("voltage",), frozenset({"voltage"}))
+    table = tabulate_effects([*[sure] * 8, open_one])
+    assert table.set_index("effect")["in fleet"]["voltage"] < 0.5
+    assert find_favoured_effects(open_one, table) == ("lag",)
+    assert find_favoured_effects(sure, table) == ("lag",)

@@ -441,9 +441,8 @@ def test_numpyro_program_has_the_same_density(model) -> None:
         sites = {h.name: hyper[h.name] for h in layout.hypers}
         x, ours = [], layout.log_prior(v)
         for i, h in enumerate(layout.hypers):
-            ours -= jnp.log(
-                jax.grad(h.prior.value)(v[i])
-            )  # density in the value, not in its coordinate
+            # density in the value, not in its coordinate
+            ours -= jnp.log(jax.grad(h.prior.value)(v[i]))
         for block in layout.x_blocks:
             z = jnp.asarray(rng.normal(size=block.size))
             c = block.coefficient

@@ -103,9 +103,8 @@ def test_the_spline_table_goes_through_its_knots() -> None:
     frame = frame_of(readings)
     basis = np.asarray(model.EFFECTS["zero.table"].evaluate(frame, {}))
     np.testing.assert_allclose(basis[:7], np.eye(7), atol=1e-12)
-    np.testing.assert_allclose(
-        basis @ model.KNOT_ANGLES_RAD, angles, atol=1e-12
-    )  # lines stay lines, beyond the table too
+    # lines stay lines, beyond the table too
+    np.testing.assert_allclose(basis @ model.KNOT_ANGLES_RAD, angles, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -172,9 +171,8 @@ def test_the_exact_law_inverts_the_equation(lines, table) -> None:
     assert worst < 1e-3 * ARCSEC
     assert made.passes <= 6
     crude = inclinometer.compensate(lines, x, y, law="document")
-    assert (
-        np.abs(crude.x - table.true_x).max() > 1e-3 * ARCSEC
-    )  # ω taken from an uncompensated reading
+    # ω taken from an uncompensated reading
+    assert np.abs(crude.x - table.true_x).max() > 1e-3 * ARCSEC
 
 
 def test_residual_of_line_compensation_has_the_published_size(lines) -> None:

@@ -75,9 +75,8 @@ def test_declared_effects_are_recovered() -> None:
         assert row.mean == pytest.approx(row.truth, abs=4 * (row.sd or 0.0))
     temperature = of(found, "zero.temperature")
     assert temperature.unit == "Pa/degC" and temperature.kind == "candidate"
-    assert temperature.adds == pytest.approx(
-        0.1 * 20 * 0.01, rel=0.1
-    )  # hPa, at 20 °C from the middle
+    # hPa, at 20 °C from the middle
+    assert temperature.adds == pytest.approx(0.1 * 20 * 0.01, rel=0.1)
     assert list(found.to_pandas().index) == names
 
 

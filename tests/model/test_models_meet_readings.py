@@ -91,9 +91,8 @@ def test_each_member_of_a_declared_group_has_its_deviation(tmp_path) -> None:
     found = {name: float(means.sel(station=name)) for name in BIASES}
     assert found["cellar"] - found["hall"] == pytest.approx(0.3, abs=0.03)
     assert found["roof"] - found["hall"] == pytest.approx(-0.2, abs=0.03)
-    new = bc.predict(
-        fitted, station_readings(["garden"] * 3)
-    )  # a station that was not there has its own
+    # a station that was not there has its own
+    new = bc.predict(fitted, station_readings(["garden"] * 3))
     assert (np.asarray(new.sd) > 0.1).all()
     path = fitted.save(tmp_path / "c.nc")
     assert bc.load(path, effects=[STATION], instruments=[WITH_STATIONS]).levels["station"] == (

@@ -207,9 +207,8 @@ def test_an_interval_has_the_digits_of_its_error() -> None:
 
 
 def test_a_skewed_unknown_is_no_symmetric_one() -> None:
-    readings = mems_gyro.INSTRUMENT.simulate(
-        {}, seed=1
-    )  # without a warm-up, whose time is then open
+    # without a warm-up, whose time is then open
+    readings = mems_gyro.INSTRUMENT.simulate({}, seed=1)
     line = "warm: a * exp(-elapsed / tau); a = 0.1 deg/s; tau = 5 min"
     warm = bc.effect(line, readings=readings, instrument=mems_gyro.INSTRUMENT)
     printed = str(bc.fit(mems_gyro.INSTRUMENT.baseline() + warm, readings, bc.LeastSquares()))

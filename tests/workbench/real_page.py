@@ -115,9 +115,8 @@ class Seen:
         """Add a candidate, and wait for the state with it."""
         before = len(self.steps())
         self.page.get_by_role("button", name=f"Add {effect}", exact=True).click()
-        self.page.wait_for_function(
-            "n => window.document && n >= 0", arg=before
-        )  # the page is not frozen
+        # the page is not frozen
+        self.page.wait_for_function("n => window.document && n >= 0", arg=before)
         self.page.locator(f'tr[data-row="{before}"]').wait_for()
         return self
 

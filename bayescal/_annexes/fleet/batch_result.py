@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,14 @@ MAX_PRINTED_ROWS = 10  # devices, files or effects listed in printed results
 MAX_NAMES_PER_REASON = 3  # names printed of devices or files with the same reason
 SCHEMA = pa.schema(
     {
-        **{"device": pa.string(), "coefficient": pa.string()},
-        **{"mean": pa.float64(), "sd": pa.float64(), "unit": pa.string()},
-        **{"ok": pa.bool_(), "reason": pa.string()},
+        **{"device": pa.string(), "coefficient": pa.string(), "mean": pa.float64()},
+        **{"sd": pa.float64(), "unit": pa.string(), "ok": pa.bool_(), "reason": pa.string()},
         **{"covariance": pa.list_(pa.float64()), "readings": pa.float64(), "T0": pa.float64()},
     }
 )
 COEFFICIENTS = ["coefficient", "median", "between devices", "population sd", "typical sd"]
 COEFFICIENTS += ["unit", "devices"]
+SAVED = ("checked", "odd", "missing", "left_out", "about", "revised")  # attributes of a batch
 TABLE_COLUMNS = SCHEMA.names[:7]  # of `BatchResult.table`
 
 
@@ -57,7 +58,6 @@ def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "
     return [*lines, f"  … and {n_more} more{suffix}"] if n_more > 0 else lines
 
 
-# Column headers of printed tables.
 HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
 HEADERS |= {"typical sd": "standard uncertainty (median)"}
 EFFECT_HEADERS = {"devices": "devices found in", "possible": "devices possibly found in"}
@@ -79,6 +79,8 @@ def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
+OTHER_EFFECTS = "with other effects than most; only in the rows of coefficients that most lack"
+IMPROBABLE = "  {}: do not use before another test: {} was found, but is improbable in the fleet"
 NO_SEARCH = "no device was searched for missing effects (option --find, or find=True)"
 
 
@@ -183,6 +185,7 @@ class BatchResult:
         missing: unreadable file → error message.
         left_out: entry of a folder of readings that was not read → reason.
         effects: table of the effects found by `find`: number of devices with each, and its share of the fleet.
+        revised: device whose own search found an effect improbable in the fleet → this, and the effects fitted instead.
     """
 
     results: tuple[DeviceResult, ...]
@@ -192,10 +195,17 @@ class BatchResult:
     missing: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECTS))
+    revised: dict[str, str] = field(default_factory=dict)
 
     @cached_property
     def _by_name(self) -> dict[str, DeviceResult]:
         return {fit.device: fit for fit in self.results}
+
+    @cached_property
+    def _effects(self) -> dict[str, str]:
+        """Return the unknowns of each reliable fit as text, by device, without noise and members of groups."""
+        names = {fit.device: [n for n in fit.names if n[:6] != "noise."] for fit in self if fit.ok}
+        return {d: ", ".join(dict.fromkeys(n.partition("(")[0] for n in names[d])) for d in names}
 
     @property
     def devices(self) -> tuple[str, ...]:
@@ -244,9 +254,13 @@ class BatchResult:
 
         Columns: median and experimental standard deviation of the estimates; standard deviation in the population,
         without the estimates' uncertainties (restricted likelihood); median standard uncertainty; unit; device count.
+        A coefficient may mean something else beside other effects: of the devices with it, only those with the most
+        frequent set of effects are included.
         """
 
         def summarise(name: str, unit: str, fits: pd.DataFrame) -> list[Any]:
+            sets = np.array([self._effects[device] for device in fits["device"]])
+            fits = fits.loc[sets == mode(sets)]
             mean, sd, population_sd = fits["mean"].to_numpy(), fits["sd"].to_numpy(), np.nan
             if len(fits) > 1 and np.isfinite(sd).all():
                 population_sd = np.sqrt(estimate_population(mean, sd**2)[1])
@@ -259,17 +273,11 @@ class BatchResult:
 
     def to_json_data(self) -> dict[str, Any]:
         """Return a summary of the batch as JSON data, without the results of single devices."""
-        return ws.as_json(
-            {
-                "schema": FORMAT,
-                "devices": len(self),
-                "fitted": self.fitted,
-                "not_fitted": list(self.unreliable),
-                **{n: getattr(self, n) for n in ("checked", "odd", "missing", "left_out", "about")},
-                "coefficients": self.coefficients().to_dict("records"),
-                "effects": self.effects.to_dict("records"),
-            }
-        )
+        counts = {"schema": FORMAT, "devices": len(self), "fitted": self.fitted}
+        saved = {"not_fitted": list(self.unreliable), **{n: getattr(self, n) for n in SAVED}}
+        tables = {"coefficients": self.coefficients(), "effects": self.effects}
+        records = {name: table.to_dict("records") for name, table in tables.items()}
+        return ws.as_json(counts | saved | records)
 
     def save(self, path: str | Path) -> Path:
         """Write the results to a Parquet file, which `load_batch` reads; return its path.
@@ -301,13 +309,16 @@ class BatchResult:
         lines += format_reasons(self.missing, "no results of ", " files")
         lines += format_reasons(self.left_out, "not read: ", ", not read either")
         lines += [format_table(self.coefficients(), 4, HEADERS)] * bool(self.fitted)
+        most = mode(self._effects.values() or [""])
+        lines += format_reasons({d: OTHER_EFFECTS for d, e in self._effects.items() if e != most})
         if len(effects := self.effects.head(MAX_PRINTED_ROWS)):
             table = effects.assign(**{"in fleet": effects["in fleet"].map(ws.probability)})
             lines += ["effects missing from the model:", format_table(table, 3, EFFECT_HEADERS)]
             for name in effects.query("devices > 0 and `in fleet` < 0.5")["effect"]:
                 has_it = self.table()["coefficient"].str.match(rf"{name}(?!\w)", na=False)
                 devices = ", ".join(dict.fromkeys(self.table()["device"][has_it]))
-                lines.append(f"{name}: found in {devices}, but improbable in the fleet")
+                lines += [IMPROBABLE.format(devices, name)] * bool(devices)
+            lines += format_reasons(self.revised)
         return "\n".join(lines)
 
 
@@ -322,13 +333,13 @@ def load_batch(path: str | Path) -> BatchResult:
         raise bc.InputError(f"{path} does not exist: give the file of a batch saved by bayescal")
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        metadata = ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
+        metadata = {"revised": {}} | ws.parsed_json((table.schema.metadata or {})[b"bayescal"])
         if metadata["schema"] != FORMAT:
             raise KeyError(metadata["schema"])
         return BatchResult(
             _split_by_device(table.select(SCHEMA.names).cast(SCHEMA)),
             effects=pd.DataFrame(metadata["effects"], columns=EFFECTS),
-            **{n: metadata[n] for n in ("about", "odd", "checked", "missing", "left_out")},
+            **{n: metadata[n] for n in SAVED},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
         raise bc.InputError(

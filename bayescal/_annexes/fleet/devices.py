@@ -60,8 +60,7 @@ class Devices:
         return Devices(tuple(names), accepted, refused)
 
     def __repr__(self) -> str:
-        count = sum(map(len, self))
-        return f"<{count} readings of {len(self)} devices, {len(self.refused)} of them refused>"
+        return f"<{sum(map(len, self))} readings of {len(self)} devices, {len(self.refused)} of them refused>"
 
     @classmethod
     def of_files(cls, by_file: Mapping[Path, Devices]) -> Devices:
@@ -73,9 +72,9 @@ class Devices:
             refused = devices.refused | refused
             for name in devices.names:
                 if (other := first_files.setdefault(name, file)) != file:
+                    files = f"{other.name!r} and {file.name!r}"
                     refused[name] = (
-                        f"device {name!r} is in several files, {other.name!r} and {file.name!r}: combine its readings "
-                        "in one file"
+                        f"device {name!r} is in several files, {files}: combine its readings in one file"
                     )
         accepted = {name: m for name, m in measurements.items() if name not in refused}
         return cls(tuple(first_files), accepted, refused)

@@ -72,16 +72,11 @@ def _open_local_cluster(workers: int | None) -> LocalCluster:
     os.environ["PYTHONSAFEPATH"] = "1"
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
+    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    options |= {"host": LOOPBACK_ADDRESS, "dashboard_address": f"{LOOPBACK_ADDRESS}:0"}
+    options |= {"security": Security.temporary(), "scheduler_kwargs": {"dashboard": False}}
     with dask.config.set(settings):
-        return LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host=LOOPBACK_ADDRESS,
-            security=Security.temporary(),
-            dashboard_address=f"{LOOPBACK_ADDRESS}:0",
-            scheduler_kwargs={"dashboard": False},
-        )
+        return LocalCluster(**options)
 
 
 def dask_setup(_: Any) -> None:
@@ -126,13 +121,10 @@ def _iterate_outcomes(
         return
     import dask.config
 
-    executor = client.get_executor(pure=False, retries=MAX_TASK_RETRIES)
+    submit = client.get_executor(pure=False, retries=MAX_TASK_RETRIES).submit
     # A task contains the readings of its devices.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
-        futures = {
-            executor.submit(run_guarded, function, task, settings): index
-            for index, task in enumerate(tasks)
-        }
+        futures = {submit(run_guarded, function, t, settings): i for i, t in enumerate(tasks)}
     last_active = now = time.monotonic()  # last time with a worker, s
     while futures and not deadline.over and now <= last_active + WORKER_TIMEOUT_S:
         completed, _ = wait(futures, POLL_INTERVAL_S, FIRST_COMPLETED)

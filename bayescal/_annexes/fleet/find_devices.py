@@ -11,14 +11,14 @@ Geman and D. Geman, IEEE Trans. Pattern Anal. 6 (1984) 721). For a fleet of one,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.special import expit
+from scipy.special import expit, logit
 
 import bayescal as bc
 from bayescal import workshop as ws
@@ -143,46 +143,45 @@ def estimate_shares(
         return has_effect[is_drawn]
 
     share, in_fleet = prior, np.ones(len(names), dtype=bool)
-    share_draws, count_draws, in_fleet_draws = [], [], []
+    samples = []
     for i in range(BURN_IN + size):
         counts = draw_effects(np.where(in_fleet, share, 0.0)).sum(axis=0).astype(int)
         share = rng.beta(1.0 + counts, 1.0 + n_observable - counts)
         if i >= BURN_IN // 2:  # before, all effects are in the fleet, to reach devices
             in_fleet = (counts > 0) | (rng.random(len(counts)) < unseen_probability)
         if i >= BURN_IN:
-            share_draws.append(share)
-            count_draws.append(counts)
-            in_fleet_draws.append(in_fleet)
-    low, high = np.quantile(share_draws, (0.025, 0.975), axis=0)
-    columns = {
-        "in fleet": np.mean(in_fleet_draws, axis=0),
-        "expected": np.mean(count_draws, axis=0),
-        "share": np.mean(np.where(in_fleet_draws, share_draws, 0.0), axis=0),
-        "low": low,
-        "high": high,
-    }
-    return pd.DataFrame(columns, index=names)
+            samples.append((in_fleet, counts, np.where(in_fleet, share, 0.0), share))
+    *means, share_draws = map(np.array, zip(*samples, strict=True))
+    limits = np.quantile(share_draws, (0.025, 0.975), axis=0)
+    columns = (*(np.mean(draws, axis=0) for draws in means), *limits)
+    return pd.DataFrame(dict(zip(EFFECTS[3:], columns, strict=True)), index=names)
 
 
-def build_common_model(
+def find_favoured_effects(structure: DeviceStructure, table: pd.DataFrame) -> tuple[str, ...]:
+    """Return a device's most probable set of effects, given the fleet's expected shares in the table of effects."""
+    share = table.set_index("effect")["share"].clip(MIN_SHARE, MAX_SHARE)
+    odds, log_evidence = dict(logit(share)), structure.log_evidence
+    prior = {s: sum(odds.get(n, logit(MIN_SHARE)) for n in s) for s in log_evidence}
+    return max(log_evidence, key=lambda effects: log_evidence[effects] + prior[effects])
+
+
+def add_effects(
     model: bc.Model,
     structures: Sequence[DeviceStructure],
-    table: pd.DataFrame,
     candidates: Sequence[bc.Effect],
+    families: Collection[str],
 ) -> bc.Model:
-    """Add the effects that the fleet probably has to the model, so that one model fits all devices.
+    """Add families of effects to the model of all devices, each in the form that most devices have.
 
-    Of a family, the form that most devices have is added; placeholders are not added. `table` is the result of
-    `tabulate_effects`; `candidates` are user-defined effects.
+    Placeholders are not added; `candidates` are user-defined effects.
     """
-    in_fleet = {*table.loc[table["in fleet"] >= ws.settings().found_probability, "effect"]}
     by_name = {e.name: e for candidate in candidates for e in (candidate, *candidate.forms)}
     effect_counts = Counter(name for structure in structures for name in structure.effects)
     for name, _ in effect_counts.most_common():  # of a family its most frequent form
         effect = by_name.get(name) or model.instrument.effect(name)
         effects = {e.family or e.name for e in model.effects}
         family = effect.family or name
-        if family in in_fleet and family not in effects and not effect.is_placeholder:
+        if family in families and family not in effects and not effect.is_placeholder:
             model = model + effect
     return model
 
@@ -194,13 +193,11 @@ def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd
     which at least one is missing. From all devices jointly: `in fleet`: probability that any has it; `expected`:
     expected number with it; `share`: their share, with its 95 % interval `low`, `high` if any device has it.
     """
-    in_structure = Counter(name for structure in structures for name in structure.families)
-    possible = Counter(name for structure in structures for name in structure.possible)
-    table = estimate_shares(structures, seed)
-    table["effect"] = table.index
-    table["devices"] = [in_structure[name] for name in table.index]
-    table["possible"] = [possible[name] for name in table.index]
-    is_found = (table["devices"] > 0) | (table["possible"] > 0)
+    table = estimate_shares(structures, seed).rename_axis("effect").reset_index()
+    for column, sets in (("devices", "families"), ("possible", "possible")):
+        count = Counter(name for structure in structures for name in getattr(structure, sets))
+        table[column] = [count[name] for name in table["effect"]]
+    is_found = (table[["devices", "possible"]] > 0).any(axis=1)
     table = table[is_found | (table["expected"] > MIN_EXPECTED_DEVICES)]
     order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
     return table.sort_values(**order)[EFFECTS]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +17,18 @@ import pandas as pd
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet import batch_result
+from bayescal._annexes.fleet import batch_result, find_devices
 from bayescal._annexes.fleet.batch_result import BatchResult, DeviceResult, format_reasons
 from bayescal._annexes.fleet.devices import Devices, list_files, read_devices
 from bayescal._annexes.fleet.engine import run_tasks
-from bayescal._annexes.fleet.find_devices import build_common_model, search_device, tabulate_effects
+from bayescal._annexes.fleet.find_devices import search_device, tabulate_effects
 from bayescal._annexes.fleet.fit_devices import Reference, Request, fit_devices
 from bayescal._annexes.fleet.odd_devices import find_outlying_devices
 
 if TYPE_CHECKING:
     from distributed import Client
 
+REVISED = "alone, its readings favour {}, which is improbable in the fleet; fitted with the fleet's instead: {}"
 MAX_READINGS_PER_FIT_TASK = 500_000  # they take 0.6 GB of a worker's memory, JAX included
 MAX_READINGS_PER_SEARCH_TASK = 5_000  # so that a worker's death costs no more than a minute or two
 
@@ -149,8 +151,7 @@ def fit_batch(
     with ws.deadline.until(time_limit):
         if paths:
             files, skip_reasons = list_files([path.resolve() for path in paths])
-            lines = format_reasons(skip_reasons, "not read: ")
-            ws.print_notes(line.strip() for line in lines)
+            ws.print_notes(line.strip() for line in format_reasons(skip_reasons, "not read: "))
             devices, missing = read_files(files, model, read_options, client)
         else:
             devices = (
@@ -173,23 +174,32 @@ def _fit_and_compare(
     model, reference = request.model, request.reference
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
-    about = {
-        "instrument": model.instrument.name,
-        "effects": list(model.names),
-        "noise": model.noise.law,
-        "method": request.method.name,
-        "seed": request.seed,
-        "reference": {k: v for k, v in reference.items() if not isinstance(v, dict)},
-    }
+    about = {"instrument": model.instrument.name, "effects": list(model.names)}
+    about |= {"noise": model.noise.law, "method": request.method.name, "seed": request.seed}
+    about["reference"] = {k: v for k, v in reference.items() if not isinstance(v, dict)}
     about |= {"settings": settings} if (settings := ws.changed_settings()) else {}
-    result = BatchResult(results, about)
-    if not any(fit.names for fit in result):
-        reasons = result.unreliable | missing
+    if not any(fit.names for fit in results):
+        reasons = BatchResult(results, about).unreliable | missing
         lines = "\n".join(format_reasons(reasons)).strip()
         raise bc.InputError(f"no device can be used: {lines or 'there are no devices'}")
-    structures = [fit.structure for fit in results if fit.structure is not None]
-    effects = tabulate_effects(structures, request.seed)
-    common_model = build_common_model(model, structures, effects, request.candidates)
+    structures = {fit.device: fit.structure for fit in results if fit.structure is not None}
+    searched, revised = [*structures.values()], dict[str, str]()
+    add_effects = partial(find_devices.add_effects, model, searched, request.candidates)
+    effects = tabulate_effects(searched, request.seed)
+    probable = {*effects.query("`in fleet` >= 0.5 and devices > 0")["effect"]}
+    for name, structure in structures.items():
+        if not structure.families <= probable:
+            favoured = find_devices.find_favoured_effects(structure, effects)
+            refit = replace(request, model=add_effects(favoured), find=False)
+            added = refit.model.names[len(model.names) :]
+            if probable >= {*favoured} and len(added) == len(favoured):
+                (new_fit,) = fit_all(client, refit, devices.select([name]))
+                fits = {name: new_fit} if new_fit.ok else {}
+                results = tuple(fits.get(fit.device, fit) for fit in results)
+                message = REVISED.format(", ".join(structure.effects), ", ".join(added) or "none")
+                revised |= dict.fromkeys(fits, message)
+    in_fleet = effects["effect"][effects["in fleet"] >= ws.settings().found_probability]
+    common_model = add_effects([*in_fleet])
     if shapes := _compute_median_shapes(common_model, model, results):
         common_model = common_model.fix(shapes)
     t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
@@ -201,7 +211,7 @@ def _fit_and_compare(
         request = replace(request, model=common_model, find=False)
         comparable_fits = fit_all(client, request, devices)
     outliers = find_outlying_devices(comparable_fits, t0, common_model.noise.parameters())
-    return replace(result, odd=outliers, checked=len(structures), effects=effects)
+    return BatchResult(results, about, outliers, len(searched), effects=effects, revised=revised)
 
 
 def _compute_median_shapes(
@@ -216,8 +226,6 @@ def _compute_median_shapes(
 
 def _list_paths(readings: Any) -> list[Path]:
     """Return the paths of files, if `readings` are paths; else an empty list."""
-    if isinstance(readings, str | Path):
-        return [Path(readings)]
-    if isinstance(readings, Devices | Mapping):
-        return []
-    return [Path(p) for p in readings] if all(isinstance(p, str | Path) for p in readings) else []
+    entries = [readings] if isinstance(readings, str | Path) else [*readings]
+    is_path = (isinstance(entry, str | Path) for entry in entries)
+    return [Path(e) for e in entries] if all(is_path) and not isinstance(readings, Mapping) else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 from typer import Argument
 
@@ -40,19 +41,11 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         if ws.is_file_reference(self.instrument):  # the workers need the user's Python files too
             user_files.append(Path(self.instrument.rpartition(":")[0]))
         cluster = open_cluster(self.workers, self.scheduler, user_files)
+        options: dict[str, Any] = {"seed": self.seed, "out": self.out, "find": self.find}
+        options |= {"method": ws.create_method(self.method), "columns": self.read_options()}
+        options |= {"reference": ws.parse_numbers(self.reference, "--reference")}
         with cluster if self.workers or self.scheduler else nullcontext() as client:
-            batch = bc.fit_batch(
-                model,
-                self.files,
-                method=ws.create_method(self.method),
-                seed=self.seed,
-                reference={**ws.parse_numbers(self.reference, "--reference")},
-                client=client,
-                out=self.out,
-                columns=self.read_options(),
-                find=self.find,
-                effects=effects,
-            )
+            batch = bc.fit_batch(model, self.files, client=client, effects=effects, **options)
         self.save_options()
         n_failed, n_unread = len(batch) - batch.fitted, len(batch.missing)
         messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
