@@ -66,10 +66,7 @@ def test_options_that_are_printed_can_be_pasted(tmp_path: Path, header: str) -> 
 def test_log_of_a_whole_unit_needs_no_options(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     log = simulate_log(seed=5, campaign=MovesByHand(poses=12, still=3.0, move=2.0))
-    kinds = {
-        "sensor_gyro": ("gyro", np.pi / 180),
-        "sensor_accel": ("accel", 9.80665),
-    }
+    kinds = {"sensor_gyro": ("gyro", np.pi / 180), "sensor_accel": ("accel", 9.80665)}
     topics = {t: {a: s * log[f"{k}_{a}"] for a in "xyz"} for t, (k, s) in kinds.items()}
     path = write_ulog_topics(tmp_path / "unit.ulg", log["time"] + 1.0, topics)
     done = run("imu", path, "--baseline", "--out", tmp_path / "out")

@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import (
-    inclinometer,
-    mems_gyro,
-    still_sensor,
-)
+from bayescal_models import inclinometer, mems_gyro, still_sensor
 from tests.support.export_check import identifier, needs_compiler, run_c, tilted
 from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from tests.support.inside import (
-    DeviceStructure,
-    estimate_shares,
-    find_favoured_effects,
-    tabulate_effects,
-)
+from tests.support.inside import DeviceStructure, estimate_shares, find_favoured_effects
 
 NAMES, PRIOR, POINTS = ("lag", "voltage", "run"), 0.02, 40
 SETS = [s for count in range(4) for s in itertools.combinations(NAMES, count)]
@@ -85,7 +80,7 @@ def test_a_device_gets_the_effects_that_the_fleet_favours() -> None:
     sure = DeviceStructure(prior, {(): -40.0, ("lag",): 0.0}, ("lag",), frozenset({"lag"}))
     log = {(): -40.0, ("lag",): -1.0, ("voltage",): 0.0}
     open_one = DeviceStructure(prior, log, ("voltage",), frozenset({"voltage"}))
-    table = tabulate_effects([*[sure] * 8, open_one])
+    table = estimate_shares([*[sure] * 8, open_one]).rename_axis("effect").reset_index()
     assert table.set_index("effect")["in fleet"]["voltage"] < 0.5
     assert find_favoured_effects(open_one, table) == ("lag",)
     assert find_favoured_effects(sure, table) == ("lag",)

@@ -96,10 +96,7 @@ CASES: dict[str, tuple[Any, Any]] = {
     "gyro, thermometer, scatter": ((LAG + THERMOMETER).with_noise(SCATTER), PLAIN),
     "gyro, unknown": (BASE + "unknown(time)" + "unknown(time, jump)", PLAIN),
     "gyro, known uncertainties": (LAG, lambda: two_runs(output_uncertainty=KNOWN)),
-    "gyro, nothing unknown": (
-        BASE.fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
-        two_runs,
-    ),
+    "gyro, nothing unknown": (BASE.fix({"bias.constant": 1.0, "bias.temperature": 0.05}), two_runs),
     "gyro, rich": (RICH, two_runs),
     **{
         f"gyro, {form}": (

@@ -167,11 +167,7 @@ def test_noise_of_neighbouring_readings_alone(terms, rng) -> None:
         assert one == pytest.approx(0.5 * weight @ dense @ weight, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    "terms",
-    slow_but([("walk",)], [("walk",), *SUMS[-2:]]),
-    ids=name_of,
-)
+@pytest.mark.parametrize("terms", slow_but([("walk",)], [("walk",), *SUMS[-2:]]), ids=name_of)
 def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
     frame, _, _ = two_runs()
     law, y = law_of(terms), jnp.asarray(rng.standard_normal(60))
@@ -190,9 +186,7 @@ def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
 
 
 @pytest.mark.parametrize(
-    "terms",
-    slow_but([ALONE], [ALONE, ("smooth", "flicker"), ("tone", "correlated")]),
-    ids=name_of,
+    "terms", slow_but([ALONE], [ALONE, ("smooth", "flicker"), ("tone", "correlated")]), ids=name_of
 )
 def test_samples_have_the_covariance(terms, key) -> None:
     frame, _, _ = two_runs()

@@ -21,10 +21,7 @@ UNITS = [
 ]
 INSTRUMENT = still_sensor.INSTRUMENT
 DEGREES = np.degrees(1.0)
-WRITERS = {
-    "t.ulg": write_ulog,
-    "t.bin": write_dataflash,
-}
+WRITERS = {"t.ulg": write_ulog, "t.bin": write_dataflash}
 
 
 @pytest.fixture(params=list(WRITERS))

@@ -13,7 +13,6 @@ from bayescal._annexes.fleet.batch_result import DeviceResult as DeviceResult
 from bayescal._annexes.fleet.find_devices import DeviceStructure as DeviceStructure
 from bayescal._annexes.fleet.find_devices import estimate_shares as estimate_shares
 from bayescal._annexes.fleet.find_devices import find_favoured_effects as find_favoured_effects
-from bayescal._annexes.fleet.find_devices import tabulate_effects as tabulate_effects
 from bayescal._annexes.imu.imu_annex import Triad as Triad
 from bayescal._annexes.imu.still_stretches import find_static_segments as find_static_segments
 from bayescal._annexes.metrology.certificate import Certificate, dcc_text

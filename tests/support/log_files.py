@@ -90,10 +90,7 @@ def write_ulog_topics(
 
 
 def write_dataflash(
-    path: Path,
-    time: np.ndarray,
-    temperature: np.ndarray,
-    units: list[Unit],
+    path: Path, time: np.ndarray, temperature: np.ndarray, units: list[Unit]
 ) -> Path:
     """An ArduPilot .bin: IMU messages of each unit at `time`, s.
 
