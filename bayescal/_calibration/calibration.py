@@ -129,7 +129,7 @@ class Calibration(Printed, Fitted):
         draws_per_chain = self.joint.x.shape[1]
         groups = {n: _prepare_for_netcdf(g, draws_per_chain) for n, g in groups.items()}
         if not self.layout.is_improper:
-            prior = to_xarray(self.unknowns, self.unknowns.values(*_prior_draws(self)))
+            prior = to_xarray(self.unknowns, self.unknowns.values(*_draw_from_prior(self)))
             groups["prior"] = _prepare_for_netcdf(prior, PRIOR_DRAWS)
         return xr.DataTree.from_dict(groups)
 
@@ -167,7 +167,7 @@ def _prepare_for_netcdf(group: xr.Dataset, draws_per_chain: int) -> xr.Dataset:
     return group.rename({name: new_name for name, new_name in names.items() if name != new_name})
 
 
-def _prior_draws(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def _draw_from_prior(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Draw (x, v) from the prior, as one chain."""
     random = np.random.default_rng([c.seed, 2])
     v = np.zeros((PRIOR_DRAWS, len(c.layout.hypers)))

@@ -235,7 +235,7 @@ def check(calibration: Calibration) -> Check:
     interactions = [_build_interaction(a, b) for a, b in pairs]
     pair_factors = log_bayes_factors(judged_fit, interactions, noise)
     rows = zip(covariates, factors, strict=True)
-    entries = [Entry(c.name, f, _worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
+    entries = [Entry(c.name, f, _find_worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
     pair_rows = [Pair((a.name, b.name), f) for (a, b), f in zip(pairs, pair_factors, strict=True)]
     # Leave-one-out residuals over their predictive standard deviations, V⁻¹r over the root of V⁻¹'s diagonal, from the
     # leverages. Under correlated noise: one-step-ahead residuals within a run.
@@ -486,25 +486,25 @@ def noise_floor(calibration: Fitted) -> float:
     return float(np.sqrt(np.mean(differences**2) / 1.5))
 
 
-def _worst_region(calibration: Calibration, covariate: Covariate) -> Region:
+def _find_worst_region(calibration: Calibration, covariate: Covariate) -> Region:
     """Find the range of bins whose mean residual has the largest |z|, over all runs or in one run.
 
     Means and standard uncertainties are generalised least squares estimates under the noise model.
     """
     levels, codes = calibration.readings.groups("run")
-    region = _worst_range(calibration, covariate, np.ones(len(codes), bool), None)
+    region = _find_worst_range(calibration, covariate, np.ones(len(codes), bool), None)
     if covariate.levels:
         return replace(region, group=covariate.levels[int(region.low)])
     for k, level in enumerate(levels if len(levels) > 1 else ()):
         if np.sum(codes == k) >= MIN_RUN_REGION_READINGS:
-            run_region = _worst_range(calibration, covariate, codes == k, level)
+            run_region = _find_worst_range(calibration, covariate, codes == k, level)
             # A range of one run is preferred only if its |z| exceeds that of the common range by one.
             if abs(run_region.z) - 1 > abs(region.z) - (region.group is not None):
                 region = run_region
     return region
 
 
-def _worst_range(
+def _find_worst_range(
     calibration: Calibration, covariate: Covariate, mask: np.ndarray, run: str | None
 ) -> Region:
     """Find the range of bins of the masked readings whose mean residual has the largest |z|."""

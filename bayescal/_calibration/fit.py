@@ -134,7 +134,7 @@ def _with_origin(model: Model, readings: Measurements, reference: Reference) -> 
     """
     stored_origins = origins_of(reference)
     without_origins = {name: v for name, v in reference.items() if name not in stored_origins}
-    far = {n: _nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
+    far = {n: _find_nearest_origin(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
         return without_origins
     origins = {n: [*stored_origins.get(reference_name(n), {}).items()] for n in far}
@@ -142,20 +142,20 @@ def _with_origin(model: Model, readings: Measurements, reference: Reference) -> 
     if all(len(o) == 1 and o[0][0] in names and o[0][1] == far[n] for n, o in origins.items()):
         return dict(reference)  # these readings' origins already, from a smaller model
     record = record_of(model.instrument, readings, without_origins)
-    constants = [_constant_coefficient(model, record, i) for i in range(len(far))]
+    constants = [_find_constant_coefficient(model, record, i) for i in range(len(far))]
     if None in constants:
         return without_origins
     origins = {reference_name(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
     return {**without_origins, **origins}  # pyright: ignore[reportReturnType]
 
 
-def _nearest_origin(output: Float[np.ndarray, "n"]) -> float:
+def _find_nearest_origin(output: Float[np.ndarray, "n"]) -> float:
     """Return the multiple of four output ranges nearest to the median output; usually zero."""
     step = 2.0 ** math.ceil(math.log2(ORIGIN_STEP_RANGES * float(np.ptp(output)) or 1.0))
     return step * round(float(np.median(output)) / step)
 
 
-def _constant_coefficient(model: Model, record: Record, output: int) -> str | None:
+def _find_constant_coefficient(model: Model, record: Record, output: int) -> str | None:
     """Find the coefficient of widest prior that shifts an output one to one in every reading; None if none."""
     instrument, prior_sds = model.instrument, dict[str, float]()
     for effect in model.effects:

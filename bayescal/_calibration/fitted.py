@@ -376,7 +376,7 @@ def predictive_moments(
     offset0: Any = None
     terms = [t for t in problem.terms if t.place == "input" or _is_unseen(problem, t).any()]
     for _, sample, hyper in _iterate_chunks(problem, draws):
-        mean, sds = _mean_and_input_sds(problem, sample, hyper, terms)
+        mean, sds = _compute_mean_and_input_sds(problem, sample, hyper, terms)
         noise_var = variances(problem.noise, hyper, problem.record)
         if noise is not None:
             noise_mean, conditional_var = noise(problem.record.y - mean)
@@ -409,7 +409,7 @@ def replicate(
     outputs, members = np.empty((len(draws.x), problem.record.size)), members or {}
     uncertain_terms = [t for t in problem.terms if t.place == "input" or t.per in members]
     for chunk, sample, hyper in _iterate_chunks(problem, draws):
-        mean, sds = _mean_and_input_sds(problem, sample, hyper, uncertain_terms)
+        mean, sds = _compute_mean_and_input_sds(problem, sample, hyper, uncertain_terms)
         for t, sd in zip(uncertain_terms, sds, strict=True):
             codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.per)]
             normal = random.standard_normal((len(mean), int(codes.max()) + 2))
@@ -430,7 +430,7 @@ def _iterate_chunks(problem: Problem, draws: Vectors) -> Iterator[tuple[slice, V
         yield chunk, sample, parameters
 
 
-def _mean_and_input_sds(
+def _compute_mean_and_input_sds(
     problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
     """Return the expected outputs (b, n), and the standard deviation of the output due to each of `terms`.

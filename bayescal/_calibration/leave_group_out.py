@@ -178,10 +178,10 @@ def _predict_fold(
     is_free, v = (kinds != "noise") | (not problem.noise.covariates), mode.v.copy()
     objective = fitted if is_free.all() else fitted.fix_others(guess, is_free)
     v[is_free] = maximise(objective, mode.v[is_free], ftol=1e-3)  # φ to 0.05 standard deviations
-    predicted_moments = _held_out_moments(fitted, test_density, v)
+    predicted_moments = _compute_held_out_moments(fitted, test_density, v)
     # The expected variance uses the larger between-group sd of fold and full fit: it may be zero over few groups.
     max_sd_v = np.where(kinds == "group_sd", np.maximum(v, mode.v), v)
-    max_sd_moments = _held_out_moments(fitted, test_density, max_sd_v)
+    max_sd_moments = _compute_held_out_moments(fitted, test_density, max_sd_v)
     if predicted_moments is None or max_sd_moments is None:
         return None
     zeros, ones = np.zeros(len(mode.x)), np.ones(len(mode.x))
@@ -194,7 +194,7 @@ def _predict_fold(
     return score, predicted_moments[0], max_sd_moments[2], max_sd_moments[1].rtr, spectrum
 
 
-def _held_out_moments(
+def _compute_held_out_moments(
     training: Density, test_density: Density, v: np.ndarray
 ) -> tuple[np.ndarray, Gram, np.ndarray] | None:
     """Return errors of left-out readings, their whitened Gram matrix, and the variance of the expected outputs."""

@@ -91,7 +91,7 @@ def predict(
         """Return rows (3, n), output unit: residual, standard uncertainty of the expected output, and of a reading."""
         problem, noise = calibration.problem_on(frame), None
         if len(past) and not calibration.model.noise.independent:
-            noise = _conditional_noise(calibration, part, frame, past)
+            noise = _condition_noise(calibration, part, frame, past)
         moments = predictive_moments(problem, calibration.draws(draws), noise)
         model_var = calibration.form_factor**2 * moments.variance + moments.unknown
         model_var += _compute_unseen_member_variance(calibration, problem)
@@ -157,7 +157,7 @@ def _mark_as_new(frame: Frame) -> Frame:
     return replace(frame, codes=codes)
 
 
-def _conditional_noise(
+def _condition_noise(
     calibration: Calibration, record: Measurements, frame: Frame, past: np.ndarray
 ) -> Callable[[Float[np.ndarray, "b n"]], tuple[np.ndarray, np.ndarray]]:
     """Return the distribution of correlated noise in a record given its first readings, the fitted ones in rows `past`.

@@ -73,7 +73,7 @@ class NotMeasured:
         The readings' information is P⁻¹ − D⁻¹, with posterior covariance P and prior covariance D. Directions without
         information get a thousand prior standard deviations. The quantity is updated by its regression on the unknowns.
         """
-        coefficients = [(u, c) for u, c, _ in _stated_priors(calibration) if u.name in self.names]
+        coefficients = [(u, c) for u, c, _ in _list_priors(calibration) if u.name in self.names]
         if not coefficients:
             return values
         draws = [(calibration.samples(u.name) - c.mean) / c.size for u, c in coefficients]
@@ -132,7 +132,7 @@ def find_not_measured(
     candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, is_counted = list[np.ndarray](), list[bool]()
     total_variance = values.var(axis=0) + sd**2
-    for u, c, is_used in _stated_priors(calibration):
+    for u, c, is_used in _list_priors(calibration):
         has_effect = calibration.inclusion_masks[u.effect]
         if has_effect.mean() <= max_inclusion:
             continue
@@ -169,11 +169,11 @@ def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "")
 
 def find_coefficients_not_measured(calibration: Calibration) -> set[str]:
     """Return the names of the coefficients that priors determine more than the readings."""
-    names, samples = (u.name for u, *_ in _stated_priors(calibration)), calibration.samples
+    names, samples = (u.name for u, *_ in _list_priors(calibration)), calibration.samples
     return {n for n in names if find_not_measured(calibration, samples(n)[:, None], name=n)}
 
 
-def _stated_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:
+def _list_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:
     """Yield coefficients with a stated prior, neither flat nor hierarchical, and whether a correction uses them."""
     instrument = calibration.model.instrument
     slots = {s.name for s in instrument.slots}

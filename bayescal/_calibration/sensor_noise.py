@@ -1,7 +1,7 @@
 """Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
 
 A "sum" is a noise model: white noise plus independent terms. Each is fitted to the spectrum of the readings, with run
-levels and a cubic over temperature integrated out (restricted likelihood); sums are weighted by their evidence, and
+levels and a cubic in temperature integrated out (restricted likelihood); sums are weighted by their evidence, and
 parameters of probable sums drawn by importance sampling. Lost readings are imputed from the noise model conditional on
 the others, and the sums fitted again (data augmentation).
 
@@ -65,7 +65,7 @@ MIN_MEANS = 64  # number of means for an Allan slope known to 0.1
 MAX_SHORT_STEPS = 3.0  # correlation time in steps, up to which a process is part of N
 
 Terms = tuple[str, ...]  # names of a sum's terms, besides white noise
-CURVE_DEGREE = 3  # of the polynomial over temperature
+CURVE_DEGREE = 3  # of the polynomial in temperature
 IMPUTATIONS = 6  # number of imputations of lost readings; the first is burn-in
 SLOW_TERMS = ("walk", "flicker", "correlated")  # a sum has two of them at most
 NO_PAIRS = (("walk", "walk"), ("flicker", "flicker"))  # pairs of slow terms that no sum has
@@ -382,7 +382,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     run_columns = [np.where((r < 0)[:, None], np.nan, columns[r]) for r in runs.rows if len(r) > 1]
     criteria = {"tone": (z, LINE_Z)}
     if not base:
-        negative_z = _negative_correlation_z(output, runs)
+        negative_z = _compute_negative_correlation_z(output, runs)
         criteria[QUANTISATION if negative_z > 0 else AVERAGING] = abs(negative_z), NEIGHBOUR_Z
     optional = tuple(term for term, (sigmas, limit) in criteria.items() if sigmas > limit)
     required = tuple(term for term in optional if criteria[term][0] > REQUIRED_Z)
@@ -437,7 +437,7 @@ def _enumerate_sums(
     slow_sums = [(), *((term,) for term in SLOW_TERMS), *pairs]
     sums = {_sort_terms((*base, *s, *b)) for s in slow_sums for b in subsets} - {base}
     yield from sorted(sums, key=lambda terms: (len(terms), terms))
-    best = next(iter(_log_posteriors(fits)))
+    best = next(iter(_compute_log_posteriors(fits)))
     yield from {tuple(t for t in best if t != term) for term in required} - {*fits}
 
 
@@ -454,7 +454,7 @@ def _sample_sums(
         samples[terms], fits[terms] = (v, weights), fits[terms]._replace(log_evidence=evidence)
 
     while True:
-        totals = _log_posteriors(fits)
+        totals = _compute_log_posteriors(fits)
         posterior = softmax(list(totals.values()))
         probabilities = dict(zip(totals, posterior.tolist(), strict=True))
         probable = [t for t, share in probabilities.items() if share > SAMPLED_RATIO * posterior[0]]
@@ -491,10 +491,10 @@ def _count_readings_per_mean(
     upper_limit = 4.0 ** (2 * WHITE_SLOPE) * variance[:-2]
     dof = allan.degrees_of_freedom(runs, np.zeros(len(variance)))
     upper_limit[:1] *= 1 + NEIGHBOUR_Z * np.sqrt(2 / dof[2:3])
-    level = variance[2:] <= upper_limit
-    level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
-    level[:1] &= z > LINE_Z or _negative_correlation_z(output, runs) > -NEIGHBOUR_Z
-    return int(runs.factors[np.argmax(level)]) if level.any() else None
+    is_level = variance[2:] <= upper_limit
+    is_level[1:] &= sum(runs.lengths) >= MIN_MEANS * runs.factors[1:-2]
+    is_level[:1] &= z > LINE_Z or _compute_negative_correlation_z(output, runs) > -NEIGHBOUR_Z
+    return int(runs.factors[np.argmax(is_level)]) if is_level.any() else None
 
 
 def _average(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
@@ -517,7 +517,7 @@ def _sort_terms(terms: Terms) -> Terms:
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
-def _negative_correlation_z(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
+def _compute_negative_correlation_z(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
     """Return z of a negative correlation of neighbours, as in rounded angles; negative z is a positive correlation.
 
     The variogram, half the mean square of differences at lag k, is γ₀ − γₖ, linear in k under slow noise: if its value
@@ -568,7 +568,7 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     return best_z, dict(zip(TONE, (rms, frequency, length * runs.step), strict=True))
 
 
-def _log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
+def _compute_log_posteriors(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
     """Return the unnormalised log posterior of each sum (log evidence plus log prior), the most probable first.
 
     The smallest sum has half of the prior; each additional term halves the joint prior of the sums of that length.

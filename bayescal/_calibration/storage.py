@@ -196,7 +196,7 @@ def describe(calibration: Fitted) -> dict[str, Any]:
         # Averaged effects without coefficients, whose inclusion the draws do not show.
         "averaged": [e.name for e in model.effects if e.constant_indices and e == e.averaged],
         "fixed": dict(model.fixed),
-        "noise": _noise_fields(model.noise),
+        "noise": _collect_noise_fields(model.noise),
         "promoted": list(calibration.layout.promoted),
         "log_evidence": calibration.log_evidence,
         "confounded": [confounder._asdict() for confounder in calibration.confounders],
@@ -228,14 +228,14 @@ def format_unknowns(effect: Effect) -> str:
     return " ".join(" ".join(map(repr, (*effect.coefficients, *effect.shapes))).split())
 
 
-def _noise_fields(noise: Noise) -> dict[str, Any]:
+def _collect_noise_fields(noise: Noise) -> dict[str, Any]:
     """Return a noise model's class name and fields; for a user-defined one also its priors."""
     fields: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
-        prior = type(value).__name__ in _PRIORS
-        fields[key] = [type(value).__name__, vars(value)] if prior else value
+        is_prior = type(value).__name__ in _PRIORS
+        fields[key] = [type(value).__name__, vars(value)] if is_prior else value
     if not type(noise).__module__.startswith("bayescal."):
-        fields[UNKNOWNS] = {name: repr(prior) for name, prior in noise.parameters().items()}
+        fields[UNKNOWNS] = {name: repr(is_prior) for name, is_prior in noise.parameters().items()}
     return fields
 
 

@@ -98,8 +98,8 @@ def unknown_rows(
         else:
             mean, sd, (low, high) = g["given"].values()
             value = SKEWED if is_skewed(mean, sd, low, high) else with_error(mean, sd)
-            known = g["contraction"] is not None and mean == g["mean"]  # not that of a mixture
-            contraction = f"{g['contraction']:.3f}" if known else "–"
+            is_known = g["contraction"] is not None and mean == g["mean"]  # not that of a mixture
+            contraction = f"{g['contraction']:.3f}" if is_known else "–"
             rows[name] = [name, value, unit, interval(low, high, mean, sd), contraction]
         rows[key or name][0] += " *" * (g["probability"] < 1)
     return rows
@@ -209,8 +209,8 @@ def unidentified_claims(
         claims.append(Claim(code, *(names[i] for i in order), **numbers))
     if member_vectors:  # those of group deviations and unknown functions' coefficients
         largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
-        traced_entries = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
-        blocks = (b for b in layout.x_blocks if traced_entries[b.x_slice].any())
+        is_traced = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
+        blocks = (b for b in layout.x_blocks if is_traced[b.x_slice].any())
         effects = dict.fromkeys(b.effect.name for b in blocks)
         numbers = {"count": len(member_vectors), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))

@@ -256,7 +256,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
             fitted_readings = {n: t.final.calibration.readings for n, t in paths.items()}
             flags, first_flags = map(request.flags_of, (fitted_readings, readings))
             print_notes(flag for flag in flags if flag not in first_flags)
-            text_options = {"started": reporter.has_begun, "verbose": self.verbose}
+            text_options = {"has_begun": reporter.has_begun, "verbose": self.verbose}
             content = format_search(search, self.json_, **text_options)
             gate = search if isinstance(search, bc.Channels) else search.gate
             reason = "" if search.ok else gate.reason

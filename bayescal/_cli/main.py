@@ -123,10 +123,10 @@ def _format_user_error(error: BaseException) -> str:
     return f"{text.rstrip('.')}. See: {context.command_path if context else 'bayescal'} --help"
 
 
-def _report_failure(message: str, status: int, listed: bool = False) -> int:
-    """Print a message on stderr, on one line unless it is `listed`, and return the exit status."""
+def _report_failure(message: str, status: int, is_list: bool = False) -> int:
+    """Print a message on stderr, on one line unless it `is_list`, and return the exit status."""
     with contextlib.suppress(OSError):  # stderr may be closed
-        text = message if listed else " ".join(message.split())
+        text = message if is_list else " ".join(message.split())
         text = "\n".join(map(one_line, text.split("\n")))  # escapes control characters
         print(f"bayescal: {text}", file=sys.stderr)
     return status

@@ -140,23 +140,23 @@ def format_search(search: SearchPath | Channels, as_data: bool, **how: Any) -> A
     return channels_data(search) if as_data else "\n".join([f"{search}\n\nIN SHORT\n", *texts])
 
 
-def format_loop(path: SearchPath, started: bool = False, verbose: bool = False) -> str:
+def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False) -> str:
     """Format the output of `calibrate`, from the first model to the last.
 
     Args:
         path: result of the search.
-        started: whether the first table has been printed.
+        has_begun: whether the first table has been printed.
         verbose: whether to include all candidates of every step.
     """
     final = path.final
-    parts = [""] if started else [format_first_model(path, verbose)]
+    parts = [""] if has_begun else [format_first_model(path, verbose)]
     if final.discovery and (rows := final.discovery.equivalent):
         lines = [f"{claim.subjects[0]} and {' + '.join(claim.numbers['beside'])}" for claim in rows]
         parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
     for i, step in enumerate(path.steps if verbose else ()):
         heading = f"EFFECTS MISSING FROM STEP {i} ({step.title})"
-        parts.append(_section(heading, step.discovery or _reason_not_tested(step)))
-    notes = [] if verbose else _missing_lines(path)
+        parts.append(_section(heading, step.discovery or _explain_not_tested(step)))
+    notes = [] if verbose else _format_missing(path)
     notes += [folded(f"end: {path.ending}")] if path.ending else []
     parts.append(_section("THE ERROR, STEP BY STEP", path, *notes))
     notes = [format_average(path, verbose), folded(f"verdict: {path.gate}")]
@@ -187,12 +187,12 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
     return folded(f"{text}; --structure best uses the first alone")
 
 
-def _reason_not_tested(step: Step) -> str:
+def _explain_not_tested(step: Step) -> str:
     reasons = " ".join(step.calibration.verdict.reasons)
     return f"no probabilities: {reasons or 'effects missing from this model were not evaluated'}"
 
 
-def _missing_lines(path: SearchPath) -> list[str]:
+def _format_missing(path: SearchPath) -> list[str]:
     """Format the effects missing at each step, except those that a step added, and questions about units."""
     lines, questions = list[str](), dict[Claim, None]()
     model, threshold = path.final.calibration.model, settings().found_probability
@@ -201,7 +201,7 @@ def _missing_lines(path: SearchPath) -> list[str]:
     }
     for i, step in enumerate(path.steps):
         if (discovery := step.discovery) is None:
-            lines.append(f"missing from step {i}: {_reason_not_tested(step)}")
+            lines.append(f"missing from step {i}: {_explain_not_tested(step)}")
             continue
         questions |= dict.fromkeys(discovery.off_scale)
         findings = [

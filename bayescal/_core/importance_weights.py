@@ -76,17 +76,17 @@ class Corrections:
 
     Attributes:
         mean: weighted mean of the corrections.
-        alike: whether corrections are constant within tolerance: relative deviations δ of the weights change a
+        is_constant: whether corrections are constant within tolerance: relative deviations δ of the weights change a
             posterior mean by at most δ standard deviations (Cauchy–Schwarz), a standard deviation by δ/√2.
     """
 
     def __init__(self) -> None:
         self.log_weight, self.corrections = np.zeros(0), np.zeros(0)
-        self.mean, self.alike = 0.0, False
+        self.mean, self.is_constant = 0.0, False
 
     def add(self, log_weight: Float[np.ndarray, "b"], correction: Float[np.ndarray, "b"]) -> None:
         """Add the corrections (b,) of further draws, whose log weights before correction are `log_weight` (b,)."""
-        if self.alike or not len(correction):
+        if self.is_constant or not len(correction):
             return
         self.log_weight = np.append(self.log_weight, log_weight)
         self.corrections = np.append(self.corrections, correction)
@@ -95,7 +95,7 @@ class Corrections:
         if effective_size(weight) > MIN_EFFECTIVE_SIZE and np.all(np.isfinite(self.corrections)):
             self.mean = float(weight @ self.corrections)
             scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
-            self.alike = bool(scatter < MAX_CORRECTION_SD)
+            self.is_constant = bool(scatter < MAX_CORRECTION_SD)
 
 
 def stacking_weights(log_densities: np.ndarray) -> np.ndarray:

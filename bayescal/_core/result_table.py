@@ -96,7 +96,7 @@ class ResultTable:
         alignments = ["left" if is_left else "right" for is_left in self.flush_left]
 
         def row(cells: list[str], tag: str) -> str:
-            pairs = zip(map(_html_lines, cells), alignments, strict=True)
+            pairs = zip(map(_format_html_lines, cells), alignments, strict=True)
             elements = (f'<{tag} style="text-align: {side}">{cell}</{tag}>' for cell, side in pairs)
             return f"<tr>{''.join(elements)}</tr>"
 
@@ -210,9 +210,9 @@ def as_html(parts: Sequence[str | ResultTable]) -> str:
         if are_tables:
             blocks += [part.html() for part in group if isinstance(part, ResultTable)]
         elif text := "\n".join(map(str, group)).strip("\n"):
-            blocks.append(f"<p>{_html_lines(text)}</p>")
+            blocks.append(f"<p>{_format_html_lines(text)}</p>")
     return "".join(blocks)
 
 
-def _html_lines(text: str) -> str:
+def _format_html_lines(text: str) -> str:
     return html_text(text).replace("\n", "<br>")

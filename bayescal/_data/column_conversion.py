@@ -346,10 +346,10 @@ class ColumnReader:
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Convert numbers to the column's unit, directly or by the nominal scale; if impossible, add a problem."""
         target, gravity = self.column.unit or "1", self.options.gravity
-        given_scale, difference = self.options.nominal_scale, self.name == UNCERTAINTY
+        given_scale, is_difference = self.options.nominal_scale, self.name == UNCERTAINTY
         scale = given_scale or self.file.instrument.nominal_scale
         suggestion = option("--unit", f"{self.header.raw}=UNIT")
-        settings = {"local_gravity": gravity, "difference": difference}
+        settings = {"local_gravity": gravity, "difference": is_difference}
         if units.same_dimension(unit, target):
             if units.needs_gravity(unit, target):
                 self.converted.by_gravity.add(self.name)
@@ -360,11 +360,11 @@ class ColumnReader:
                 self._report(str(error), option=suggestion)
                 return None
         alternative = hint = ""
-        if self.is_output or difference:
+        if self.is_output or is_difference:
             if scale is not None and units.same_dimension(unit, scale.unit):
-                self._note_scale(scale, difference)
+                self._note_scale(scale, is_difference)
                 raw = units.convert(values, unit, scale.unit, **settings)
-                return scale.apply(raw, difference=difference)
+                return scale.apply(raw, difference=is_difference)
             alternative = f", or {scale.unit} (by the nominal scale factor)" if scale else ""
             unit_divisor = f"({target})" if "/" in target else target
             scale_option = option("--nominal-scale", f"250 {unit}/{unit_divisor}")
@@ -374,10 +374,10 @@ class ColumnReader:
         self._report(f"its unit is [{unit}]", expected, cure, suggestion)
         return None
 
-    def _note_scale(self, scale: NominalScale, difference: bool) -> None:
+    def _note_scale(self, scale: NominalScale, is_difference: bool) -> None:
         """Flag that raw outputs are converted by the nominal scale factor."""
         is_given = self.options.nominal_scale is not None
-        has_offset = scale.offset and not difference
+        has_offset = scale.offset and not is_difference
         reading = f"(reading − {scale.offset:g})" if has_offset else "reading"
         of_instrument = "" if is_given else f" of {self.file.instrument.name}"
         advice = " (for another sensor: --nominal-scale and --nominal-zero)" * (not is_given)

@@ -37,8 +37,8 @@ def find_problems(
     problems, columns = Objections(), converted.values
     effects = getattr(instrument, "effects", None)
     is_used = effects is None or any("temperature" in effect.varies for effect in effects)
-    required = any(c.name == "temperature" and c.required for c in instrument.columns)
-    if is_used and required and not one_temperature and "temperature" in columns:
+    is_required = any(c.name == "temperature" and c.required for c in instrument.columns)
+    if is_used and is_required and not one_temperature and "temperature" in columns:
         files = [table.file for table in converted.tables if table.file != ARRAYS]
         problems += find_single_temperature(columns, file_names(files))
     problems += find_time_reversals(columns, converted.locate)
@@ -113,18 +113,18 @@ def find_time_reversals(columns: Columns, locate: Locate) -> Iterator[Objection]
 
 
 def flags_of(
-    converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
+    converted: ConvertedColumns, output: str, names: str, repeated_rows: np.ndarray
 ) -> tuple[str, ...]:
-    """Return warnings about accepted readings; `names`: file names; `repeated`: rows that duplicate another."""
+    """Return warnings about accepted readings; `names`: file names; `repeated_rows`: rows that duplicate another."""
     columns, records = converted.values, Records.of(converted.values)
     flags = [*converted.flags]
     if converted.origin is not None:
         date = format_date(converted.origin)
         flags.append(f"{names}: time is in s since {date} (dates without time zone are UTC)")
-    if len(repeated):
-        place, dropped = converted.locate(int(repeated[0])), ": dropped" * ("time" in columns)
+    if len(repeated_rows):
+        place, dropped = converted.locate(int(repeated_rows[0])), ": dropped" * ("time" in columns)
         message = "row(s) repeat an earlier row in every column, first at"
-        flags.append(f"{len(repeated)} {message} {place}{dropped}")
+        flags.append(f"{len(repeated_rows)} {message} {place}{dropped}")
     anomalies = find_anomalies(columns, records, converted.thermometers, output)
     messages = [
         *_find_saturation(columns, output),
@@ -372,8 +372,8 @@ def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
     min_jump = MIN_JUMP_STEPS * float(np.diff(levels).min(initial=np.inf))
     for segment in segments:
         begins, counts = equal_runs(values[segment])
-        repeated, change = counts > 1, np.abs(np.diff(values[segment][begins]))
-        is_jump = repeated[:-1] & repeated[1:] & (change > min_jump)
+        is_repeated, change = counts > 1, np.abs(np.diff(values[segment][begins]))
+        is_jump = is_repeated[:-1] & is_repeated[1:] & (change > min_jump)
         if is_jump.any() and is_jump.mean() > MIN_HELD_SHARE:
             held_rows.append(segment)
             jump_count += int(np.count_nonzero(is_jump))
@@ -382,8 +382,8 @@ def find_held_rows(values: np.ndarray, segments: Segments) -> np.ndarray:
 
 def select_repeats(values: np.ndarray, segments: Segments, rows: np.ndarray) -> np.ndarray:
     """Return those of `rows` that equal the preceding reading of their segment."""
-    repeated = [segment[1:][values[segment[1:]] == values[segment[:-1]]] for segment in segments]
-    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *repeated]))
+    repeats = [segment[1:][values[segment[1:]] == values[segment[:-1]]] for segment in segments]
+    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *repeats]))
 
 
 MIN_STUCK_READINGS = 8  # minimum number of consecutive equal readings of a stuck column

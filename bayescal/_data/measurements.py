@@ -244,8 +244,8 @@ class Measurements(Printed):
         for name in sorted(self.columns):
             column = self[name]
             digest.update(f"{name} [{self.unit(name)}] {len(column)}\n".encode())
-            text = column.dtype.kind != "f"
-            digest.update(json.dumps(column.tolist()).encode() if text else column.tobytes())
+            is_text = column.dtype.kind != "f"
+            digest.update(json.dumps(column.tolist()).encode() if is_text else column.tobytes())
 
     def same_as(self, other: Measurements) -> bool:
         """Return whether the columns and all their entries are equal to those of other measurements."""

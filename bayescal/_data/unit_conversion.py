@@ -400,7 +400,7 @@ def basis_factor(
         unit_sets.append((*column_units, *BASE))
     unit_sets.append((*column_units, *time_units, *others))
     for units in unit_sets:
-        product_factor = _product_factor(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
+        product_factor = _parse_product(basis, tuple(dict.fromkeys(units)), unit, slot_unit)
         if product_factor is not None:
             return factor * product_factor
     raise InputError(
@@ -428,7 +428,7 @@ def _ratio_factor(unit: str, slot_unit: str, column_units: tuple[str, ...], is_o
     )
 
 
-def _product_factor(
+def _parse_product(
     basis: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
 ) -> float | None:
     """Return the factor to base units of the product of `units` with the dimension `basis`; None if none exists."""

@@ -29,8 +29,8 @@ MIN_OPTIMISED_READINGS = 2000
 def padded_length(size: int) -> int:
     """Return the padded length of a record."""
     # A geometric series: padding is an eighth on average, and ten lengths cover a decade.
-    steps = max(0, math.ceil(math.log(size / MIN_PADDED_LENGTH, LENGTH_RATIO) - 1e-9))
-    return max(size, round(MIN_PADDED_LENGTH * LENGTH_RATIO**steps))
+    step_count = max(0, math.ceil(math.log(size / MIN_PADDED_LENGTH, LENGTH_RATIO) - 1e-9))
+    return max(size, round(MIN_PADDED_LENGTH * LENGTH_RATIO**step_count))
 
 
 def pad_frame(frame: Frame) -> Frame:

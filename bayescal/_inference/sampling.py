@@ -443,7 +443,7 @@ def _draw_coefficients(
     x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
     log_density, corrections, maximum = np.empty(count), np.full(count, NOWHERE), NOWHERE
     batch_size = max(32, min(density.batch_size, CACHE_ELEMENTS // problem.record.size))
-    is_nonlinear = is_exact and not problem.is_affine and not seen_corrections.alike
+    is_nonlinear = is_exact and not problem.is_affine and not seen_corrections.is_constant
     first_count = FIRST_BATCH_DRAWS if is_nonlinear and count > FIRST_BATCH_DRAWS else 0
     parts = np.array_split(np.arange(first_count, count), -(-(count - first_count) // batch_size))
     for rows in ([np.arange(first_count)] if first_count else []) + parts:
@@ -457,7 +457,7 @@ def _draw_coefficients(
         if not is_counted.any():
             continue
         counted_rows, draws, normal = rows[is_counted], draws.select(is_counted), normal[is_counted]
-        if is_exact and seen_corrections.alike:  # a constant correction
+        if is_exact and seen_corrections.is_constant:  # a constant correction
             log_ratio = np.full(len(counted_rows), seen_corrections.mean)
         else:
             hyper = problem.hyper(v[counted_rows].T)
@@ -468,7 +468,7 @@ def _draw_coefficients(
         x[counted_rows[is_finite]] = draws.x[is_finite]
         corrections[counted_rows[is_finite]] = log_ratio[is_finite]
     # Replace the first draws' corrections too: their scatter would look like a heavy tail.
-    if seen_corrections.alike and is_exact:
+    if seen_corrections.is_constant and is_exact:
         corrections = np.where(corrections > NOWHERE, seen_corrections.mean, NOWHERE)
     return _Sample(v, log_density, x, corrections)
 

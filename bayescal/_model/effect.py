@@ -135,7 +135,7 @@ class Shape:
 
     def __post_init__(self) -> None:
         if self.own_prior is not None:
-            prior = priors.convert(self.own_prior, of_shape=True)
+            prior = priors.convert(self.own_prior, is_shape=True)
             low, high = prior.value(np.array([-CENTRAL_95, CENTRAL_95])).tolist()
             scale = "linear" if isinstance(prior, Normal) else "log"
             set_fields(self, own_prior=prior, low=low, high=high, scale=scale)

@@ -203,7 +203,7 @@ def standard_deviation(prior: Any) -> float | None:
     return None
 
 
-def convert(prior: Any, of_shape: bool = False) -> Any:
+def convert(prior: Any, is_shape: bool = False) -> Any:
     """Convert a NumPyro distribution (without importing NumPyro) to a prior of this module; return others unchanged.
 
     Raises:
@@ -211,7 +211,7 @@ def convert(prior: Any, of_shape: bool = False) -> Any:
     """
     name, reason = type(prior).__name__, "a shape does not take it"
     if not type(prior).__module__.startswith("numpyro."):
-        if not of_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
+        if not is_shape or isinstance(prior, Normal | LogNormal | NumpyroPrior):
             return prior
     else:
         names, base = {*prior.arg_constraints}, getattr(prior, "base_dist", prior)
@@ -222,7 +222,7 @@ def convert(prior: Any, of_shape: bool = False) -> Any:
             lower_bound, reason = float(prior.icdf(_TAIL)), "it may be negative"
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:
             lower_bound, values, reason = -1.0, {}, str(error).rstrip(".") or "it has no icdf"
-        allowed_types = (Normal,) if of_shape else (Normal, HalfNormal, HalfCauchy)
+        allowed_types = (Normal,) if is_shape else (Normal, HalfNormal, HalfCauchy)
         if values and (prior_class := next((k for k in allowed_types if k.__name__ == name), None)):
             return prior_class(*values.values())
         if lower_bound >= 0:

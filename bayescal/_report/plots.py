@@ -218,11 +218,11 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     return ax.figure
 
 
-def _place_legend_below(ax: Any, handles: list[Any], columns: int) -> None:
+def _place_legend_below(ax: Any, handles: list[Any], column_count: int) -> None:
     """Place a legend `LEGEND_INCHES` below the axes, whatever their height, so that the axis label fits between."""
     transform = ax.transAxes + ScaledTranslation(0, -LEGEND_INCHES, ax.figure.dpi_scale_trans)
     options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "bbox_transform": transform}
-    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, **options)
+    ax.legend(handles=handles, frameon=False, fontsize=8, ncols=column_count, **options)
 
 
 def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
@@ -300,8 +300,8 @@ def noise(found: SensorNoise) -> Figure:
         if f.symbol and not f.bound
     ]
     ax, tau = open_axes(None, 5.2, 3.6), found.measured.tau
-    fits = all(claim.severity == "note" for claim in found.claims)
-    noise_text = found.law + " (does not fit)" * (not fits)
+    is_fit = all(claim.severity == "note" for claim in found.claims)
+    noise_text = found.law + " (does not fit)" * (not is_fit)
     bands = (
         (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of records of that law"),
         (found.low, found.high, ORANGE, 0.4, "noise law, 95 % credible"),

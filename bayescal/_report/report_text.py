@@ -262,7 +262,7 @@ def _describe_additions(chapter: Chapter) -> str:
         return f"{statement} the first model ({model})."
     texts = []
     for effect in added_effects:
-        inclusion, qualifier = _first_probability(chapter, effect), ""
+        inclusion, qualifier = _find_first_probability(chapter, effect), ""
         if inclusion is not None and inclusion < settings().found_probability:
             qualifier = f"probably ({inclusion:.2f}) "
         structures = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
@@ -319,7 +319,7 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     return f"{effect_name} ({', '.join(texts)})" if texts else effect_name
 
 
-def _first_probability(chapter: Chapter, effect: Effect) -> float | None:
+def _find_first_probability(chapter: Chapter, effect: Effect) -> float | None:
     """Return the probability that an effect, alone or in a set, is missing from the first model; None if unknown."""
     if not chapter.data["missing"]:
         return None
@@ -374,7 +374,7 @@ def _describe_residuals(chapter: Chapter) -> str:
     return f"The residuals, {noise} rms, resemble {noise_text}."
 
 
-def _last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
+def _list_last_candidates(chapter: Chapter) -> list[dict[str, Any]]:
     return chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
 
 
@@ -383,7 +383,7 @@ def _list_untested(chapter: Chapter) -> Iterator[str]:
     flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
     if names := [name for f in flags if f.code == "column.ignored" for name in f.subjects]:
         yield f"Columns not used: {', '.join(names)}."
-    if by_reason := group_untested(_last_candidates(chapter)):
+    if by_reason := group_untested(_list_last_candidates(chapter)):
         untested = "; ".join(f"{join_words(n)} ({reason})" for reason, n in by_reason.items())
         yield f"Not tested: {untested}."
 
@@ -393,7 +393,7 @@ def _list_undecided(chapter: Chapter) -> Iterator[str]:
     in_model, confounders = set(chapter.calibration.model.names), chapter.calibration.confounders
     sets = [list(s["effects"]) for missing in chapter.data["missing"] for s in missing["sets"]]
     questions = [" or ".join(names) for names in sets if len(names) > 1 and in_model & set(names)]
-    lead_names = [c["effect"] for c in _last_candidates(chapter) if c["kind"] == "lead"]
+    lead_names = [c["effect"] for c in _list_last_candidates(chapter) if c["kind"] == "lead"]
     questions += [f"whether {name} is missing, too" for name in lead_names if name not in in_model]
     confounder_names = [(c, join_words(c.coefficients)) for c in confounders if not c.step]
     questions += [f"which part of {names} is due to {c.column}" for c, names in confounder_names]

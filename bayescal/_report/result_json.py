@@ -85,8 +85,8 @@ def result(path: SearchPath) -> dict[str, Any]:
             "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
             "settings": changed_settings(),
-            "readings": {**_source_data(final.readings), "groups": _group_data(final.readings)},
-            "holdout": None if path.holdout is None else _source_data(path.holdout),
+            "readings": {**_describe_source(final.readings), "groups": _group_data(final.readings)},
+            "holdout": None if path.holdout is None else _describe_source(path.holdout),
             "flags": list(final.readings.flags),
             "gate": {
                 "ok": path.gate.ok,
@@ -148,7 +148,7 @@ def versions(*further: str) -> dict[str, str]:
     return texts
 
 
-def _source_data(readings: Measurements) -> dict[str, Any]:
+def _describe_source(readings: Measurements) -> dict[str, Any]:
     """Return name and SHA-256 of the file of readings (lists for several files), and the number of readings."""
     files, hashes = [s.file for s in readings.sources], [s.sha256 for s in readings.sources]
     file, sha256 = (texts[0] if len(texts) == 1 else texts for texts in (files, hashes))

@@ -298,7 +298,7 @@ class StepwiseSearch:
             single, average = (add_inadequacy(c, complete, structures, goal) for c in pair)
             steps = [*earlier, replace(last, calibration=single)]
         search = search or self.summarise_search(complete=not self.stopped, stopped=self.stopped)
-        options = {"other_path": _other_path(structures), "search": search, "shares": shares}
+        options = {"other_path": _find_other_path(structures), "search": search, "shares": shares}
         path = SearchPath(tuple(steps), gate, self.holdout, **options)
         if is_single:
             return path
@@ -347,12 +347,12 @@ class StepwiseSearch:
 
     def why_incomplete(self, steps: Sequence[Step]) -> str:
         """Return why the probability that the last model is complete is not stated; empty if it can be stated."""
-        added, last = sum(s.added is not None for s in steps), steps[-1]
+        added_count, last = sum(s.added is not None for s in steps), steps[-1]
         candidates = last.discovery.candidates if last.discovery else ()
-        tested = any(c.probability is not None for c in candidates)
+        has_probability = any(c.probability is not None for c in candidates)
         # At the bound on effects P(complete) would be high only because no further effect is allowed.
-        if 0 < self.max_effects <= added and tested:
-            return f"not stated, as the search added its maximum of {added} effects (--max-effects)"
+        if 0 < self.max_effects <= added_count and has_probability:
+            return f"not stated, as the search added its maximum of {added_count} effects (--max-effects)"
         if last.leave_one_group_out and find_better_left_out(last, steps[:-1]):
             return f"not stated, as the {scheme(last.leave_one_group_out.group)} error is above an earlier step's"
         return ""
@@ -425,7 +425,7 @@ def prepare_readings(
     return (replace(clean, flags=(*clean.flags, flag)) if flag else clean), clean_holdout
 
 
-def _other_path(structures: Structures) -> OtherPath | None:
+def _find_other_path(structures: Structures) -> OtherPath | None:
     """Return the best model under another noise law, if its effects differ and it is nearly as probable."""
     best, window = structures.best, settings().strong_evidence
     others = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
@@ -435,6 +435,6 @@ def _other_path(structures: Structures) -> OtherPath | None:
     if other.structure.effects == best.structure.effects:
         return None
     law, log_ratio = other.problem.noise, other.log_posterior - best.log_posterior
-    correlated = law.independent != best.problem.noise.independent
+    is_correlated = law.independent != best.problem.noise.independent
     effects = tuple(sorted(other.structure.effects))
-    return OtherPath(law.name, effects, log_ratio, law.in_words, correlated)
+    return OtherPath(law.name, effects, log_ratio, law.in_words, is_correlated)

@@ -63,7 +63,7 @@ class Channels(Printed):
         return tuple(dict.fromkeys(n for c in calibrations for n in c.model.names))
 
     def _list_parts(self) -> list[str | ResultTable]:
-        parts = [part for table in _split_table(self._rows()) for part in (table, "")][:-1]
+        parts = [part for table in _split_table(self._list_rows()) for part in (table, "")][:-1]
         parts += [_format_shared(s) for s in self.shared if s.probability > 0.5]
         searches = ((n, t.search) for n, t in self.search_paths.items() if t.search)
         parts += [f"{n}: {s.stopped}" for n, s in searches if not s.complete]
@@ -89,7 +89,7 @@ class Channels(Printed):
             "noise": [s.calibration.model.noise.law for s in last_steps],
         }
 
-    def _rows(self) -> list[list[str]]:
+    def _list_rows(self) -> list[list[str]]:
         """Return the printed rows, with a column for each channel; the first row is the header."""
         paths, columns = self.search_paths.values(), self._columns()
         new_run_differs = any(p.final.rmse > NEW_RUN_RATIO * p.final.rmse_fitted for p in paths)

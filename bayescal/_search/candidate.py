@@ -105,10 +105,10 @@ def summarise_candidate(
         candidate = replace(
             candidate,
             log_bayes_factor=log_mean_bayes_factor(points),
-            z=_z_score(best_point, library.is_grouped(scored_form)),
+            z=_compute_z_score(best_point, library.is_grouped(scored_form)),
             shape={**best_point.point.shapes, **best_point.prior_scale.shapes},
             visibility=float(np.trace(best_point.information)) / total if total > 0 else 0.0,
-            minimum_detectable=_minimum_detectable(library, best_point),
+            minimum_detectable=_compute_minimum_detectable(library, best_point),
         )
     if fit_with is not None and math.isfinite(fit_with.log_evidence):
         # A fit averages over prior scales and optimises the shapes; a score has both on a grid.
@@ -156,12 +156,12 @@ def _scored_size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float
     log_factors = np.array([p.log_bayes_factor for p in points])
     # Law of total variance over the grid: variance of the points' means plus mean of their variances.
     weights = np.exp(log_factors - logsumexp(log_factors))
-    moments = np.array([_size_at_point(library, p) for p in points])
+    moments = np.array([_estimate_size_at_point(library, p) for p in points])
     mean = float(weights @ moments[:, 0])
     return mean, float(weights @ (moments[:, 1] + (moments[:, 0] - mean) ** 2))
 
 
-def _size_at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
+def _estimate_size_at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
     effect = library.structures.candidates[point.name]
     if effect.measure:
         return point.prior_scale.shapes[effect.measure], 0.0
@@ -189,7 +189,7 @@ def _group_spread(
     return mean, float(weights @ (size - mean) ** 2)
 
 
-def _marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndarray, np.ndarray]:
+def _compute_marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return score and information, in prior sd, of a group's members, or marginal ones of the first coefficient."""
     score, information = point.standardised
     if is_group or len(score) == 1:
@@ -201,8 +201,8 @@ def _marginal_score(point: ScoredPoint, is_group: bool) -> tuple[np.ndarray, np.
     return score[:1] - cross @ solution[:, 1], information[:1, :1] - cross @ solution[:, :1]
 
 
-def _z_score(point: ScoredPoint, is_group: bool) -> float:
-    score, information = _marginal_score(point, is_group)
+def _compute_z_score(point: ScoredPoint, is_group: bool) -> float:
+    score, information = _compute_marginal_score(point, is_group)
     if len(score) == 1:
         return float(score[0] / np.sqrt(information[0, 0])) if information[0, 0] > 0 else 0.0
     # Without the effect uᵀK⁺u is χ² with rank(K) degrees of freedom; z has the same one-sided tail probability.
@@ -212,14 +212,14 @@ def _z_score(point: ScoredPoint, is_group: bool) -> float:
     return float(-ndtri(max(chdtrc(is_positive.sum(), chi_square), 1e-300)))
 
 
-def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
+def _compute_minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Return the size that would be found with 80 % power under its prior odds; None if there is none."""
     probability, is_group = settings().found_probability, library.is_grouped(point.name)
     structures = library.structures
     forms = structures.forms[structures.family(point.name)]  # each form would be a finding
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
     nats = math.log(probability / (1 - probability)) - odds
-    _, information = _marginal_score(point, is_group)
+    _, information = _compute_marginal_score(point, is_group)
     if is_group:
         measure = library.structures.candidates[point.name].measure
         amplitude = point.prior_scale.shapes[measure] if measure else float(point.prior_scale.sd[0])

@@ -242,7 +242,7 @@ def find_missing(
         limit.ask()
         return summarise_discovery(library, structure, untestable, stopped)
     with deadline.finishing():
-        return summarise_discovery(library, structure, untestable, stopped, scored=False)
+        return summarise_discovery(library, structure, untestable, stopped, with_scores=False)
 
 
 def enumerate_structures(
@@ -336,30 +336,30 @@ def summarise_discovery(
     structure: Structure,
     untestable: Sequence[Candidate],
     stopped: str = "",
-    scored: bool = True,
+    with_scores: bool = True,
 ) -> Discovery:
     """Summarise the effects missing from a structure, by the posterior and by the candidates' scores.
 
-    Scores take time; without them (`scored` False) only evaluated structures count. After a search that `stopped`
+    Scores take time; without them (`with_scores` False) only evaluated structures count. After a search that `stopped`
     early, no further structure is evaluated, and the probability that the model is complete is not stated.
     """
     structures = library.structures
     posterior = Posterior.from_structures(structures, structure.effects)
     evaluated = structures.evaluate(structure)
     families = posterior.space.families(structure.effects | structures.latent_effects(structure))
-    names = [n for n in library.points if scored and structures.family(n) not in families]
+    names = [n for n in library.points if with_scores and structures.family(n) not in families]
     points = Scorer(library, evaluated).reduced_model().score_candidates(names) if names else {}
     points = select_forms(structures, points)
     parallel = find_indistinguishable(points) if points else {}
     findings = posterior.findings
     findings_by_name = {name: set(f.effects) for f in findings for name in f.effects}
-    unscored = structures.unscored_candidates if scored else structures.candidates
+    unscored = structures.unscored_candidates if with_scores else structures.candidates
     tested = []
     for name in (*points, *sorted(posterior.space.families(unscored) - families)):
         scores, form = points.get(name, ()), posterior.most_probable_form(name)
         if not scores:
             form = form if form in structures.candidates else structures.forms[name][0]
-            if scored and not stopped:
+            if with_scores and not stopped:
                 structures.evaluate(structure.with_effects(form), evaluated)
         refit = structures.visited.get(structure.with_effects(form))
         candidate = summarise_candidate(library, name, form, scores, evaluated, refit)
@@ -377,7 +377,7 @@ def summarise_discovery(
     final = posterior.best if stopped else posterior.median_structure
     added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model
     best_effects = [model.effect(name) for name in structures.candidates if name in added_names]
-    is_stated = scored and not stopped
+    is_stated = with_scores and not stopped
     # Effects that another experiment should tell apart, the most probable first.
     first_finding = list(findings[0].effects) if findings else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first_finding) < 2 else []

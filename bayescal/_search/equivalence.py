@@ -52,7 +52,7 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 
     Candidates with shape parameters or group members are compared by evidence instead, which integrates over these.
     """
-    structures = replace(structures, noise_floor=min(floor, _residual_sd(structures)))
+    structures = replace(structures, noise_floor=min(floor, _estimate_residual_sd(structures)))
     linear, columns = _whiten_candidates(structures)
     latent_names, separable = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
     for name, candidate in columns.items():
@@ -67,7 +67,7 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     return replace(structures, spans=Spans(separable, latent_names))
 
 
-def _residual_sd(structures: Structures) -> float:
+def _estimate_residual_sd(structures: Structures) -> float:
     """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
     linear = linearise_at_priors(Problem(layout, structures.record))

@@ -84,9 +84,9 @@ class Library:
             if (self.grids and name not in self.grids) or self.structures.corrects_column(name):
                 continue
             widths = tuple(_count_members(c, counts) for c in effect.coefficients)
-            self.prior_scales[name] = _prior_scales(effect, widths)
+            self.prior_scales[name] = _list_prior_scales(effect, widths)
             # Given for a shape that the channels of a device share; otherwise points of equal prior mass.
-            grid = _shape_values(effect, self.grids[name]) if self.grids else _default_grid(effect)
+            grid = _map_shapes(effect, self.grids[name]) if self.grids else _make_grid(effect)
             self.points[name] = []
             for i, (shapes, start) in enumerate(grid):
                 block = slice(self.n_columns, self.n_columns + sum(widths))
@@ -106,7 +106,7 @@ class Library:
         if self._means is None:
             self._means = Means.from_record(self.structures.record, count)
             for name, points in self.points.items():
-                columns = self.columns(linear, _extreme_points(points), {})
+                columns = self.columns(linear, _find_extreme_points(points), {})
                 if np.max(self._means.within_fraction(columns)) > MAX_VARIANCE_SHARE:
                     self.unaveraged |= {name}
         return self._means.linear_model(linear)
@@ -147,7 +147,7 @@ class Library:
         effect, counts = self.structures.candidates[name], dict(self.structures.layout.counts)
         # Chain rule: derivative of the output with respect to the slot, times ∂slot/∂coefficient.
         by_slot = np.array([linear.slopes[c.slot or effect.slot] for c in effect.coefficients])
-        needed = self._relevant_corrections(name, corrections)
+        needed = self._list_relevant_corrections(name, corrections)
         if entry := self.cached_columns.get(name, {}).get(bool(needed)):
             is_same = entry[0] is record and entry[1] == needed
             if is_same and np.array_equal(entry[2], by_slot):
@@ -171,7 +171,7 @@ class Library:
         self.cached_columns.setdefault(name, {})[bool(needed)] = record, needed, by_slot, columns
         return columns[[p.index for p in points]]
 
-    def _relevant_corrections(self, name: str, corrections: Corrections) -> Corrections:
+    def _list_relevant_corrections(self, name: str, corrections: Corrections) -> Corrections:
         """Return the corrections of the columns that a candidate depends on, with rounded shapes.
 
         Structures with nearly equal shapes then share cached columns.
@@ -180,7 +180,7 @@ class Library:
         return {c: _round_shapes(c, at) for c, at in corrections.items() if c.column in columns}
 
 
-def _extreme_points(points: Sequence[GridPoint]) -> list[GridPoint]:
+def _find_extreme_points(points: Sequence[GridPoint]) -> list[GridPoint]:
     """Return the grid points of a candidate at which one of its shapes has its minimum or maximum."""
     shapes = np.array([[*p.shapes.values()] for p in points])
     extremes = {*shapes.argmin(axis=0), *shapes.argmax(axis=0)} if shapes.size else {0}
@@ -198,7 +198,7 @@ def _count_members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:
 
 
 @lru_cache(CACHED_EFFECTS)
-def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
+def _list_prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
     """Return the prior scales of an effect whose coefficients have `widths` columns each."""
     ends = np.cumsum([0, *widths])
     sd = np.zeros(ends[-1])
@@ -227,7 +227,7 @@ def _prior_scales(effect: Effect, widths: tuple[int, ...]) -> list[PriorScale]:
     return prior_scales
 
 
-def _shape_values(effect: Effect, grid: np.ndarray) -> list[ShapeValues]:
+def _map_shapes(effect: Effect, grid: np.ndarray) -> list[ShapeValues]:
     """Return for each grid point (points, shapes) an effect's shapes in their units, and coordinates by full name."""
     shapes, count = effect.column_shapes, len(grid)
     names, full = [s.name for s in shapes], [effect.shape_name(s) for s in shapes]
@@ -238,11 +238,11 @@ def _shape_values(effect: Effect, grid: np.ndarray) -> list[ShapeValues]:
 
 
 @lru_cache(CACHED_EFFECTS)
-def _default_grid(effect: Effect) -> list[ShapeValues]:
-    return _shape_values(effect, _shape_grid(effect.column_shapes))
+def _make_grid(effect: Effect) -> list[ShapeValues]:
+    return _map_shapes(effect, _build_shape_grid(effect.column_shapes))
 
 
-def _shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
+def _build_shape_grid(shapes: Sequence[Shape]) -> np.ndarray:
     """Return a grid of shape coordinates (points, shapes), all points equally probable under the priors."""
     if not shapes:
         return np.zeros((1, 0))

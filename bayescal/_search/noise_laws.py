@@ -105,14 +105,14 @@ def _list_starts(law: Noise, record: Record, start: Mapping[str, float]) -> list
         others = () if is_unimodal else ({n: level} for n in priors for level in STARTING_LEVELS)
         return [{**start, **point} for point in ({}, *others)]
     starts = list[dict[str, float]]()
-    for values in _initial_values(law, record):
+    for values in _choose_initial_values(law, record):
         fixed_levels = {n: [priors[n].coordinate(v)] for n, v in values.items()}
         levels = (fixed_levels.get(n, STARTING_LEVELS) for n in priors)
         starts += [dict(zip(priors, point, strict=True)) for point in itertools.product(*levels)]
     return starts
 
 
-def _initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
+def _choose_initial_values(law: Noise, record: Record) -> list[dict[str, float]]:
     """Return starting values of some of a law's parameters; [] if all residuals are zero."""
     residuals = record.y
     scale = float(np.sqrt(np.mean(residuals**2)))

@@ -100,9 +100,9 @@ class Posterior:
         """Return, for each structure, whether it has an unnamed effect that is not negligible."""
 
         def is_needed(s: Structure, probability: float) -> bool:
-            fit, unnamed = self.evaluated.get(s), bool(self.space.unnamed_effects(s))
+            fit, is_unnamed = self.evaluated.get(s), bool(self.space.unnamed_effects(s))
             is_unknown = fit is None or probability < NEGLIGIBLE_PROBABILITY
-            return unnamed and (is_unknown or bool(self.space.substantial_unnamed(fit)))
+            return is_unnamed and (is_unknown or bool(self.space.substantial_unnamed(fit)))
 
         return [is_needed(*pairs) for pairs in zip(self.structures, self.probability, strict=True)]
 
@@ -157,7 +157,7 @@ class Posterior:
             name = self.space.family(effect)
             members = [name, *sorted(self.space.families(equivalents[effect]) - {name})]
             while self.inclusion_probability(*members) < settings().found_probability:
-                substitute = self._next_substitute(members)
+                substitute = self._find_next_substitute(members)
                 if substitute is None:
                     break
                 members.append(substitute)
@@ -169,7 +169,7 @@ class Posterior:
         findings.sort(key=lambda f: (-self.inclusion_probability(f.effects[0]), len(f.effects)))
         return tuple(findings)
 
-    def _next_substitute(self, members: list[str]) -> str | None:
+    def _find_next_substitute(self, members: list[str]) -> str | None:
         """Return the most probable effect in the structures that have none of the members."""
         # Other effects of the best structure and of the condition are no substitutes.
         best, condition = map(self.space.families, (self.best.effects, self.condition))

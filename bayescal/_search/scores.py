@@ -176,10 +176,10 @@ class ReducedModel(NamedTuple):
         square = np.array([s.sd[0] ** 2 for s in scales])
         log_weight = np.array([s.log_weight for s in scales])
         # A coefficient of prior sd s, score u and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K) at
-        # known noise; `_log_bayes_factor` maximises over the noise. All points and scales in one array.
+        # known noise; `_compute_log_bayes_factor` maximises over the noise. All points and scales in one array.
         inner = 1 + np.maximum(information, 0.0)[:, None] * square
         explained = self.scores[columns, None] ** 2 * square / inner
-        return self._log_bayes_factor(0.5 * np.log(inner), explained) + log_weight
+        return self._compute_log_bayes_factor(0.5 * np.log(inner), explained) + log_weight
 
     def _score_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """Return log Bayes factors of a candidate with several columns, at each point and prior scale."""
@@ -195,7 +195,7 @@ class ReducedModel(NamedTuple):
     @property
     def drop_log_bayes_factor(self) -> float:
         """Return the log Bayes factor of the reduced structure against the full structure."""
-        return float(self._log_bayes_factor(0.0, 0.0))
+        return float(self._compute_log_bayes_factor(0.0, 0.0))
 
     def log_bayes_factor(
         self, score: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
@@ -204,9 +204,9 @@ class ReducedModel(NamedTuple):
 
         The columns' coefficients have standard normal priors; the noise variance has its maximum-likelihood value.
         """
-        return self._log_bayes_factor(*explained_sum_of_squares(score, information))
+        return self._compute_log_bayes_factor(*explained_sum_of_squares(score, information))
 
-    def _log_bayes_factor(self, half_logdet: Any, explained: Any) -> Any:
+    def _compute_log_bayes_factor(self, half_logdet: Any, explained: Any) -> Any:
         """Compute the log Bayes factor from half the log determinant and the explained sum of squares of columns."""
         # At the noise variance of maximum likelihood, RSS/n, the log likelihood is −½·n·log(RSS) but for constants.
         rss_ratio = np.maximum((self.rss - explained) / self.scorer.linear.rss, 1e-12)

@@ -166,8 +166,8 @@ class SearchPath(Printed):
             reason = "no effect may be added" if is_reliable else "the fit is not reliable"
             return search.stopped or f"The search was not run: {reason}."
         lines = [search.stopped] if search.stopped else []
-        added, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
-        if not lines and added >= allowed > 0:
+        added_count, allowed = sum(s.added is not None for s in self.steps), search.max_effects or 0
+        if not lines and added_count >= allowed > 0:
             lines.append(f"The search added its maximum of {allowed} effects (--max-effects).")
         # The most probable candidate that these readings can test shows how close the search was to adding another one.
         probabilities = {c.effect: c.probability for c in discovery.candidates}

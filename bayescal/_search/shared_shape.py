@@ -165,7 +165,7 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
     evaluated = sorted(fits, key=lambda w: -w.log_posterior)
     with_effect = [w for w in evaluated if name in w.structure.effects][:MAX_STRUCTURES]
     without_effect = [w for w in evaluated if name not in w.structure.effects][:MAX_STRUCTURES]
-    v = _shape_coordinates(shape, local_shape, with_effect[:1], f"{name}.{shape.name}")
+    v = _build_shape_coordinates(shape, local_shape, with_effect[:1], f"{name}.{shape.name}")
     u = np.array([local_shape.prior.coordinate(float(shape.prior.value(x))) for x in v])
     library = Library(structures, {name: u[:, None]})
     # An effect that was never fitted has the log posterior below which no structure is fitted.
@@ -178,14 +178,14 @@ def evaluate_shape(structures: Structures, name: str, shape: Shape) -> ShapeEvid
         log_posterior = fit.log_posterior - structures.log_odds[name]
         log_with_effect.append(log_posterior + factors - np.logaddexp.reduce(factors + log_mass(u)))
     for fit in without_effect if name in library.points else ():
-        allowed = name not in structures.excluded_candidates(fit.structure)
-        if allowed and fit.structure.with_effects(name) not in refits:
+        is_allowed = name not in structures.excluded_candidates(fit.structure)
+        if is_allowed and fit.structure.with_effects(name) not in refits:
             log_with_effect.append(fit.log_posterior + _score_shape(library, fit, name))
     log_without = np.logaddexp.reduce([w.log_posterior for w in without_effect])
     return ShapeEvidence(v, np.logaddexp.reduce(log_with_effect, axis=0) - log_without)
 
 
-def _shape_coordinates(
+def _build_shape_coordinates(
     shape: Shape, local_shape: Shape, best_fits: Sequence[EvaluatedStructure], name: str
 ) -> np.ndarray:
     """Return a grid of shape coordinates: even over both prior ranges, and finer about the channel's mode."""

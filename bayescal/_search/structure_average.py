@@ -118,12 +118,12 @@ def average_models(
                 # The last structure was sampled already: take from its draws, without repetition if there are enough.
                 x, v = last.draws()
                 indices = random.choice(len(x), count, replace=count > len(x))
-                parts.append((last.model, _draws_by_name(last.layout, x[indices], v[indices])))
+                parts.append((last.model, _collect_draws(last.layout, x[indices], v[indices])))
             else:
                 fit = structures.evaluate(Structure(frozenset(share.effects), noise))
                 draws = _draw_structure(fit, count, share.probability, seed)
                 parts.append((fit.sized_model, draws))
-    mixture = _combine_draws(last, _union_model(structures, [model for model, _ in parts]), parts)
+    mixture = _combine_draws(last, _merge_models(structures, [model for model, _ in parts]), parts)
     texts = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
     note = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(texts)}."
     mixture = mixture.with_verdict(notes=(*last.verdict.notes, note))
@@ -180,8 +180,8 @@ def add_latent_effects(
 
 def _extend_model(calibration: Calibration, model: Model) -> Calibration:
     """Return a calibration of a model with further effects, which are zero in all draws."""
-    draws = _draws_by_name(calibration.layout, *calibration.draws())
-    return _combine_draws(calibration, model, [(calibration.model, draws)], shuffled=False)
+    draws = _collect_draws(calibration.layout, *calibration.draws())
+    return _combine_draws(calibration, model, [(calibration.model, draws)], shuffle=False)
 
 
 def structure_shares(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
@@ -212,17 +212,17 @@ def _draw_structure(fit: EvaluatedStructure, count: int, probability: float, see
     sample = draw_weighted(fit.problem, fit.mode, seed, None, MAX_ROUNDS, probability=probability)
     weights, _ = smoothed(sample.log_weight)
     indices = resample(weights, count, seed)
-    return _draws_by_name(fit.problem.layout, sample.x[indices], sample.v[indices])
+    return _collect_draws(fit.problem.layout, sample.x[indices], sample.v[indices])
 
 
-def _draws_by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
+def _collect_draws(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
     """Return draws by unknown, in its unit; coefficients stored in units of their group sd are converted."""
     unknowns = Unknowns.of(layout)
     values = unknowns.values(x, v)
     return {key: unknowns.select(values, key) for key in unknowns.by_key}
 
 
-def _union_model(structures: Structures, models: Sequence[Model]) -> Model:
+def _merge_models(structures: Structures, models: Sequence[Model]) -> Model:
     """Return the model with the effects of all models, each as in the most probable structure."""
     by_name: dict[str, Effect] = {}
     for model in models:
@@ -236,9 +236,9 @@ def _union_model(structures: Structures, models: Sequence[Model]) -> Model:
 
 
 def _combine_draws(
-    last: Calibration, model: Model, parts: Sequence[tuple[Model, _Values]], shuffled: bool = True
+    last: Calibration, model: Model, parts: Sequence[tuple[Model, _Values]], shuffle: bool = True
 ) -> Calibration:
-    """Combine the draws of several models as draws of one with all their effects, in random order if `shuffled`."""
+    """Combine the draws of several models as draws of one with all their effects, in random order if `shuffle`."""
     # Groups of labels that another structure has and the last model lacks.
     new_groups = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
     members = tuple((group, len(names)) for group, names in new_groups.items())
@@ -264,7 +264,7 @@ def _combine_draws(
     for values, h in zip(v.T, layout.hypers, strict=True):
         fill_value = ZERO_SD_COORDINATE if h.name in spreads else np.nanmedian(values)
         values[np.isnan(values)] = fill_value
-    order = np.random.default_rng(last.seed).permutation(len(x)) if shuffled else np.arange(len(x))
+    order = np.random.default_rng(last.seed).permutation(len(x)) if shuffle else np.arange(len(x))
     order = order[: CHAINS * (len(x) // CHAINS)]
     return replace(
         last,

@@ -96,10 +96,10 @@ def beam_search(library: Library, max_effects: int, start: Structure | None = No
         if final_start:
             # Add the effects one by one: fitted all at once, their shapes may end at a lower maximum.
             yield from map(structures.evaluate, find_path(library, final_start))
-        # `_next_in_beam` sorts anew each time. Finer forms and laws come last: they would fit what is still missing.
+        # `_select_next` sorts anew each time. Finer forms and laws come last: they would fit what is still missing.
         while True:
             count = len(structures.visited)
-            if current := _next_in_beam(structures, expanded[scope], scope):
+            if current := _select_next(structures, expanded[scope], scope):
                 structure = current.structure
                 previous = [*expanded[scope]] if structures.near_best_only else []
                 expanded[scope].add(structure)
@@ -149,7 +149,7 @@ def find_path(library: Library, goal: Structure, start: Structure | None = None)
         steps.append(max(log_posteriors, key=log_posteriors.__getitem__))
 
 
-def _next_in_beam(
+def _select_next(
     structures: Structures, expanded: set[Structure], scope: Scope
 ) -> EvaluatedStructure | None:
     """Return the most probable structure in the beam and in a scope that is not yet expanded; None if there is none.
@@ -257,7 +257,7 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
         return True
     if neighbour in structures.previous_round:
         return structures.is_in_window(structures.log_posterior(neighbour))
-    change = _past_change(structures, neighbour, current) if structures.near_best_only else None
+    change = _find_change(structures, neighbour, current) if structures.near_best_only else None
     if change is not None:
         structures.store_score(neighbour, fit.log_posterior + change)
         return fit.log_posterior + change > structures.best.log_posterior
@@ -272,12 +272,12 @@ def _needs_fit(structures: Structures, neighbour: Structure, fit: EvaluatedStruc
     return structures.is_in_window(log_posterior)
 
 
-def _past_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
+def _find_change(structures: Structures, neighbour: Structure, current: Structure) -> float | None:
     """Return the change of log posterior by the same move with other forms of the effects; None if not evaluated."""
     added, removed = neighbour.effects - current.effects, current.effects - neighbour.effects
     own_families = structures.families(current.effects)
     adds_form = added and structures.families(neighbour.effects) == own_families
-    for s, change in _known_changes(structures, removed, added, neighbour.noise):
+    for s, change in _list_changes(structures, removed, added, neighbour.noise):
         families = structures.families(s.effects)
         is_similar = families == own_families or (adds_form and families < own_families)
         if s.noise == current.noise and is_similar:
@@ -285,7 +285,7 @@ def _past_change(structures: Structures, neighbour: Structure, current: Structur
     return None
 
 
-def _known_changes(
+def _list_changes(
     structures: Structures, removed: frozenset[str], added: frozenset[str], noise: str | None = None
 ) -> Iterator[tuple[Structure, float]]:
     """Yield evaluated structures and the change of log posterior if effects (and the law, if given) are replaced."""
@@ -328,7 +328,7 @@ def _try_forms(structures: Structures, fit: EvaluatedStructure, last: bool = Fal
             shapes = structures.candidates[form].column_shapes
             if not structures.corrects_column(form) or (len(shapes) > 1 and not last):
                 continue
-            pairs = () if last else _known_changes(means or structures, frozenset({name}), added)
+            pairs = () if last else _list_changes(means or structures, frozenset({name}), added)
             changes = [c for s, c in pairs if structures.noise_law(s).independent == independent]
             change = max(changes) if changes else structures.change_on_means(neighbour, fit)
             expected_log_posterior = fit.log_posterior + change

@@ -202,16 +202,16 @@ def parse_dates(texts: np.ndarray, order: str = "") -> tuple[Cells, list[str]]:
     possible orders are returned as second item, else an empty list.
     """
     rows, invalid_texts = np.full((len(ORDERS), len(texts)), np.nan), dict[int, str]()
-    has_zone, unambiguous = None, True
+    has_zone, is_unambiguous = None, True
     for i, text in enumerate(map(format_cell, texts)):
         if dates := parse_date(text):
             rows[:, i] = [dates.get("", dates.get(name, np.nan)) for name in ORDERS]
             has_zone = has_time_zone(text) if has_zone is None else has_zone
-            unambiguous &= "" in dates
+            is_unambiguous &= "" in dates
         is_invalid = has_time_zone(text) != has_zone if dates else not is_missing(text)
         if is_invalid and len(invalid_texts) < MAX_INVALID_ROWS:
             invalid_texts[i] = text
-    if unambiguous:
+    if is_unambiguous:
         return Cells(rows[0], invalid_texts), []
     values, is_date = dict(zip(ORDERS, rows, strict=True)), ~np.isnan(rows).all(axis=0)
     valid_orders = [n for n, row in values.items() if not np.isnan(row[is_date]).any()]

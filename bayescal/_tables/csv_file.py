@@ -304,14 +304,14 @@ def _scan_lines(text: CsvText) -> None:
 
 def _refuse_ragged_rows(text: CsvText, ragged_rows: Sequence[tuple[int, str, int]]) -> None:
     """Raise InputError for rows (row, text, number of fields) with more or fewer fields than the header."""
-    _, line, fields = ragged_rows[0]
-    expected = len(text.header)
-    comma = text.separator == "," and fields > expected
+    _, line, field_count = ragged_rows[0]
+    n_expected = len(text.header)
+    comma = text.separator == "," and field_count > n_expected
     cure = "If its numbers have decimal commas, export them with decimal points. " * comma
-    if any(expected < n for _, _, n in ragged_rows):
+    if any(n_expected < n for _, _, n in ragged_rows):
         cure += "If the first lines only describe the test, begin each with #. "
     cure += "Give every row one field for each column"
-    fault = f"has {fields} field{'s' * (fields != 1)}, but the header has {expected}: {line!r}"
+    fault = f"has {field_count} field{'s' * (field_count != 1)}, but the header has {n_expected}: {line!r}"
     places = tuple(f"row {row}" for row, _, _ in ragged_rows)
     Objections([Objection(text.file, fault, cure=cure, places=places)]).refuse()
 

@@ -304,7 +304,7 @@ def _split_by_source(
         total = float(gradient @ correction._moments.covariance @ gradient)
     unknowns, covariance = equation.unknowns, correction._moments.covariance
     blocks = {b.name: b for b in calibration.layout.blocks}
-    sensitivities, estimated = dict[str, float](), _estimated_group_sds(equation)
+    sensitivities, estimated = dict[str, float](), _list_estimated_group_sds(equation)
     for i, unknown in enumerate(unknowns):
         if is_new_member(unknown):
             label = f"{unknown.key} of a new {unknown.group}"
@@ -344,7 +344,7 @@ def _split_by_source(
     return tuple(SourceShare(*label, u, v / (variance or np.inf)) for label, v, u in sources)
 
 
-def _estimated_group_sds(equation: OperatingEquation) -> set[str]:
+def _list_estimated_group_sds(equation: OperatingEquation) -> set[str]:
     """Return the coefficients of unseen members whose between-member standard deviation is estimated, by name."""
     members, fixed_names = dict(equation.members), {None, *dict(equation.layout.model.fixed)}
     estimated = (b for b in equation.blocks if b.group_sd_name not in fixed_names)

@@ -149,8 +149,8 @@ def compensate_file(
 def _refuse_overlap(compensator: Compensator, readings: Measurements, has_begin: bool) -> None:
     """Raise InputError if another file's undated times overlap the calibration's: their origins then differ."""
     hashes = {sha for _, sha in compensator.about.sources}
-    undated = readings.since is None and compensator.about.epoch is None and not has_begin
-    if not (compensator.dated and undated) or {s.sha256 for s in readings.sources} & hashes:
+    is_undated = readings.since is None and compensator.about.epoch is None and not has_begin
+    if not (compensator.dated and is_undated) or {s.sha256 for s in readings.sources} & hashes:
         return
     (clock,) = (i for i in compensator.inputs if i.name == "time")
     first_time, last_time = float(readings["time"].min()), float(readings["time"].max())

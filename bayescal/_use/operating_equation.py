@@ -501,10 +501,10 @@ def solve_over_draws(
 
     Lags are computed from the record at each draw's time constants; without a record they are inputs.
     """
-    count, block = len(theta), max(1, MAX_BLOCK_SIZE // len(output))
+    draw_count, block_size = len(theta), max(1, MAX_BLOCK_SIZE // len(output))
     origin, sums, values = np.zeros(len(output)), np.zeros((3, len(output))), dict(inputs)
-    for start in range(0, count, block):
-        draws = theta[start : start + block]
+    for start in range(0, draw_count, block_size):
+        draws = theta[start : start + block_size]
         for lag in equation.nodes.lags if record is not None else ():
             (tau,) = equation.evaluate([lag.node], draws, 0.0, {})
             values[lag.name] = record.lag(np.reshape(tau, (-1, 1)), lag.column)
@@ -516,5 +516,5 @@ def solve_over_draws(
             origin = s.mean(axis=0)
         offset = s - origin
         sums += [part.sum(axis=0) for part in (offset, offset**2, slope**-2.0)]
-    mean = sums[0] / count
-    return origin + mean, (sums[1] - sums[0] * mean) / max(count - 1, 1), sums[2] / count
+    mean = sums[0] / draw_count
+    return origin + mean, (sums[1] - sums[0] * mean) / max(draw_count - 1, 1), sums[2] / draw_count

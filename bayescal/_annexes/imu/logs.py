@@ -72,7 +72,7 @@ def align_channels(
     names = dict.fromkeys(headers.get(name, name) for name in chosen)
     names = [name for name in names if name in sensor_by_channel] or list(sensor_by_channel)
     chosen_sensors = list({id(s): s for s in (sensor_by_channel[n] for n in names)}.values())
-    base = max(chosen_sensors, key=lambda sensor: _median_step(sensor.time))
+    base = max(chosen_sensors, key=lambda sensor: _compute_median_step(sensor.time))
     times = [sensor.time for sensor in chosen_sensors]
     times += [] if base.temperature_time is None else [base.temperature_time]
     low = max(t.min(initial=np.inf) for t in times)
@@ -83,8 +83,8 @@ def align_channels(
     if base.temperature is not None and (sampled_at := base.temperature_time) is not None:
         columns["temperature [degC]"] = np.interp(time, sampled_at, base.temperature)
         notes.append(
-            f"{file}: the temperature was sampled every {_median_step(sampled_at):.3g} s, and is "
-            f"interpolated to the times of {names[0]} (every {_median_step(base.time):.3g} s)"
+            f"{file}: the temperature was sampled every {_compute_median_step(sampled_at):.3g} s, and is "
+            f"interpolated to the times of {names[0]} (every {_compute_median_step(base.time):.3g} s)"
         )
     elif base.temperature is not None:
         columns["temperature [degC]"] = base.temperature[rows]
@@ -102,7 +102,7 @@ def align_channels(
     return columns, notes
 
 
-def _median_step(time: np.ndarray) -> float:
+def _compute_median_step(time: np.ndarray) -> float:
     """Return the median time between samples, s."""
     return float(np.median(np.diff(time))) if len(time) > 1 else np.inf
 

@@ -218,7 +218,7 @@ def _fit_run(
     Args:
         log: samples of the gyroscopes.
         f_run: samples of the accelerometers.
-        windows: begin and end of each pose, s.
+        windows: start and end time of each pose, s.
         correction: correction of the accelerometers.
         n_runs: number of runs that share the errors of the correction, which do not average out.
 
@@ -272,7 +272,7 @@ class _Session(NamedTuple):
     """Mean outputs and specific forces in the poses of one run, and the prior mean of the parameters."""
 
     at_rest: Float[np.ndarray, "k 3"]  # mean outputs, rad/s
-    windows: Float[np.ndarray, "k 2"]  # begin and end, s
+    windows: Float[np.ndarray, "k 2"]  # start and end times, s
     force: Float[np.ndarray, "k 3"]  # specific force, g
     force_covariance: Float[np.ndarray, "3k 3k"]  # of all specific forces, g²
     white_variance: float  # variance of a mean output over a second, (rad/s)²

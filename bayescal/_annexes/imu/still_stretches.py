@@ -100,8 +100,8 @@ def find_static_segments(
 
 def format_shorter_segments(durations: Sequence[float]) -> str:
     """Return a sentence on the number of omitted shorter segments, and the option that includes them."""
-    count, least = len(durations), min(durations)
-    return f"{count} shorter static segments are omitted; --shortest {least:g} (shortest={least:g}) includes them"
+    count, shortest = len(durations), min(durations)
+    return f"{count} shorter static segments are omitted; --shortest {shortest:g} (shortest={shortest:g}) includes them"
 
 
 class LoggedRun(NamedTuple):

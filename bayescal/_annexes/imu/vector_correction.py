@@ -1,4 +1,4 @@
-"""Three-axis correction: conversion of three outputs to the input vector with its covariance, over temperature.
+"""Three-axis correction: conversion of three outputs and a temperature to the input vector with its covariance.
 
     y = h(f̂),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -74,7 +74,7 @@ class CorrectedVector:
 @ws.renamed(reach="max_input", against="reason", assumed="default_temperature")
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
-    """Correction of three outputs to the input vector with its covariance, over temperature; call it with outputs.
+    """Correction of three outputs, at a temperature, to the input vector with its covariance; call it with outputs.
 
         correct = bc.vector_correction(calibration)
         corrected = correct([[0.01, 0.02, 0.99]], temperature=25.0)
@@ -221,7 +221,7 @@ class VectorCorrection:
 
         Args:
             run: run of a log of the three outputs.
-            windows: begin and end of each pose, s.
+            windows: start and end time of each pose, s.
 
         Returns:
             f̂; its negative partial derivatives G with respect to the terms, so that G·covariance·Gᵀ is the covariance

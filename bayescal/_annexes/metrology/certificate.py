@@ -185,7 +185,7 @@ def dcc_text(
         sources=ws.sources_of(calibration.readings),
         calibration=calibration,
         k=f"{COVERAGE_FACTOR:g}",
-        covered=list(_column_ranges(calibration, local_gravity)),
+        covered=list(_find_ranges(calibration, local_gravity)),
         quantities=list(_quantities(calibration, local_gravity)),
         decisions=decisions,
     )
@@ -196,7 +196,7 @@ def dcc_text(
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _column_ranges(fit: bc.Calibration, gravity: float) -> Iterator[tuple[str, DsiReal, DsiReal]]:
+def _find_ranges(fit: bc.Calibration, gravity: float) -> Iterator[tuple[str, DsiReal, DsiReal]]:
     """Yield the range of each column of the readings: name, lowest and highest value."""
     readings = fit.readings
     for name in readings.columns:

@@ -333,7 +333,7 @@ class LimitedQuantity:
     @property
     def operating_point(self) -> dict[str, tuple[float, float, str]]:
         """Return the operating point: name → lowest value, highest value, unit; empty for an unknown."""
-        units = {} if self.compensator is None else _input_units(self.compensator)
+        units = {} if self.compensator is None else _list_input_units(self.compensator)
         ends = {n: (float(v.min()), float(v.max())) for n, v in self.points.items()}
         return {n: (*ends[n], unit) for n, unit in units.items() if n in self.dependencies}
 
@@ -358,17 +358,17 @@ class LimitedQuantity:
             return DrawnQuantity(values, np.zeros(len(stimulus)))
         noise = np.sqrt(compensator.in_use.noise_variance(stimulus, points))
         _, slope, _ = equation.linearise(moments.mean, stimulus, points)
-        scores = _noise_scores(compensator, points, np.outer(noise, DEVIATIONS))
+        scores = _compute_noise_scores(compensator, points, np.outer(noise, DEVIATIONS))
         return DrawnQuantity(values, noise / np.abs(slope), scores)
 
 
-def _input_units(compensator: bc.Compensator) -> dict[str, str]:
+def _list_input_units(compensator: bc.Compensator) -> dict[str, str]:
     """Return the units of the stimulus and the inputs that a limit may state, by name."""
     inputs = {i.name: i.unit for i in compensator.inputs if i.kind != "lag slope"}
     return {compensator.stimulus: compensator.unit, **inputs}
 
 
-def _noise_scores(
+def _compute_noise_scores(
     compensator: bc.Compensator, points: Mapping[str, np.ndarray], deviations: np.ndarray
 ) -> Float[np.ndarray, "n m"]:
     """Return normal scores (n, m) of the predictive probability that one reading's noise is below each deviation."""
@@ -411,7 +411,7 @@ def find_quantity(
     spans, not_covered, notes = [], [], []
     for span in limit.over:
         name, low, high = _resolve_range(compensator, span, limit, local_gravity)
-        not_covered += _range_faults(compensator, name, low, high)
+        not_covered += _check_range(compensator, name, low, high)
         if name not in point:
             notes.append(f"{limit.quantity} does not depend on {name}.")
         spans.append((name, low, high))
@@ -496,7 +496,7 @@ def _resolve_range(
     compensator: bc.Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
     """Return the column of a range, and its ends in that column's unit."""
-    readings, inputs = compensator.calibration.readings, _input_units(compensator)
+    readings, inputs = compensator.calibration.readings, _list_input_units(compensator)
     units = inputs | {n: u for n in readings.columns if (u := readings.unit(n)) and n not in inputs}
     units.pop("output", None)
     if span.name and span.name not in units:
@@ -518,7 +518,7 @@ def _resolve_range(
     return name, low, high
 
 
-def _range_faults(compensator: bc.Compensator, name: str, low: float, high: float) -> list[str]:
+def _check_range(compensator: bc.Compensator, name: str, low: float, high: float) -> list[str]:
     """Return why a range is not covered by the calibration, as a list of one sentence; empty if it is covered."""
     readings = compensator.calibration.readings
     if name in compensator.calibrated:
@@ -543,8 +543,8 @@ def convert_population(
 ) -> tuple[float, float] | None:
     """Return a population's mean and sd in the quantity's unit; None if the population is of another quantity."""
     unit, target = devices.unit or "1", quantity.unit or "1"
-    over_range = any(r.high > r.low for r in quantity.limit.over)
-    if quantity.is_error or over_range or not ws.same_dimension(unit, target):
+    is_over_range = any(r.high > r.low for r in quantity.limit.over)
+    if quantity.is_error or is_over_range or not ws.same_dimension(unit, target):
         return None
     sd = float(ws.convert(devices.sd, unit, target, difference=True))
     if devices.mean is not None:

@@ -50,10 +50,10 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
     unit, path = instrument.column(column).unit or "1", Path(path)
     root, label = _parse_root(path), ws.unit_label(unit) or "plain numbers"
     elements = [e for result in root.iter(f"{DCC}result") for e in result.iter()]
-    results = [_parse_errors(path, e, unit) for e in elements if _tag(e) in ("list", "data")]
+    results = [_parse_errors(path, e, unit) for e in elements if _get_tag(e) in ("list", "data")]
     tables = [errors for errors in results if errors is not None]
     if len(tables) != 1:
-        units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _tag(e) == "unit"))
+        units = ", ".join(dict.fromkeys(e.text or "" for e in elements if _get_tag(e) == "unit"))
         fault = f"{len(tables)} tables of errors in {label}; units are {units or 'not stated'}"
         raise _make_error(path, "dcc:result", fault, f"one dcc:quantity of refType {ERROR}")
     x, error, sd = tables[0]
@@ -97,7 +97,7 @@ def _parse_root(path: Path) -> ET.Element:
     raise _make_error(path, "the root", fault, f"{ROOT}, of {MAX_BYTES:,} bytes at most")
 
 
-def _tag(element: ET.Element) -> str:
+def _get_tag(element: ET.Element) -> str:
     """Return an element's name, without namespace and without the ending XMLList."""
     return element.tag.rpartition("}")[2].removesuffix("XMLList")
 
@@ -129,14 +129,14 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
     return points + (error[0] if MEASURED not in columns and REFERENCE in columns else 0.0), *error
 
 
-def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarray | None:
+def _parse_values(quantity: ET.Element, unit: str, is_difference: bool) -> np.ndarray | None:
     """Return values and standard uncertainties (2, n) in `unit`; None if no value has a unit that converts to it.
 
     The uncertainty is NaN if an expanded one lacks its coverage factor, 0 if none is stated.
     """
-    children = (list(e) if _tag(e) in ("hybrid", "list") else [e] for e in quantity)
-    for real in (e for group in children for e in group if _tag(e) in ("real", "realList")):
-        texts = {_tag(e): (e.text or "").split() for e in real.iter()}
+    children = (list(e) if _get_tag(e) in ("hybrid", "list") else [e] for e in quantity)
+    for real in (e for group in children for e in group if _get_tag(e) in ("real", "realList")):
+        texts = {_get_tag(e): (e.text or "").split() for e in real.iter()}
         factor, source_unit = _parse_unit(*dict.fromkeys(texts.get("unit", [""])))
         if not (source_unit and ws.same_dimension(source_unit, unit)):
             continue
@@ -147,7 +147,7 @@ def _parse_values(quantity: ET.Element, unit: str, difference: bool) -> np.ndarr
         element = next((n for n in names[1:5] if n in numbers), "")
         k = numbers.get("coverageFactor", np.nan) if element in EXPANDED else 1.0
         sd = np.broadcast_to(numbers.get(element, 0.0) / k, numbers["value"].shape)
-        pairs = (numbers["value"], difference), (sd, True)
+        pairs = (numbers["value"], is_difference), (sd, True)
         return np.array([ws.convert(v * factor, source_unit, unit, difference=d) for v, d in pairs])
     return None
 

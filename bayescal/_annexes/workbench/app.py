@@ -42,7 +42,7 @@ class Workbench:
         view: Panel view of the page, for a server or a notebook.
     """
 
-    def __init__(self, session: Any, *, embedded: bool = False) -> None:
+    def __init__(self, session: Any, *, is_embedded: bool = False) -> None:
         """Build the page of a session; it fills the window, unless it is embedded in a notebook."""
         self.session = session
         self.worker = PageWorker(self._show_status, self._set_busy)
@@ -51,7 +51,7 @@ class Workbench:
         self.model, self.residuals = ModelPane(self), ResidualPane(self)
         self.candidates, self.errors = CandidatesPane(self), ErrorPane(self)
         self.tabs = Tabs(self)
-        self.view = self._lay_out(embedded)
+        self.view = self._lay_out(is_embedded)
         session.on_change.append(self._follow_session)
         self.refresh()
         pn.state.onload(self.find_missing)  # updates before the browser has connected may be lost
@@ -59,7 +59,7 @@ class Workbench:
         if document is not None and document.session_context is not None:
             document.on_session_destroyed(lambda _: self._close())
 
-    def _lay_out(self, embedded: bool) -> pn.Column:
+    def _lay_out(self, is_embedded: bool) -> pn.Column:
         self.status = label("", "small", "status")
         self.browser = Browser(margin=0, width=0, height=0, folder=str(self.session.folder.parent))
         title = pn.pane.HTML("<h1>bayescal workbench</h1>", stylesheets=[INSIDE], margin=0)
@@ -67,7 +67,7 @@ class Workbench:
         return pn.Column(
             row(title, description, self.status, self.browser, kinds=("top",)),
             *(self.model.view, self.residuals.view, self.candidates.view, self.tabs.view),
-            css_classes=["framed"] * embedded,
+            css_classes=["framed"] * is_embedded,
             stylesheets=[CSS],
             sizing_mode="stretch_both",
             margin=0,
@@ -201,9 +201,9 @@ class Workbench:
         self._stopping = True
         self.errors.show_search_progress(True, "stopping …")
 
-    def _set_busy(self, busy: bool) -> None:
+    def _set_busy(self, is_busy: bool) -> None:
         for pane in (self.model, self.candidates, self.errors):
-            pane.set_busy(busy)
+            pane.set_busy(is_busy)
 
     def _show_status(self, text: str, is_error: bool) -> None:
         self.status.object = text

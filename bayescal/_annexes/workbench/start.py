@@ -55,4 +55,4 @@ def workbench(
     model = instrument if is_model else instrument.for_readings(readings).baseline()
     options = {"holdout": holdout, "effects": effects, "folder": folder, **settings}
     session = Session.open(model, readings, **options)
-    return Workbench(session, embedded=True).view
+    return Workbench(session, is_embedded=True).view

@@ -1,4 +1,4 @@
-"""Pendulous accelerometer on a dividing head, over temperature (IEEE Std 1293).
+"""Pendulous accelerometer on a dividing head, at several temperatures (IEEE Std 1293).
 
 Measurement equation, output in µg of nominal scale (volts become µg by the nominal scale factor):
 

@@ -73,7 +73,7 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
     substeps = SUBSTEPS
     rest_samples, move_samples = round(plan.still * plan.rate), round(plan.move * plan.rate)
     rates, forces, attitudes = [], [], []
-    attitude = _rotation_matrix(rng.standard_normal(3))
+    attitude = _compute_rotation_matrix(rng.standard_normal(3))
     for pose in range(plan.poses):
         rates.append(np.zeros((rest_samples, 3)))
         forces.append(np.tile(attitude[2], (rest_samples, 1)))
@@ -97,7 +97,7 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
         for k in range(move_samples * substeps):
             if k % substeps == 0:
                 orientation[k // substeps] = attitude
-            attitude = attitude @ _rotation_matrix(steps[k])
+            attitude = attitude @ _compute_rotation_matrix(steps[k])
         attitudes.append(orientation)
         push = HAND_SHAKE_G * np.sin(np.pi * fractions) ** 2 * np.sin(6 * np.pi * fractions)
         specific_force = np.array([0.0, 0.0, 1.0]) + push[:, None] * push_direction
@@ -105,7 +105,7 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
     return np.concatenate(rates), np.concatenate(forces), np.concatenate(attitudes)
 
 
-def _rotation_matrix(vector: np.ndarray) -> np.ndarray:
+def _compute_rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the rotation matrix of a rotation vector, rad, by Rodrigues' formula."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)

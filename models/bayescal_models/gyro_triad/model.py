@@ -201,7 +201,7 @@ INSTRUMENT = bc.Instrument(
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
 simulate = readings_simulator(INSTRUMENT)
-# Five rates in three mountings; with hidden effects six mountings over temperature.
+# Five rates in three mountings; with hidden effects six mountings at three temperatures.
 SMALL_CAMPAIGN = Campaign(mountings=("x", "y", "z"))
 EFFECT_CAMPAIGN = Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2)
 reference_problem = ReferenceProblem(INSTRUMENT, SMALL_CAMPAIGN, EFFECT_CAMPAIGN)

@@ -54,7 +54,7 @@ def simulated_columns(
     time = np.cumsum(interval) + 3600.0 * run
     run_deviates = rng.standard_normal((plan.runs, 3))
     errors = MOUNTING_SD_RAD * rng.standard_normal((plan.runs, len(plan.mountings), 3))[run, mount]
-    up = np.array([_upward_axis(mounting) for mounting in plan.mountings])[mount]
+    up = np.array([_compute_upward_axis(mounting) for mounting in plan.mountings])[mount]
     true_axes = up + np.cross(errors, up)
     departure, omega = (temperature - REFERENCE)[:, None], rate[:, None] * true_axes
     progress = (time - time[len(time) // 2]) / max(time[-1] - time[0], 1.0)
@@ -80,6 +80,6 @@ def simulated_columns(
     return columns
 
 
-def _upward_axis(mounting: str) -> np.ndarray:
+def _compute_upward_axis(mounting: str) -> np.ndarray:
     """Return the unit vector that points up, in body axes, of a mounting such as "x" or "-z"."""
     return (-1.0 if mounting.startswith("-") else 1.0) * np.eye(3)["xyz".index(mounting[-1])]

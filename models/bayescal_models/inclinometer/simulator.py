@@ -54,7 +54,7 @@ class Conditions:
         rows, start_time = [], 0.0
         for device in range(plan.devices):
             prefix = f"{device + 1}" if plan.devices > 1 else ""
-            for labels, columns in (_verification if plan.grid else _zero_test)(plan, prefix):
+            for labels, columns in (_plan_grid if plan.grid else _plan_zero_test)(plan, prefix):
                 n_readings = len(columns[0])
                 # Both axes of a verification are read simultaneously.
                 step = np.arange(n_readings) % (n_readings // 2 if plan.grid else n_readings)
@@ -105,7 +105,7 @@ class Conditions:
         return Accelerometer(**fields)  # pyright: ignore[reportArgumentType]
 
 
-def _zero_test(plan: Campaign, prefix: str):
+def _plan_zero_test(plan: Campaign, prefix: str):
     """Yield labels (axis, run) and columns (placement, tilt, rad; direction; deg since reversal) of each mounting."""
     sweep = np.asarray(plan.angles, dtype=float)
     angles, forward, since_reversal = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
@@ -119,7 +119,7 @@ def _zero_test(plan: Campaign, prefix: str):
         yield labels, (np.deg2rad(angles), zero_tilt, forward, since_reversal)
 
 
-def _verification(plan: Campaign, prefix: str):
+def _plan_grid(plan: Campaign, prefix: str):
     points = plan.pairs()
     ones, infinite = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
     for run in range(1, plan.runs + 1):

@@ -65,7 +65,7 @@ class Conditions(TimeGrid):
         self._run = np.maximum(np.searchsorted(starts, self.time, side="left") - 1, 0)
         self.run_time = self.time - starts[self._run]
         self.powered = (self.run_time > 0) & (self.time <= starts[self._run] + plan.run_duration)
-        self.ambient = self.low_pass(_chamber_set_point(plan, self.time), plan.chamber_time)
+        self.ambient = self.low_pass(_compute_chamber_set_point(plan, self.time), plan.chamber_time)
         self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
         self.supply = simulated.simulate_supply(generators["supply"], self.time)
         humidity = 45.0 + 5.0 * correlated_noise(generators["humidity"], grid_size, 2400.0, STEP_S)
@@ -105,7 +105,7 @@ class Conditions(TimeGrid):
         return np.where(self.powered, step_rates, 0.0)
 
 
-def _chamber_set_point(plan: Campaign, time: Array) -> Array:
+def _compute_chamber_set_point(plan: Campaign, time: Array) -> Array:
     """Return the chamber's set point over time, °C: ramp-limited steps."""
     starts: list[float] = []
     set_points: list[float] = []

@@ -1,4 +1,4 @@
-"""Path of the file with source 1's table of zero-rate output over temperature."""
+"""Path of the file with source 1's table of zero-rate output against temperature."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Self-contained NumPyro model of a ng accelerometer on a tilted, turning table, over temperature.
+"""Self-contained NumPyro model of a ng accelerometer on a tilted, turning table, at several temperatures.
 
 It is the model that `bc.fit(equivalent_model(), readings)` fits; `mems_gyro/as_numpyro.py` shows how to run NUTS on it.
 

@@ -1,4 +1,4 @@
-"""ng accelerometer on a tilted, turning table over temperature (source 0).
+"""ng accelerometer on a tilted, turning table, at several temperatures (source 0).
 
 Measurement equation, output in µg of nominal scale (volts become µg by the nominal scale factor):
 

@@ -73,7 +73,7 @@ def device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
         coefficients: coefficients of the cubic device; not used for "beams".
     """
     if test.plan.device == "beams":
-        return _beam_truth(test)
+        return _compute_beam_truth(test)
     change = test.head - test.plan.T0
     bias, scale = (
         np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWER_NAMES])
@@ -94,7 +94,7 @@ def _sum_frequencies(first: Array, second: Array) -> Array:
     return BEAM_FREQUENCY_HZ * (2.0 + (low + high))
 
 
-def _beam_truth(test: Conditions) -> Truth:
+def _compute_beam_truth(test: Conditions) -> Truth:
     beam, other = (test.low_pass(test.head, BEAM_TAU_S * lag) for lag in (1, 1 + LAG_MISMATCH))
     first, second = beam - test.plan.T0, other - test.plan.T0
     hz_per_ug = SCALE_FACTOR * 1e-6

@@ -31,7 +31,7 @@ def set_noise_prior(
         scatter: prior median, in the outputs' unit; None: root mean square of the poses' stated uncertainties.
     """
     if scatter is None:
-        uncertainties = _stated_uncertainties(readings)
+        uncertainties = _collect_stated_uncertainties(readings)
         if not len(uncertainties) or not np.all(uncertainties > 0):
             return instrument
         scatter = float(f"{np.sqrt(np.mean(uncertainties**2)):.3g}")
@@ -39,7 +39,7 @@ def set_noise_prior(
     return replace(instrument, noise=noise, tailor=None, settings=(("scatter", scatter),))
 
 
-def _stated_uncertainties(readings: bc.Measurements | None) -> np.ndarray:
+def _collect_stated_uncertainties(readings: bc.Measurements | None) -> np.ndarray:
     """Return the stated uncertainties of the magnitude readings, (n,); none if the readings have no uncertainties."""
     if readings is None or not readings.has(UNCERTAINTY_COLUMN):
         return np.zeros(0)

@@ -73,9 +73,9 @@ class CandidatesPane(Pane):
         """Show the preview of the candidate that is pointed at; without a text, the hint."""
         self.hint.object = text or HINT
 
-    def set_busy(self, busy: bool) -> None:
-        self.rows.busy = busy
-        self.add.disabled = self.add.disabled or busy
+    def set_busy(self, is_busy: bool) -> None:
+        self.rows.busy = is_busy
+        self.add.disabled = self.add.disabled or is_busy
 
 
 def build_candidate_rows(discovery: bc.Discovery) -> list[dict[str, Any]]:

@@ -71,8 +71,8 @@ class ModelPane(Pane):
             self._open_form("")
         self._enable_buttons()
 
-    def set_busy(self, busy: bool) -> None:
-        self.effects.busy = self.noise.busy = self._is_busy = busy
+    def set_busy(self, is_busy: bool) -> None:
+        self.effects.busy = self.noise.busy = self._is_busy = is_busy
         self._enable_buttons()
 
     def _enable_buttons(self) -> None:

@@ -59,8 +59,8 @@ class ErrorPane(Pane):
         self.figure.object = str(ws.Pictures().draw_errors(steps).html)
         self.rows.head, self.rows.rows = list_steps(states, current)
 
-    def set_busy(self, busy: bool) -> None:
-        self.rows.busy = self.find_button.disabled = busy
+    def set_busy(self, is_busy: bool) -> None:
+        self.rows.busy = self.find_button.disabled = is_busy
 
     def show_search_progress(self, is_running: bool, text: str = "") -> None:
         """Show the progress text of a search; enable the stop button while the search is running."""

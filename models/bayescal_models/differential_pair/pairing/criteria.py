@@ -24,15 +24,15 @@ def fit_polynomial(time: Array, records: Array) -> Array:
     return records @ np.linalg.pinv(np.vander(t, POLYNOMIAL_DEGREE + 1, increasing=True)).T
 
 
-def ratio_variance(coefficients: Array, outer: int) -> Array:
+def ratio_variance(coefficients: Array, n_outer: int) -> Array:
     """Return the variance over i of c_i(outer)/c_i(inner), polynomial coefficients, of every pair, (…, outer, inner).
 
     Args:
         coefficients: c_i of each device, outer first, (…, K, 4).
-        outer: number of outer devices.
+        n_outer: number of outer devices.
     """
-    outer_values = coefficients[..., :outer, None, :]
-    inner_values = coefficients[..., None, outer:, :]
+    outer_values = coefficients[..., :n_outer, None, :]
+    inner_values = coefficients[..., None, n_outer:, :]
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.var(outer_values / inner_values, axis=-1)
     return np.where(np.isfinite(variance), variance, np.inf)
@@ -46,23 +46,23 @@ def residual_rms(environment: Array, scale: Array, ratio: Array) -> Array:
         scale: 1 + κ, (…, K).
         ratio: λbd of each pair, (outer, inner).
     """
-    outer = len(ratio)
+    n_outer = len(ratio)
     products = environment @ np.swapaxes(environment, -1, -2) / environment.shape[-1]
     squares = np.diagonal(products, axis1=-2, axis2=-1)
-    outer_values, inner_values = squares[..., :outer, None], squares[..., None, outer:]
-    square = outer_values - 2 * ratio * products[..., :outer, outer:] + ratio**2 * inner_values
-    divisor = scale[..., :outer, None] + ratio * scale[..., None, outer:]
+    outer_values, inner_values = squares[..., :n_outer, None], squares[..., None, n_outer:]
+    square = outer_values - 2 * ratio * products[..., :n_outer, n_outer:] + ratio**2 * inner_values
+    divisor = scale[..., :n_outer, None] + ratio * scale[..., None, n_outer:]
     return np.sqrt(np.maximum(square, 0.0)) / np.abs(divisor)
 
 
-def document_ratio(environment: Array, outer: int) -> Array:
+def document_ratio(environment: Array, n_outer: int) -> Array:
     """Return the environment ratio Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) of every pair (source 3, step 2).
 
     It is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
 
     Args:
         environment: records without known contributions, outer devices first, (K, T).
-        outer: number of outer devices.
+        n_outer: number of outer devices.
     """
     total = environment.sum(axis=-1)
-    return total[:outer, None] / total[None, outer:]
+    return total[:n_outer, None] / total[None, n_outer:]

@@ -68,15 +68,15 @@ class Devices:
         """Return the sign of each device's input axis: +1 outer, −1 inner, (K,)."""
         return np.where(np.arange(len(self.names)) < self.outer, 1.0, -1.0)
 
-    def device_index(self, name: str, outer: bool) -> int:
+    def device_index(self, name: str, is_outer: bool) -> int:
         """Return the index of a device, given its name and whether it is outer.
 
         Raises:
             InputError: the group has no device of that name.
         """
-        group = self.names[: self.outer] if outer else self.names[self.outer :]
+        group = self.names[: self.outer] if is_outer else self.names[self.outer :]
         if name not in group:
-            side = "outer" if outer else "inner"
+            side = "outer" if is_outer else "inner"
             raise bc.InputError(f"{name!r} is not an {side} device; these are: {', '.join(group)}")
         return self.names.index(name)
 

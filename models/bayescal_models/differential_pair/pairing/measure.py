@@ -66,7 +66,7 @@ def measure(
             f"the model has {', '.join(devices.others)}, which the pair's equation does not contain: "
             "correct the outputs for these effects first, and calibrate the baseline"
         )
-    i, j = devices.device_index(outer, outer=True), devices.device_index(inner, outer=False)
+    i, j = devices.device_index(outer, is_outer=True), devices.device_index(inner, is_outer=False)
     y1, y2 = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
     if y1.shape != y2.shape or y1.ndim != 1:
         raise bc.InputError(

@@ -77,7 +77,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
     raw = known + (devices.sign * scale_deviation)[..., None] * commanded + env
     env_records = devices.records - devices.known
     pair_fields = {
-        "probability_residual": _fraction_best(residual),
+        "probability_residual": _count_best(residual),
         "expected_residual": residual.mean(axis=0),
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
@@ -85,7 +85,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
         ("ratio_variance", env, env_records),
         ("ratio_variance_raw", raw, devices.records),
     ):
-        pair_fields[f"probability_{name}"] = _fraction_best(criteria.ratio_variance(draws, outer))
+        pair_fields[f"probability_{name}"] = _count_best(criteria.ratio_variance(draws, outer))
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
     low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
     near_zero_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
@@ -105,7 +105,7 @@ def _is_near_zero(draws: Array) -> Array:
     return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
 
-def _fraction_best(values: Array) -> Array:
+def _count_best(values: Array) -> Array:
     """Return the fraction of draws in which each pair has the smallest value, (outer, inner)."""
     count, *shape = values.shape
     best_index = np.argmin(values.reshape(count, -1), axis=1)
