@@ -95,7 +95,7 @@ def run_command() -> int:
     except (NotConverged, NotDrawn) as error:
         return _report_failure(str(error), 1)
     except BayescalError as error:
-        return _report_failure(str(error), 2, listed=bool(getattr(error, "problems", ())))
+        return _report_failure(str(error), 2, is_list=bool(getattr(error, "problems", ())))
     except (typer.Abort, KeyboardInterrupt):
         return _report_failure("interrupted: files written before are unchanged", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
