@@ -85,6 +85,7 @@ class Check(Printed):
         scatter_with: p-values of the covariates with which the absolute residuals correlate significantly, by name.
         outliers: row and leave-one-out residual, in standard deviations, of each outlier.
         pit_p: p-value of the test that the leave-one-out probability integral transforms are uniform.
+        excess_kurtosis: of the leave-one-out residuals; above 0, their tails are heavier than normal.
         one_sided: p-value of the sign test on the tenth of the readings with the largest residuals.
         free_noise: noise sd of the same model with its fixed coefficients freed, output unit; None if none is fixed.
         residuals: residual of each reading (n,), output unit.
@@ -102,6 +103,7 @@ class Check(Printed):
     free_noise: float | None
     residuals: np.ndarray = field(repr=False)
     one_sided: float = 1.0
+    excess_kurtosis: float = 0.0
 
     @property
     def contradicts_fixed(self) -> bool:
@@ -181,7 +183,8 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
         coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
         test = "leave-one-out probability integral transform"
-        lines.append(f"noise law: p = {check.pit_p:.2g}, {test}")
+        kurtosis = f"excess kurtosis {check.excess_kurtosis:.2g}"
+        lines.append(f"noise law: p = {check.pit_p:.2g}, {test}; {kurtosis}")
     scatter = check.scatter_with.items()
     lines += [f"scatter changes with {name} (p = {p:.1g})" for name, p in scatter]
     if check.outliers:
@@ -261,6 +264,7 @@ def check(calibration: Calibration) -> Check:
         outliers=tuple((i, z) for i, z in enumerate(loo_z.tolist()) if abs(z) > outlier_threshold),
         pit_p=_test_normality(loo_z),
         one_sided=one_sided,
+        excess_kurtosis=float(np.mean((loo_z - loo_z.mean()) ** 4) / (np.var(loo_z) ** 2 or 1)) - 3,
         free_noise=free_noise,
         residuals=residuals,
     )

@@ -92,9 +92,10 @@ def residual_claims(subject: Subject) -> list[Claim]:
         return [Claim("fixed.wrong", rms=check.rms, unit=check.unit, times=check.rms / check.noise)]
     is_infinite = evidence is not None and not math.isfinite(evidence[0])
     claims = [Claim("evidence.not_finite")] if is_infinite else []
-    claims += [*subject.mode_claims, *find_slow_noise(subject), *find_nonnormality(subject)]
-    claims += [*find_dependence(subject), *find_steps_between_runs(subject)]
-    return [*claims, *autocorrelation(subject)]
+    # A missing effect, which can cause the misfits after it, comes first.
+    claims += [*subject.mode_claims, *find_dependence(subject), *find_slow_noise(subject)]
+    claims += [*find_steps_between_runs(subject), *autocorrelation(subject)]
+    return [*claims, *find_nonnormality(subject)]
 
 
 def failures(subject: Subject) -> list[Claim]:
@@ -360,11 +361,13 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
     worst_index = int(np.nanargmin(loo.p_value))
     # Bonferroni correction: one test per group.
     is_significant = loo.p_value[worst_index] * loo.count < settings().holdout_p
-    if is_significant and (times := float(loo.error_ratio[worst_index])) > limit(
-        "group.surprising", "ratio"
-    ):
-        fields = {"group": loo.group.capitalize(), "member": loo.members[worst_index]}
-        yield Claim("group.surprising", loo.group, **fields, times=times, scheme=scheme(loo.group))
+    times, code = float(loo.error_ratio[worst_index]), "group.surprising"
+    if is_significant and times > limit(code, "ratio"):
+        numbers = {"times": times, "scheme": scheme(loo.group), "cure": subject.remedy["cure"]}
+        if numbers["cure"] == "nothing" and depends_on_covariate(subject):
+            numbers["cure"] = "lead"
+        group, member = loo.group.capitalize(), loo.members[worst_index]
+        yield Claim(code, loo.group, group=group, member=member, **numbers)
 
 
 def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
@@ -399,7 +402,14 @@ def find_nonnormality(subject: Subject) -> Iterator[Claim]:
         yield Claim("noise.one_sided", p=check.one_sided)
     elif check.pit_p < threshold:
         outlier_text = f", {len(check.outliers)} of them outliers" if check.outliers else ""
-        yield Claim("noise.tails", p=check.pit_p, outside=outlier_text)
+        cure = "heavy" if check.excess_kurtosis > 0 else "light"
+        cure = "missing" if depends_on_covariate(subject) else cure
+        yield Claim("noise.tails", p=check.pit_p, outside=outlier_text, cure=cure)
+
+
+def depends_on_covariate(subject: Subject) -> bool:
+    """Return whether residuals depend on a covariate, so that a missing effect can cause their other misfits."""
+    return any(claim.code == "residuals.depend" for claim in find_dependence(subject))
 
 
 def find_dependence(subject: Subject) -> list[Claim]:
@@ -443,4 +453,5 @@ def autocorrelation(subject: Subject) -> Iterator[Claim]:
     coefficient, z = subject.check.autocorrelation
     code = "noise.correlated"
     if abs(z) > limit(code, "z") and abs(coefficient) > limit(code, "coefficient"):
-        yield Claim(code, coefficient=coefficient, z=z)
+        cure = "missing" if depends_on_covariate(subject) else subject.remedy["cure"]
+        yield Claim(code, coefficient=coefficient, z=z, cure=cure)

@@ -9,6 +9,7 @@ Imports are local to the functions that need them, so that a bad file is refused
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import sys
 from collections.abc import Sequence
@@ -291,7 +292,8 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
             if folder is not None:
                 with whole_folder(folder) as partial_folder:
                     calibration.save(partial_folder / CALIBRATION)
-                written = f"{folder / CALIBRATION}"
+                command = shlex.join(["bayescal", "check", str(folder)])
+                written = f"{folder / CALIBRATION}\nresiduals not tested yet; next: {command}"
             return Answer(content, why=verdict.why_not, written=written)
 
 

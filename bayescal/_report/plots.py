@@ -28,7 +28,7 @@ from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
-from bayescal._search.search_path import SearchPath, new_run_differs
+from bayescal._search.search_path import SearchPath, describe_changes, new_run_differs
 
 MAX_LABEL = 32  # characters; longer labels leave no room for the axes
 DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread draws at a time
@@ -249,7 +249,7 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor, model with the effect against without it [no unit]")
+    ax.set_xlabel("log Bayes factor of the effect [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
     other_label = "not needed with the findings" if "finding" in kinds else "no evidence"
     names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or other_label)) for k in kinds]
@@ -276,8 +276,10 @@ def loop(found: SearchPath) -> Figure:
         missing(first_step.discovery, bars)
     bars.set_title("2  effects added singly to the first model", fontsize=10, loc="left")
     trail(found, error_ax)
-    change = "falls" if last_step.rmse_fitted <= first_step.rmse_fitted else "rises"
-    error_ax.set_title(f"4  the error {change}", fontsize=10, loc="left")
+    changes = describe_changes([step.errors() for step in found.steps]).items()
+    changes_text = ", ".join(f"{name} {change.split()[0]}" for name, change in changes)
+    title = "4  rms error" + f": {changes_text}" * (len(found.steps) > 1)
+    error_ax.set_title(title, fontsize=10, loc="left")
     return figure
 
 

@@ -24,8 +24,7 @@ from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
 from bayescal._search.discover import group_untested
-from bayescal._search.gate import WORSE
-from bayescal._search.search_path import format_forms, is_rise, steps_table
+from bayescal._search.search_path import describe_changes, format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED_ROWS = 14  # number of coefficients on the page that is signed
@@ -330,31 +329,21 @@ def _find_first_probability(chapter: Chapter, effect: Effect) -> float | None:
 
 
 def _format_errors(chapter: Chapter) -> str:
-    """Compare the rms errors of first and last model: on hold-out data, else left-out groups, else as fitted."""
+    """Compare the rms errors of first and last model: on hold-out data or left-out groups, else as fitted.
+
+    Where the prediction error did not fall, the error as fitted is stated beside it.
+    """
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
-    first_step, last_step = steps[0], steps[-1]
-    left_out_errors = [s["leave_one_group_out"] for s in (first_step, last_step)]
-    # A group may be predicted worse because it lacks its past, or where readings have little weight: no failure.
-    rises = all(left_out_errors) and left_out_errors[1]["rmse"] > left_out_errors[0]["rmse"]
-    comparable = not rises or WORSE in [c["code"] for c in chapter.data["gate"].get("claims", ())]
-
-    def select_error(step: dict[str, Any]) -> tuple[str, float | None]:
-        left_out = step["leave_one_group_out"]
-        if step["holdout_rmse"] is not None:
-            return "on the hold-out data", step["holdout_rmse"]
-        if left_out is not None and comparable:
-            group = left_out["group"].replace("_", " ")
-            return f"of each {group}, predicted from the others,", left_out["rmse"]
-        return "as fitted", step["rmse_fitted"]
-
-    (label, initial_rms), (_, final) = select_error(first_step), select_error(last_step)
-    if len(steps) == 1 or initial_rms is None or final is None:
-        return f"The rms error {label} is {number(final or last_step['rmse_fitted'], 2)} {unit}."
-    first_text, last_text = number(initial_rms, 2), number(final, 2)
-    if first_text == last_text:
-        return f"The rms error {label} stayed at {last_text} {unit}."
-    change = "fell" if final < initial_rms else "rose"
-    return f"The rms error {label} {change} from {first_text} to {last_text} {unit}."
+    changes = describe_changes(steps)
+    kind, change = [*changes.items()][-1]
+    group = (steps[-1]["leave_one_group_out"] or {}).get("group", "").replace("_", " ")
+    labels = {"as fitted": "as fitted", "held-out": "on the hold-out data"}
+    text = labels.get(kind, f"of each {group}, predicted from the others,")
+    if len(steps) == 1:
+        return f"The rms error {text} is {change.removeprefix('stayed at ')} {unit}."
+    beside = f"; as fitted, it {changes['as fitted']} {unit}"
+    has_fallen = kind == "as fitted" or change.startswith("fell")
+    return f"The rms error {text} {change} {unit}{'' if has_fallen else beside}."
 
 
 def _describe_residuals(chapter: Chapter) -> str:

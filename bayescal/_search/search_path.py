@@ -28,7 +28,11 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
-FLOOR_NOTE = "noise floor: an estimate from neighbouring readings alone; an rms as fitted can be a little below it"
+FLOOR_NOTE = "noise floor: noise sd, estimated from the differences of neighbouring residuals"
+DOF_NOTE = (
+    "; k unknowns fitted to n readings lower the rms as fitted by a factor of about √(1 − k/n)"
+)
+NEW_RUN_NOTE = "new run: rms error with the fitted deviations of runs and cells at zero; leave-one-…-out: after a refit"
 COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
 
 
@@ -198,7 +202,10 @@ class SearchPath(Printed):
         rows = self.rows
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
-        lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
+        lines += [folded(NEW_RUN_NOTE)] * new_run_differs(rows)
+        lines += [folded(FLOOR_NOTE + DOF_NOTE)] * any(
+            r["rmse_fitted"] < r["noise_floor"] for r in rows
+        )
         shares = [(s.effects, s.probability) for s in self.shares]
         level = settings().found_probability
         heads = {level: "found" if self.complete else "best when the search ended"}
@@ -242,6 +249,23 @@ def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], f
         return name
     texts = [f"{n} {probability(p / forms.total())}" for n, p in forms.most_common()]
     return f"{family} (form: {', '.join(texts)})"
+
+
+def describe_changes(steps: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return how errors changed from first to last step, e.g. "fell from 0.47 to 0.43", by kind: as fitted, predicted.
+
+    The second kind is "held-out", or else such as "leave-one-run-out"; it is absent if neither is known.
+    """
+    ends, changes = (steps[0], steps[-1]), dict[str, str]()
+    left_out, held_out = ([s[k] for s in ends] for k in ("leave_one_group_out", "holdout_rmse"))
+    errors = {"as fitted": [s["rmse_fitted"] for s in ends], "held-out": held_out}
+    if None in held_out and all(left_out):
+        errors[scheme(left_out[1]["group"])] = [out["rmse"] for out in left_out]
+    for name, (initial, final) in ((n, pair) for n, pair in errors.items() if None not in pair):
+        first_text, last_text = number(initial, 2), number(final, 2)
+        change = f"{'fell' if final < initial else 'rose'} from {first_text} to {last_text}"
+        changes[name] = change if first_text != last_text else f"stayed at {last_text}"
+    return changes
 
 
 def is_rise(error: float | None, previous: float | None) -> bool:

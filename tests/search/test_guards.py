@@ -129,25 +129,16 @@ def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
 
 def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> list[Any]:
     """Two steps of a trail with these errors."""
-    check = SimpleNamespace(
-        contradicts_fixed=False,
-        autocorrelation=(0.0, 0.0),
-        scatter_with={},
-        pit_p=0.5,
-        one_sided=1.0,
-        outliers=(),
-        unit="deg/s",
-        entries=(),
-        pairs=(),
-    )
+    passed = {"contradicts_fixed": False, "autocorrelation": (0.0, 0.0), "scatter_with": {}}
+    passed |= {"pit_p": 0.5, "one_sided": 1.0, "excess_kurtosis": 0.0, "unit": "deg/s"}
+    check = SimpleNamespace(**passed, **dict.fromkeys(("outliers", "entries", "pairs"), ()))
     plain = {
         **{"rmse_fitted": 1.0, "leave_one_group_out": None, "holdout_rmse": None},
         **{"holdout_test": None, "noise_floor": 1.0, "discovery": None, "title": "+ bias.x"},
         **{"failures": (), "outlying_groups": (), "multimodality": (), "added": "bias.x"},
     }
-    return [
-        SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
-    ]
+    fixed = {"calibration": line, "check": check}
+    return [SimpleNamespace(**fixed, **plain | one) for one in (first, last)]
 
 
 def codes(found: Any) -> set[str]:
@@ -217,6 +208,24 @@ def test_acceptance_uses_the_residual_check(line, what: dict[str, Any], code: st
     (only, _) = steps(line, {}, {})
     only.check = SimpleNamespace(**{**vars(only.check), **what})
     assert code in codes(assess_last([only]))
+
+
+@pytest.mark.parametrize("kurtosis", [2.0, -1.2])
+def test_advice_names_a_missing_effect_first(line, kurtosis: float) -> None:
+    (step, _) = steps(line, {}, {})
+    misfit = {"pit_p": 1e-9, "excess_kurtosis": kurtosis, "autocorrelation": (0.9, 17.0)}
+    step.check = SimpleNamespace(**vars(step.check) | misfit)
+    assert ("--noise student_t" in assess_last([step]).reason) is (kurtosis > 0)
+    step.check.entries = [SimpleNamespace(log_bayes_factor=140.0, against="run")]
+    runs = {"error_ratio": np.array([1.0, 5.7, 1.0]), "p_value": np.array([1.0, 1e-9, 1.0])}
+    step.leave_one_group_out = SimpleNamespace(
+        **vars(groups_left_out(1.0, 0.0)) | runs, members=("1", "2", "3")
+    )
+    found = assess_last([step])
+    order = ["residuals.depend", "noise.correlated", "noise.tails", "group.surprising"]
+    assert [claim.code for claim in found.claims] == order
+    assert "Student-t" not in found.reason
+    assert "exclude" not in found.reason
 
 
 def test_too_small_uncertainty_of_hold_out_data_fails_acceptance(line) -> None:
