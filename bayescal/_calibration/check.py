@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.special import bdtr, kolmogorov, logsumexp, ndtr
@@ -182,11 +182,9 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
     if max_rows is None:
         coefficient, z = check.autocorrelation
         lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
-        test = "leave-one-out probability integral transform"
-        kurtosis = f"excess kurtosis {check.excess_kurtosis:.2g}"
-        lines.append(f"noise law: p = {check.pit_p:.2g}, {test}; {kurtosis}")
-    scatter = check.scatter_with.items()
-    lines += [f"scatter changes with {name} (p = {p:.1g})" for name, p in scatter]
+        test = f"p = {check.pit_p:.2g}, leave-one-out probability integral transform"
+        lines.append(f"noise law: {test}; excess kurtosis {check.excess_kurtosis:.2g}")
+    lines += [f"scatter changes with {n} (p = {p:.1g})" for n, p in check.scatter_with.items()]
     if check.outliers:
         outlier_rows = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {outlier_rows}{' …' if len(check.outliers) > 5 else ''}")
@@ -318,9 +316,7 @@ class Covariate:
     levels: tuple[str, ...] = ()  # names of a group's members
 
     @classmethod
-    def smooth(
-        cls, name: str, values: np.ndarray, unit: str = "", *, in_time: bool = False
-    ) -> Covariate:
+    def smooth(cls, name: str, values: np.ndarray, unit: str = "", in_time: bool = False) -> Self:
         """Build the basis columns of a smooth dependence on a covariate that varies."""
         term_count, length_range = RESOLUTION[in_time]
         position = (values - values.min()) / (np.ptp(values) or 1.0)
@@ -338,12 +334,10 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
         unit = readings.unit(name)
         if unit is not None and name not in excluded_names and np.ptp(readings[name]) > 0:
             covariates.append(smooth(name, readings[name], unit, in_time=name == "time"))
-    if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
-        rate = np.asarray(frame.rates["temperature"]) * 60
+    if np.ptp(rate := 60 * np.asarray(frame.rates.get("temperature", 0.0))) > 0:
         covariates.append(smooth("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
-        elapsed = np.asarray(frame.columns["elapsed"])
-        covariates.append(smooth("elapsed", elapsed, "s", in_time=True))
+        covariates.append(smooth("elapsed", np.asarray(frame.columns["elapsed"]), "s", True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MAX_MEMBERS:  # an indicator column per member
@@ -473,8 +467,7 @@ def noise_floor(calibration: Fitted) -> float:
     It is the rms second difference of the residuals (of neighbours in time within a run; in temperature without a time
     column), scaled to white noise: slow variation cancels, as in a von Neumann ratio.
     """
-    residuals = calibration.linear.conditional_residuals
-    readings = calibration.readings
+    residuals, readings = calibration.linear.conditional_residuals, calibration.readings
     if readings.has("time"):
         order, step = calibration.problem.record.time_order
         has_previous = step >= 0

@@ -262,8 +262,7 @@ class Fitted:
 
     def with_columns(self, columns: Iterable[str]) -> Self:
         """Return the posterior conditional on structures that need no other columns, if enough draws remain."""
-        column_names = set(columns)
-        missing = [e.name for e in self.model.effects if not column_names.issuperset(e.columns)]
+        missing = [e.name for e in self.model.effects if not {*e.columns} <= {*columns}]
         return self.without(missing) if missing else self
 
     def without(self, names: Collection[str]) -> Self:

@@ -253,9 +253,8 @@ def find_members_following_terms(subject: Subject) -> Iterator[Claim]:
             r, p = correlation(term_means, deviations)
             if p < limit("group.follows_column", "p"):
                 numbers = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
-                numbers |= {"r": r, "p": p}
-                names_of = b.effect.name, term.name
-                yield Claim("group.follows_column", *names_of, **numbers, members=len(names))
+                numbers |= {"r": r, "p": p, "members": len(names)}
+                yield Claim("group.follows_column", b.effect.name, term.name, **numbers)
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
@@ -359,8 +358,7 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
     if loo is None or not np.isfinite(loo.p_value).any():
         return
     worst_index = int(np.nanargmin(loo.p_value))
-    # Bonferroni correction: one test per group.
-    is_significant = loo.p_value[worst_index] * loo.count < settings().holdout_p
+    is_significant = loo.p_value[worst_index] * loo.count < settings().holdout_p  # Bonferroni
     times, code = float(loo.error_ratio[worst_index]), "group.surprising"
     if is_significant and times > limit(code, "ratio"):
         numbers = {"times": times, "scheme": scheme(loo.group), "cure": subject.remedy["cure"]}
@@ -450,8 +448,7 @@ def is_between_runs_only(values: np.ndarray, deviations: np.ndarray) -> bool:
 
 def autocorrelation(subject: Subject) -> Iterator[Claim]:
     """Yield a claim if neighbouring residuals are autocorrelated."""
-    coefficient, z = subject.check.autocorrelation
-    code = "noise.correlated"
+    (coefficient, z), code = subject.check.autocorrelation, "noise.correlated"
     if abs(z) > limit(code, "z") and abs(coefficient) > limit(code, "coefficient"):
         cure = "missing" if depends_on_covariate(subject) else subject.remedy["cure"]
         yield Claim(code, coefficient=coefficient, z=z, cure=cure)

@@ -88,8 +88,7 @@ class NotMeasured:
             centred, y = pattern_draws - mean, values[has_pattern]
             spectrum, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
             spectrum = np.maximum(spectrum, np.finfo(float).tiny)
-            information = 1 / spectrum - 1
-            information = np.where(information < WEAK_INFORMATION, 0.0, information)
+            information = np.where(1 / spectrum - 1 < WEAK_INFORMATION, 0.0, 1 / spectrum - 1)
             freed_variance = 1 / (information + FREE_SD_FACTOR**-2)
             means = mean @ vectors
             shifted_means = np.where(information > 0, means * freed_variance / spectrum, means)

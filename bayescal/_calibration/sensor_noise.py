@@ -54,8 +54,7 @@ from bayescal._model.summed_noise import SummedNoise
 SAMPLED_RATIO = 0.1
 # |z| of the excess correlation of neighbours, above which quantisation or averaging noise is a candidate term.
 NEIGHBOUR_Z = 2.0
-# z of a spectral line against its neighbours, above which a tone is a candidate term.
-LINE_Z = 4.5
+LINE_Z = 4.5  # z of a spectral line against its neighbours, above which a tone is a candidate term
 # z of a candidate term above which every sum includes it; the best sum is also evaluated without it.
 REQUIRED_Z = 6.0
 # Steepest slope of the Allan deviation over two octaves that counts as −½. After a low-pass of time constant T it is
@@ -362,9 +361,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     runs = allan.even_runs(readings)
     columns, output, scale, claims = _list_columns(readings, runs)
     if not np.ptp(columns[:, -1]) > 0:
-        raise InputError(
-            f"{readings.file}: the output is constant: the sensor or the logger is stuck"
-        )
+        raise InputError(f"{readings.file}: the output is constant: the sensor or logger is stuck")
     z, line = _find_line(output, runs)
     count = _count_readings_per_mean(output, runs, z, line)
     # Means over times much longer than a correlation time are white, except for correlated neighbours.

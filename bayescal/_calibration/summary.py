@@ -43,9 +43,8 @@ def unknowns_parts(
         lines.append(f"fixed: {fixed_text}")
     if model.noise_as_stated:
         squares, dof, p = calibration.chi_squared_test
-        lines.append(
-            f"noise as stated: χ² = {squares:.4g} with {dof} degrees of freedom (p-value {p:.2g})"
-        )
+        chi_squared = f"χ² = {squares:.4g} with {dof} degrees of freedom (p-value {p:.2g})"
+        lines.append(f"noise as stated: {chi_squared}")
     if any(row[-1] != "–" for row in rows.values()):
         is_widened = any(row[-1].startswith("-") for row in rows.values())
         lines.append(CONTRACTION + "; below 0: the posterior is wider than the prior" * is_widened)

@@ -27,8 +27,9 @@ from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
+from bayescal._report.report_text import describe_change
 from bayescal._search.discover import Discovery, is_quiet
-from bayescal._search.search_path import SearchPath, describe_changes, new_run_differs
+from bayescal._search.search_path import SearchPath, new_run_differs
 
 MAX_LABEL = 32  # characters; longer labels leave no room for the axes
 DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread draws at a time
@@ -173,12 +174,13 @@ TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # hides line
 COLOURS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
-def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
+def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = "") -> Figure:
     """Plot the errors of each step of a search with their change from the step before, and the noise floor.
 
     Args:
         found: a search path, or its data in result.json.
         ax: axes to draw in; a new figure if None.
+        title: start of the title, which states for each kind of error whether it fell; no title if "".
     """
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     left_out, last_step = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
@@ -206,8 +208,12 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
         change, previous = "", previous_step.get("rmse_fitted")
         if previous:
             change = f"   ({100 * (step['rmse_fitted'] / previous - 1):+.0f} %)".replace("-", "−")
-        title = f"{i}  {format_label(step['title'])}{change}"
-        ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=TEXT_BOX)
+        step_text = f"{i}  {format_label(step['title'])}{change}"
+        ax.text(0.01 * largest, i - 0.03, step_text, va="bottom", bbox=TEXT_BOX)
+    ends = [(label, v[0], v[-1]) for label, v, _ in series if None not in (v[0], v[-1])]
+    changes = ", ".join(f"{label} {describe_change(*e).split()[0]}" for label, *e in ends)
+    title += f": {changes}" * (len(steps) > 1 and title != "")
+    ax.set_title(title, fontsize=9 if len(title) > 60 else 10, loc="left")
     floor = last_step["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
@@ -275,11 +281,7 @@ def loop(found: SearchPath) -> Figure:
     if first_step.discovery is not None:
         missing(first_step.discovery, bars)
     bars.set_title("2  effects added singly to the first model", fontsize=10, loc="left")
-    trail(found, error_ax)
-    changes = describe_changes([step.errors() for step in found.steps]).items()
-    changes_text = ", ".join(f"{name} {change.split()[0]}" for name, change in changes)
-    title = "4  rms error" + f": {changes_text}" * (len(found.steps) > 1)
-    error_ax.set_title(title, fontsize=10, loc="left")
+    trail(found, error_ax, "4  rms error")
     return figure
 
 

@@ -24,7 +24,7 @@ from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
 from bayescal._search.discover import group_untested
-from bayescal._search.search_path import describe_changes, format_forms, is_rise, steps_table
+from bayescal._search.search_path import format_forms, is_rise, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED_ROWS = 14  # number of coefficients on the page that is signed
@@ -328,22 +328,30 @@ def _find_first_probability(chapter: Chapter, effect: Effect) -> float | None:
     return {c["effect"]: c["probability"] for c in first_search["candidates"]}.get(effect.family)
 
 
-def _format_errors(chapter: Chapter) -> str:
-    """Compare the rms errors of first and last model: on hold-out data or left-out groups, else as fitted.
+def describe_change(initial: float, final: float) -> str:
+    """Return how an error changed, to two digits: "fell from 0.47 to 0.43", "stayed at 6.7"."""
+    first_text, last_text = number(initial, 2), number(final, 2)
+    change = f"{'fell' if final < initial else 'rose'} from {first_text} to {last_text}"
+    return f"stayed at {last_text}" if first_text == last_text else change
 
-    Where the prediction error did not fall, the error as fitted is stated beside it.
-    """
+
+def _format_errors(chapter: Chapter) -> str:
+    """Compare first and last rms error: on hold-out data or left-out groups, also as fitted if that did not fall."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
-    changes = describe_changes(steps)
-    kind, change = [*changes.items()][-1]
-    group = (steps[-1]["leave_one_group_out"] or {}).get("group", "").replace("_", " ")
-    labels = {"as fitted": "as fitted", "held-out": "on the hold-out data"}
-    text = labels.get(kind, f"of each {group}, predicted from the others,")
+    ends = steps[0], steps[-1]
+    label, errors, beside = "as fitted", [s["rmse_fitted"] for s in ends], ""
+    left_out, held_out = ([s[k] for s in ends] for k in ("leave_one_group_out", "holdout_rmse"))
+    as_fitted = f"; as fitted, it {describe_change(*errors)} {unit}"
+    if None not in held_out:
+        label, errors, beside = "on the hold-out data", held_out, as_fitted
+    elif all(left_out):
+        group = left_out[1]["group"].replace("_", " ")
+        errors = [out["rmse"] for out in left_out]
+        label, beside = f"of each {group}, predicted from the others,", as_fitted
+    change = describe_change(*errors)
     if len(steps) == 1:
-        return f"The rms error {text} is {change.removeprefix('stayed at ')} {unit}."
-    beside = f"; as fitted, it {changes['as fitted']} {unit}"
-    has_fallen = kind == "as fitted" or change.startswith("fell")
-    return f"The rms error {text} {change} {unit}{'' if has_fallen else beside}."
+        return f"The rms error {label} is {number(errors[1], 2)} {unit}."
+    return f"The rms error {label} {change} {unit}{'' if change.startswith('fell') else beside}."
 
 
 def _describe_residuals(chapter: Chapter) -> str:

@@ -28,10 +28,7 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
-FLOOR_NOTE = "noise floor: noise sd, estimated from the differences of neighbouring residuals"
-DOF_NOTE = (
-    "; k unknowns fitted to n readings lower the rms as fitted by a factor of about √(1 − k/n)"
-)
+FLOOR_NOTE = "noise floor: from neighbouring residuals; an rms as fitted is lower: about √(1 − unknowns/readings) of it"
 NEW_RUN_NOTE = "new run: rms error with the fitted deviations of runs and cells at zero; leave-one-…-out: after a refit"
 COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
 
@@ -202,10 +199,8 @@ class SearchPath(Printed):
         rows = self.rows
         note = f"{RISE_MARK.strip()} held-out error more than 5 % above that of the previous step"
         lines = [steps_table(rows), COMPLETE_NOTE, *[note] * any(r["rises"] for r in rows)]
-        lines += [folded(NEW_RUN_NOTE)] * new_run_differs(rows)
-        lines += [folded(FLOOR_NOTE + DOF_NOTE)] * any(
-            r["rmse_fitted"] < r["noise_floor"] for r in rows
-        )
+        lines += [NEW_RUN_NOTE] * new_run_differs(rows)
+        lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
         level = settings().found_probability
         heads = {level: "found" if self.complete else "best when the search ended"}
@@ -251,23 +246,6 @@ def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], f
     return f"{family} (form: {', '.join(texts)})"
 
 
-def describe_changes(steps: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return how errors changed from first to last step, e.g. "fell from 0.47 to 0.43", by kind: as fitted, predicted.
-
-    The second kind is "held-out", or else such as "leave-one-run-out"; it is absent if neither is known.
-    """
-    ends, changes = (steps[0], steps[-1]), dict[str, str]()
-    left_out, held_out = ([s[k] for s in ends] for k in ("leave_one_group_out", "holdout_rmse"))
-    errors = {"as fitted": [s["rmse_fitted"] for s in ends], "held-out": held_out}
-    if None in held_out and all(left_out):
-        errors[scheme(left_out[1]["group"])] = [out["rmse"] for out in left_out]
-    for name, (initial, final) in ((n, pair) for n, pair in errors.items() if None not in pair):
-        first_text, last_text = number(initial, 2), number(final, 2)
-        change = f"{'fell' if final < initial else 'rose'} from {first_text} to {last_text}"
-        changes[name] = change if first_text != last_text else f"stayed at {last_text}"
-    return changes
-
-
 def is_rise(error: float | None, previous: float | None) -> bool:
     """Return whether a hold-out error is more than 5 % above the previous one."""
     return error is not None and previous is not None and error > WORSE_RATIO * previous
@@ -282,7 +260,6 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Return the table of errors by step, of `Step.row` or the steps of a result.json."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
-    shows_new_run = new_run_differs(rows)
 
     def held_out(row: Mapping[str, Any]) -> str:
         return f"{number(row['holdout_rmse'])}{RISE_MARK * row['rises']}"
@@ -292,7 +269,7 @@ def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("step", lambda r: r["title"], None),
         TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
         TableColumn("rms as fitted", "rmse_fitted", number, unit, name="as fitted"),
-        TableColumn("new run", "rmse", number if shows_new_run else None, unit),
+        TableColumn("new run", "rmse", number if new_run_differs(rows) else None, unit),
         TableColumn(
             scheme(group or "group"),
             lambda r: out["rmse"] if (out := r["leave_one_group_out"]) else None,

@@ -150,8 +150,7 @@ class SharedShape:
 def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> np.ndarray:
     """Return the log prior mass at each grid point under a normal prior."""
     # The grid is uneven: each point stands for half the distance to both its neighbours.
-    spacing = np.gradient(v)
-    log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(spacing)
+    log_density = -0.5 * ((v - mean) / sd) ** 2 + np.log(np.gradient(v))
     return log_density - np.logaddexp.reduce(log_density)
 
 

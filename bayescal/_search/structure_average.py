@@ -279,8 +279,7 @@ def _combine_draws(
 
 def _average_mode(last: Calibration, layout: Layout, x, v) -> Mode:
     """Return the expansion point of the average: means of the draws of x, medians of φ."""
-    blocks = last.layout.x_blocks
-    scales = {b.name: last.mode.flat[b.x_slice] for b in blocks}
+    scales = {b.name: last.mode.flat[b.x_slice] for b in last.layout.x_blocks}
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     medians = np.median(v, axis=0)
     # Absent spreads have the coordinate −30, which must not count in its variance.

@@ -117,8 +117,7 @@ class EvaluatedStructure:
         """Return the log density of φ for coordinates v of the entry `name`, with all other entries at the mode."""
         points = np.tile(self.mode.v, (len(v), 1))
         points[:, self.problem.layout.index_in_phi[name]] = v
-        density = Density(self.problem, self.mode.x, self.mode.flat, self.mode.v)
-        return density.values(points)
+        return Density(self.problem, self.mode.x, self.mode.flat, self.mode.v).values(points)
 
     @property
     def sized_model(self) -> Model:
