@@ -32,7 +32,7 @@ from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_
 
 SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
-Z_NOTE = "log Bayes factor: smooth dependence common to all runs; z: worst region's mean over its standard error"
+Z_NOTE = "log Bayes factor: smooth dependence common to all runs (run: their differences); z: worst mean/standard error"
 
 
 @dataclass(frozen=True)

@@ -74,13 +74,13 @@ class Comparison(Printed):
         is_grouped, unit = self.chosen_by != LOO_SCORE, unit_label(self.unit)
         fold, format_score = scheme(self.group), lambda v: "–" if v is None else f"{v:.1f}"
         group_columns = (
-            TableColumn(f"{fold} rmse", "group_rmse", number, unit),
+            TableColumn(f"{fold} rms error", "group_rmse", number, unit),
             TableColumn(f"{fold} elpd", "group_score", format_score),
             TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
         )
         columns = (
             TableColumn("model", "name"),
-            TableColumn("rmse", "rmse", number, unit),
+            TableColumn("rms error", "rmse", number, unit),
             *(group_columns if is_grouped else ()),
             TableColumn("leave-one-reading-out elpd", "loo", "{:.1f}".format),
             TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),

@@ -224,7 +224,7 @@ class CalibrateCommand(SearchRequest, AsJson, Command):
         if not names and self.out is not None and (self.out / CHANNELS).is_file():
             raise InputError(
                 f"{self.out} contains the channels of a device ({CHANNELS}), which reports and parameters would still "
-                "include: give another folder, or remove it"
+                "include: give another folder, or remove this one"
             )
         search_settings = Settings(finer_noise=not self.simple_noise)
         with use_settings(search_settings), result_folder(self.out) as folder:
@@ -292,8 +292,7 @@ class FitCommand(FitRequest, ModelOptions, ReadRequest, AsJson, Command):
             if folder is not None:
                 with whole_folder(folder) as partial_folder:
                     calibration.save(partial_folder / CALIBRATION)
-                command = shlex.join(["bayescal", "check", str(folder)])
-                written = f"{folder / CALIBRATION}\nresiduals not tested yet; next: {command}"
+                written = f"{folder / CALIBRATION}\nto test the residuals: bayescal check {shlex.quote(str(folder))}"
             return Answer(content, why=verdict.why_not, written=written)
 
 

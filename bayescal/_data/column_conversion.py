@@ -174,7 +174,7 @@ class ColumnReader:
             return
         if is_label:
             if is_empty.any():
-                self._note_missing(np.flatnonzero(is_empty), "is empty", "a label")
+                self._note_missing(np.flatnonzero(is_empty), "the field is empty", "a label")
             self._note_labels(cells.values)
             if not self.problems:
                 self._store(cells.values)

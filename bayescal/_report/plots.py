@@ -277,7 +277,8 @@ def loop(found: SearchPath) -> Figure:
         last_entry = next(e for e in last_step.check.entries if e.against == first_entry.against)
         title = "3  residuals of the last model"
         plot_residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
-        last_ax.set_ylabel(axis_label("residual (another scale)", last_step.check.unit))
+        label = f"residual{' (another scale)' * (last_step is not first_step)}"
+        last_ax.set_ylabel(axis_label(label, last_step.check.unit))
     if first_step.discovery is not None:
         missing(first_step.discovery, bars)
     bars.set_title("2  effects added singly to the first model", fontsize=10, loc="left")

@@ -111,7 +111,7 @@ def tabulate_coefficients(chapter: Chapter) -> ResultTable:
         k2, credible = ("–" if is_held else interval(*bounds, mean, sd) for bounds in intervals)
         k2 = "–" if is_skewed(mean, sd, *ends) else k2
         value = with_error(mean, K * sd) if is_held or k2 != "–" else f"{credible} (95 %)"
-        cells = {"u": "held" if is_held else number(sd, 2), "k2": k2, "credible": credible}
+        cells = {"u": "held" if is_held else number(sd, 3), "k2": k2, "credible": credible}
         cells["contraction"] = r["contraction"] if mean == r["mean"] else None
         rows.append({**r, "value": value, "note": note, **cells})
     columns = (
@@ -255,9 +255,7 @@ def _describe_additions(chapter: Chapter) -> str:
         if not data["missing"]:
             statement = "No effect was searched beyond"
         names = [n for n in c.model.names if n not in latent_names[-1]]
-        model = (
-            f"{len(names)} effects" if len(names) > MAX_NAMED else ", ".join(names) or "no effect"
-        )
+        model = f"{len(names)} effects" if len(names) > MAX_NAMED else ", ".join(names) or "empty"
         return f"{statement} the first model ({model})."
     texts = []
     for effect in added_effects:
@@ -308,10 +306,9 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
         name = row["name"].removeprefix(effect.name).removeprefix(".")
         if row["effect"] == effect.name and not {*"[("} & {*name}:
             mean, sd, ends = row["given"].values()
-            value = with_error(mean, sd)
-            if is_skewed(mean, sd, *ends):
-                value = f"{interval(*ends, mean, sd)} (95 %)"
-            texts.append(f"{name} {value} {unit_label(row['unit'])}".strip())
+            skewed, unit = is_skewed(mean, sd, *ends), unit_label(row["unit"])
+            value = interval(*ends, mean, sd) if skewed else with_error(mean, sd)
+            texts.append(f"{name} {value} {unit}".strip() + " (95 %)" * skewed)
     texts[MAX_NAMED:] = [f"{len(texts) - MAX_NAMED} more"] * (len(texts) > MAX_NAMED)
     if texts and effect_name.endswith(")"):  # with the probabilities of its forms
         return f"{effect_name[:-1]}; of the first form: {', '.join(texts)})"

@@ -18,7 +18,9 @@ OUTPUTS = ("output_x", "output_y", "output_z")
 CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
-CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy"
+CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy and effects of the test"
+FIT_CAPTION = "COEFFICIENTS (uncertainties of the fit alone)"
+USE_CAPTION = "CORRECTION FOR USE (uncertainties with model inadequacy, f = {:.2f}, and effects of the test, see notes)"
 
 
 class Triad(NamedTuple):
@@ -30,8 +32,9 @@ class Triad(NamedTuple):
 
     def __str__(self) -> str:
         """Format the search path, the coefficients, and the correction."""
-        text = f"{ws.coefficients_text(self.trail)}\nverdict: {self.trail.gate}"
-        return f"{self.trail}\n\n{text}\n\n{self.correction}"
+        text = f"{FIT_CAPTION}\n{ws.coefficients_text(self.trail)}\nverdict: {self.trail.gate}"
+        use = USE_CAPTION.format(self.trail.calibration.form_factor)
+        return f"{self.trail}\n\n{text}\n\n{use}\n{self.correction}"
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):

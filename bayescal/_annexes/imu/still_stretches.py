@@ -197,9 +197,7 @@ def poses(
         InputError: an instrument with one output, no column `time`, or no static segment.
     """
     if instrument.vector is None:
-        raise bc.InputError(
-            f"instrument {instrument.name!r} has one output, but poses need three axes"
-        )
+        raise bc.InputError(f"instrument {instrument.name!r} has one output; poses need three axes")
     runs = split_runs(log, instrument.vector.outputs, shortest).values()
     names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.AXIS, *ws.ACROSS)]
     parts = [

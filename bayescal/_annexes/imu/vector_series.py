@@ -179,7 +179,7 @@ def _list_notes(
         notes.append(f"{name}: {subject} is in the uncertainty (standard deviation {sds}).")
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
-            "One session: changes between sessions (often ten times the stated uncertainty) are not included. "
+            "One session: changes between sessions, which can exceed the stated uncertainty, are not included. "
             "Calibrate in several sessions, with a column 'run'."
         )
     return tuple(notes)
