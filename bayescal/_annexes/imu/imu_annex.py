@@ -18,7 +18,7 @@ OUTPUTS = ("output_x", "output_y", "output_z")
 CORRECTION_FILES = ("correction.h", "correction.py", "correction.json")
 UNIT_FILES = ("imu.h", "imu.py")  # corrections of all triads of a unit
 REPORT = "report.html"
-CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy and effects of the test"
+CAPTION = "Three axes: outputs = offset + matrix · input, powers of T − T0; with model inadequacy, effects of the test"
 FIT_CAPTION = "COEFFICIENTS (uncertainties of the fit alone)"
 USE_CAPTION = "CORRECTION FOR USE (uncertainties with model inadequacy, f = {:.2f}, and effects of the test, see notes)"
 
