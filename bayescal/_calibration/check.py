@@ -171,8 +171,8 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
     lines += [check_table(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
     names = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong) or "none"
-    heading = f"log Bayes factor (natural log) above {strong:g}, of all {len(check.entries)}"
-    lines.append(folded(f"{heading}: {names}"))
+    number_tested = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
+    lines.append(folded(f"log Bayes factor (natural log) above {strong:g}{number_tested}: {names}"))
     max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "

@@ -45,9 +45,7 @@ def saved(calibration, tmp_path):
         "device = 1\n",
     ],
 )
-def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(
-    text, tmp_path
-) -> None:
+def test_what_a_certificate_cannot_state_is_refused_before_loading(text, tmp_path) -> None:
     stated = tmp_path / "stated.toml"
     stated.write_text(text, "utf-8")
     ran = run("report", tmp_path / "none.nc", "--certificate", stated)
@@ -55,9 +53,7 @@ def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
-    calibration, saved, tmp_path
-) -> None:
+def test_one_identity_and_hash_of_readings_in_every_artefact(calibration, saved, tmp_path) -> None:
     compensator = bc.compensator(calibration)
     header = compensator.export(tmp_path / "c.h").read_text()
     exported = json.loads(compensator.export(tmp_path / "c.json").read_text())

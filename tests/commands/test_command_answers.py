@@ -37,9 +37,7 @@ def test_fit_as_json() -> None:
     assert {"bias.temperature_quadratic", larger[-1]} <= {c["name"] for c in said["coefficients"]}
 
 
-def test_a_saved_calibration_is_checked_discovered_and_predicted(
-    saved: Path, tmp_path: Path
-) -> None:
+def test_saved_calibration_is_checked_discovered_and_predicted(saved: Path, tmp_path: Path) -> None:
     for name in ("check", "discover"):
         text = run(name, saved)
         assert text.status == 0, text.err
