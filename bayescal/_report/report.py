@@ -126,8 +126,8 @@ def embed_svg(svg: str, prefix: str, alt: str) -> Markup:
 
 
 NO_STIMULUS = (
-    "There is no budget: this instrument measures no stimulus in use. Uncertainties are in the tables of "
-    "coefficients."
+    "No budget by source: the instrument has no single stimulus to compensate for. Uncertainties are under "
+    "Coefficients, for three axes also that of a compensated vector, whose covariance correction.h and .py return."
 )
 MAX_ROWS = 60  # number of rows of a table of candidates; of coefficients four times as many
 

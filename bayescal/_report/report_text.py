@@ -30,6 +30,7 @@ K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED_ROWS = 14  # number of coefficients on the page that is signed
 UNUSED_ROLE = "recorded; not used by the model"
 OUTPUT_ROLE = "the reading of the instrument"
+TEST_ROLE = "of the test only, not a range of use"
 DERIVED_ROLE = "derived from the above"
 
 
@@ -45,8 +46,11 @@ def tabulate_ranges(calibration: Calibration) -> ResultTable:
     used_columns = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
     used_columns |= find_response_columns(model.instrument, calibration.frame)
     meanings, rows = {c.name: c.meaning for c in model.instrument.columns}, []
+    vector = model.instrument.vector
+    in_use = ("temperature", *vector.outputs, *vector.beside) if vector else ()
 
     def add_row(name: str, meaning: str, values: np.ndarray, unit: str, role: str) -> None:
+        role = TEST_ROLE if vector and name not in in_use and role != UNUSED_ROLE else role
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
         quantity = ", ".join(filter(None, (name, meaning)))
         role += " (constant)" * (low == high)

@@ -145,9 +145,8 @@ def _move_files(hidden: Path, visible: Path, keep_results: bool) -> None:
         path = visible / entry.relative_to(hidden)
         if path.is_symlink() or path.is_file() if entry.is_dir() else path.is_dir():
             obstacle = "a file or a link" if entry.is_dir() else "a folder"
-            raise InputError(
-                f"{path} cannot be written: {obstacle} of that name exists. Move it, or choose another --out"
-            )
+            message = f"{path} cannot be written: {obstacle} of that name exists. Move it, or choose another --out"
+            raise InputError(message)
     manifests = {p: _write_manifest(hidden / p, visible / p, keep_results) for p in subfolders}
     for subfolder, (new_names, obsolete_names) in manifests.items():
         source, target = hidden / subfolder, visible / subfolder

@@ -63,7 +63,7 @@ class Contribution:
 
 @dataclass(frozen=True)
 class SourceShare:
-    """Contribution of one source to the variance: of kind "A" (readings, runs), "B" (a prior) or "" (remainder)."""
+    """Contribution of one source to the variance: of kind "A" (readings, runs), "B" (a prior) or "" (both)."""
 
     name: str
     kind: str
@@ -176,9 +176,8 @@ class Budget(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return the columns of a table with a row per coefficient, in fixed units."""
-        return {
-            f.name: [getattr(c, f.name) for c in self.coefficients] for f in fields(Contribution)
-        }
+        names = [f.name for f in fields(Contribution)]
+        return {name: [getattr(c, name) for c in self.coefficients] for name in names}
 
     @property
     def place(self) -> str:
@@ -331,7 +330,7 @@ def _split_by_source(
         variances[f"{confounder.label}, collinear with the model's", "B"] = shift**2
     for name, (i, sd) in equation.unfound_spreads.items():
         undetected.append(float(gradient[i] * sd) ** 2)
-        variances[f"{name} of a new run, neither found nor excluded", "B"] = undetected[-1]
+        variances[f"{name} of a new run, neither found nor excluded", ""] = undetected[-1]
     if (excess := 1 - calibration.form_factor**-2) > 0:
         g = gradient * [not is_new_member(u) for u in unknowns]
         of_model = float(g @ covariance @ g) - sum(undetected)
@@ -364,10 +363,16 @@ def _find_range_claims(correction: Compensator, point: Point) -> list[Claim]:
 
 def list_budget_claims(correction: Compensator, of_correction: bool = True) -> tuple[Claim, ...]:
     """Return the claims about what a budget includes and omits; `of_correction` is False for the budget of a slot."""
-    notes = list_clock_claims(correction.equation)
-    sources = [f"{name} of a new run" for name in correction.equation.unfound_spreads]
-    sources += ["model inadequacy"] * (correction.calibration.form_factor > 1)
-    notes += [Claim("budget.beyond_fit", *sources)] * bool(sources)
+    calibration, equation = correction.calibration, correction.equation
+    sources = [f"{name} of a new run" for name in equation.unfound_spreads]
+    sources += ["model inadequacy"] * (calibration.form_factor > 1)
+    notes = list_clock_claims(equation) + [Claim("budget.beyond_fit", *sources)] * bool(sources)
+    for name, (i, sd) in equation.unfound_spreads.items():
+        u, p = equation.unknowns[i], calibration.inclusion.get(name, 0.0)
+        numbers = {"coefficient": u.name, "unit": u.unit, "p": p, "tau": sd / (1 - p) ** 0.5}
+        if prior := calibration.model.instrument.known[name].coefficients[0].group_sd:
+            plausible = float(prior.value(0.0)) * sd / calibration.unfound_spreads[name]
+            notes.append(Claim("budget.new_run", name, plausible=plausible, **numbers))
     if of_correction and not correction.equation.is_slope_calibrated:
         notes.append(Claim("use.bias_only", correction.stimulus))
     return (*dict.fromkeys(notes), Claim("budget.shared_errors"))

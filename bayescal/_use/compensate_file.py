@@ -100,11 +100,9 @@ def compensate_file(
             f"{path.name!r} cannot be compensated as a file: use one of {', '.join(readable)}. For other formats, "
             "read the columns and compensate them: bc.compensator(…)(bc.read(…))"
         )
-    output_suffix = ".csv" if suffix in CSV_SUFFIXES else suffix
-    if out.suffix.lower() != output_suffix and not {suffix, out.suffix.lower()} <= {*TEXT_SUFFIXES}:
-        raise InputError(
-            f"{out.name!r}: the output file of {path.name!r} must end in {output_suffix}"
-        )
+    ending = ".csv" if suffix in CSV_SUFFIXES else suffix
+    if out.suffix.lower() != ending and not {suffix, out.suffix.lower()} <= {*TEXT_SUFFIXES}:
+        raise InputError(f"{out.name!r}: the output file of {path.name!r} must end in {ending}")
     about = compensator.about
     scale = NominalScale(*about.raw) if about.raw else None
     expected = ExpectedColumns(about.instrument, compensator.columns, scale)
@@ -176,9 +174,8 @@ def _name_columns(
     names = f"{name}_compensated", f"{name}_standard_uncertainty"
     for name in names:
         if any(h.name == name for h in table.headers):
-            raise InputError(
-                f"{table.file!r} already has a column {name!r}: remove it, or compensate the original file"
-            )
+            message = f"{table.file!r} already has a column {name!r}: remove it, or compensate the original file"
+            raise InputError(message)
     return header.raw, names
 
 

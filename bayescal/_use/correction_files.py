@@ -226,9 +226,8 @@ def as_text(
     """
     kind = find_kind(correction)
     if format not in kind.writers:
-        raise InputError(
-            f"a correction of {kind.axes} cannot be written as {format!r}: choose {', '.join(kind.writers)}"
-        )
+        message = f"a correction of {kind.axes} cannot be written as {format!r}: choose {', '.join(kind.writers)}"
+        raise InputError(message)
     unit = [correction, *others]
     sensors = dict(zip(names_in_unit(name, unit), unit, strict=True))
     if others and format not in kind.shared_formats:

@@ -436,9 +436,8 @@ def equation_in_use(
             calibration.readings.groups(group)[0] if calibration.readings.has(group) else ()
         )
         if member not in levels:
-            raise InputError(
-                f"{group} {member!r} was not in the calibration; it has: {', '.join(levels) or 'none'}"
-            )
+            message = f"{group} {member!r} was not in the calibration; it has: {', '.join(levels) or 'none'}"
+            raise InputError(message)
     return OperatingEquation(calibration, tuple(sorted(members.items())))
 
 

@@ -103,9 +103,8 @@ class TriadCommand(TriadOptions, ws.Command):
         if self.poses and self.shortest is not None:
             raise bc.InputError("--shortest applies to logs: omit it or --poses")
         if ws.instrument_named(self.instrument).vector is None:
-            raise bc.InputError(
-                f"--instrument {self.instrument} has one output: use `bayescal calibrate`"
-            )
+            message = f"--instrument {self.instrument} has one output: use `bayescal calibrate`"
+            raise bc.InputError(message)
         instrument, model, readings = ws.open_request(self)
         if not self.poses:
             readings = bc.poses(readings, instrument, shortest=self.shortest)
@@ -152,9 +151,8 @@ class ImuCommand(TriadOptions, ws.Command):
             except bc.InputError as error:
                 unit = instrument.unit
                 predicate = f"has no three columns with common names of {sensors} and a unit convertible to {unit}"
-                remedy = (
-                    f"Name them ({ws.option(f'--{sensors}', 'X,Y,Z')}), or use a log that has them"
-                )
+                example = ws.option(f"--{sensors}", "X,Y,Z")
+                remedy = f"Name them ({example}), or use a log that has them"
                 if {*OUTPUTS} <= {p.column for p in error.problems}:
                     problems += [ws.Objection(self.files[0].name, predicate, cure=remedy)]
                 else:
@@ -209,11 +207,10 @@ def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTabl
     """Tabulate a three-axis correction's terms ± standard uncertainty, from result.json; no table for one output."""
     if not (vector := data.get("vector")):
         return []
-    from bayescal._annexes.imu.vector_correction import term_rows, terms_table
+    from bayescal._annexes.imu.vector_correction import VectorCorrection, terms_table
 
-    terms = vector["averaged"] or vector
-    rows = term_rows(terms["terms"], terms["uncertainty"], terms["unit"], terms["beside"])
-    return [(CAPTION, terms_table(rows))]
+    correction = VectorCorrection.from_data(vector["averaged"] or vector)
+    return [(CAPTION, terms_table(correction.rows)), correction.tabulate_uncertainty()]
 
 
 ANNEX = {

@@ -199,11 +199,11 @@ def _add_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str])
     sensor = sensors[name]
     if sensor.temperature is not None or sensor.device is None:
         return sensor
-    for other_name, other in sensors.items():
+    for donor, other in sensors.items():
         if other.device == sensor.device and other.temperature is not None:
             is_finite = np.isfinite(other.temperature)
             notes.append(
-                f"{name} logs no temperature; that of {other_name}, on the same device, is used"
+                f"{name} logs no temperature; that of {donor}, on the same device, is used"
             )
             temperature, time = other.temperature[is_finite], other.time[is_finite]
             return replace(sensor, temperature=temperature, temperature_time=time)

@@ -8,8 +8,8 @@ T0 with coefficients p (from `vector_series.py`). A secondary input (gravity on 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -171,6 +171,32 @@ class VectorCorrection:
         """Return the standard uncertainties of `terms` (k, p)."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.terms.shape)
 
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> VectorCorrection:
+        """Return the correction with the data of `to_json_data`; unknown entries are ignored."""
+        data = {**data, "max_input": data["reach"], "reason": data["against"]}
+        data |= {name: np.array(data[name]) for name in ("terms", "covariance")}
+        return cls(**{f.name: data[f.name] for f in fields(cls)})
+
+    def tabulate_uncertainty(self) -> tuple[str, ws.ResultTable]:
+        """Tabulate the uncertainty of each component of a corrected input along an axis; return caption and table.
+
+        The input has the magnitude `max_input`, at the default temperature without secondary input. The uncertainties
+        are the largest of its six directions: of the correction alone, and with the noise of one reading.
+        """
+        inputs = self.max_input * np.concatenate([np.eye(3), -np.eye(3)])
+        t, g = self.default_temperature, np.zeros_like(inputs) if self.beside else None
+        slopes = differentiate_by_terms(inputs, self.order, g)
+        outputs = slopes @ (self.powers(np.array([t])) @ self.terms)[0]
+        covariances = [self(outputs, t, noise=n, beside=g).covariance for n in (0.0, self.noise)]
+        u, total = np.sqrt(np.max(np.diagonal(covariances, axis1=2, axis2=3), axis=1))
+        titles = ("component", "standard uncertainty u", "U (k = 2)", "U (k = 2) with noise")
+        rows = [("xyz"[i], *map(ws.number, (u[i], 2 * u[i], 2 * total[i]))) for i in range(3)]
+        columns = (ws.TableColumn(title, lambda row, i=i: row[i]) for i, title in enumerate(titles))
+        unit = ws.unit_label(self.unit)
+        caption = f"Compensated vector of {ws.number(self.max_input)} {unit} along any axis, at {t:g} °C; noise: one reading"
+        return caption, ws.ResultTable(tuple(columns), rows)
+
     @property
     def rows(self) -> list[TermRow]:
         """Return the non-zero terms with their standard uncertainties."""
@@ -258,9 +284,7 @@ class VectorCorrection:
             outputs = np.stack([readings[name] for name in self.outputs], axis=1)
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
-            raise bc.InputError(
-                f"expected three outputs per reading, (n, 3), not of shape {y.shape}"
-            )
+            raise bc.InputError(f"expected three outputs per reading, (n, 3), not shape {y.shape}")
         if temperature is None and len(self.terms) > 1:
             raise bc.InputError("the correction depends on temperature: give temperature=… in °C")
         temperature = self.default_temperature if temperature is None else temperature
@@ -295,21 +319,15 @@ def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
         ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
-        ws.TableColumn(
-            "value ± standard uncertainty", lambda r: ws.with_error(r.value, r.uncertainty)
-        ),
+        ws.TableColumn("value ± standard uncertainty", lambda r: ws.with_error(*r[1:3])),
         ws.TableColumn("unit", lambda r: ws.unit_label(r.unit)),
     )
     return ws.ResultTable(columns, rows)
 
 
 # Power of T − T0, in the name of a term → in its unit.
-POWER_UNITS = {
-    "": "",
-    " by T − T0": "/degC",
-    " by (T − T0)²": "/degC^2",
-    " by (T − T0)³": "/degC^3",
-}
+POWER_UNITS = {"": "", " by T − T0": "/degC"}
+POWER_UNITS |= {" by (T − T0)²": "/degC^2", " by (T − T0)³": "/degC^3"}
 
 
 def term_rows(

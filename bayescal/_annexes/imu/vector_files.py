@@ -21,30 +21,21 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
 
     def render_header(name: str, c: VectorCorrection) -> str:
         content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
-        return template.render(
-            c=c,
-            name=name,
-            guard=ws.include_guard(name, *content, with_uncertainty),
-            uncertainty=with_uncertainty,
-            recorded=c.low is not None,
-            thermal=len(c.terms) > 1,
-            # Offset and inverse matrix alone, without an equation to solve.
-            plain=not with_uncertainty and c.terms.shape == (1, 12),
-            inverse=np.linalg.inv(c.matrix).tolist(),
-            newton=1 if c.order == 1 else NEWTON_STEPS,
-        )
+        fields = {"c": c, "name": name, "guard": ws.include_guard(name, *content, with_uncertainty)}
+        fields |= {"uncertainty": with_uncertainty, "recorded": c.low is not None}
+        # Offset and inverse matrix alone, without an equation to solve.
+        fields["plain"] = not with_uncertainty and c.terms.shape == (1, 12)
+        fields |= {"thermal": len(c.terms) > 1, "inverse": np.linalg.inv(c.matrix).tolist()}
+        return template.render(fields, newton=1 if c.order == 1 else NEWTON_STEPS)
 
     return "\n".join(render_header(name, c) for name, c in corrections.items())
 
 
 def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as one Python module."""
-    data = {
-        name: repr(
-            {k: v for k, v in c.to_json_data().items() if with_uncertainty or k != "covariance"}
-        )
-        for name, c in corrections.items()
-    }
+    omitted = () if with_uncertainty else ("covariance",)
+    entries = {name: c.to_json_data().items() for name, c in corrections.items()}
+    data = {name: repr({k: v for k, v in e if k not in omitted}) for name, e in entries.items()}
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS
     )

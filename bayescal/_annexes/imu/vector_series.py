@@ -278,6 +278,4 @@ def _sum_slots(
             sums[t.slot] = sums.get(t.slot, np.zeros(count)) + (value * column)[:, 0]
     sds = {n: {s: float(np.std(v)) for s, v in sums.items()} for n, sums in contributions.items()}
     min_sds = {name: MIN_NOTED_SD_RATIO * np.std(values[:, 0]) for name, values in slots.items()}
-    return slots, {
-        n: sizes for n, sizes in sds.items() if any(sd > min_sds[s] for s, sd in sizes.items())
-    }
+    return slots, {n: v for n, v in sds.items() if any(sd > min_sds[s] for s, sd in v.items())}
