@@ -65,9 +65,8 @@ def test_probability_for_the_unit_equals_enumeration() -> None:
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
     shared = three_channels()
     log_ratio, shape = shared.log_ratios["in doubt"], shared.shape
-    found = ShapeEvidence(shared.v, log_ratio).update(
-        CavityPrior(0.0, shape.low, shape.high), shape
-    )
+    prior = CavityPrior(0.0, shape.low, shape.high)
+    found = ShapeEvidence(shared.v, log_ratio).update(prior, shape)
     weight = np.exp(log_ratio - 0.5 * shared.v**2)
     ratio = weight.sum() * 0.1 / np.sqrt(2 * np.pi)
     mean = weight @ shared.v / weight.sum()

@@ -79,10 +79,8 @@ def error(value: np.ndarray, uncertainty: np.ndarray, day: float = LATER) -> flo
     return float(np.max(abs(off) / uncertainty))
 
 
-def compensated(
-    calibration: bc.Calibration, readings: bc.Measurements, day: float = LATER
-) -> float:
-    found = bc.compensator(calibration)(readings, warn=False)
+def compensated(fit: bc.Calibration, readings: bc.Measurements, day: float = LATER) -> float:
+    found = bc.compensator(fit)(readings, warn=False)
     return error(found.value, found.uncertainty, day)
 
 

@@ -102,13 +102,11 @@ def test_units_of_a_limit_are_converted(gyro) -> None:
 def test_the_two_rules_differ_where_they_should(gyro) -> None:
     """−104 ppm, u = 96 ppm: inside ±150 ppm, but by less than any guard band."""
     text = "scale.constant: ±150 ppm"
-    by_rule = {
-        rule: bc.decide(gyro, text, rule=rule).decisions[0] for rule in ("guarded", "simple")
-    }
+    found = {rule: bc.decide(gyro, text, rule=rule).decisions[0] for rule in ("guarded", "simple")}
     p = np.mean(np.abs(gyro.samples("scale.constant")) <= 150)
-    assert all(d.probability == p for d in by_rule.values())
-    assert by_rule["guarded"].decision == "undecided"
-    assert by_rule["simple"].decision == "accept" and by_rule["simple"].risk == 1 - p
+    assert all(d.probability == p for d in found.values())
+    assert found["guarded"].decision == "undecided"
+    assert found["simple"].decision == "accept" and found["simple"].risk == 1 - p
     (outside,) = bc.decide(gyro, "scale.constant: ±90 ppm", rule="simple").decisions
     assert outside.decision == "reject" and outside.risk == outside.probability
     (far,) = bc.decide(gyro, "scale.constant: 200..400 ppm").decisions

@@ -30,9 +30,8 @@ def test_the_code_prints_what_is_shown() -> None:
 
 
 def test_make_targets_exist() -> None:
-    targets = set(
-        re.findall(r"^([a-z-]+)%?:", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
-    )
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    targets = set(re.findall(r"^([a-z-]+)%?:", makefile, re.MULTILINE))
     named = set(re.findall(r"(?:`|^ *)make ([a-z-]+)", PAGE, re.MULTILINE))
     named = {"bench-" if name.startswith("bench-") else name for name in named}
     assert {"demo", "test"} <= named <= targets

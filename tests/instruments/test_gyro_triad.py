@@ -27,9 +27,8 @@ def stated(calibration: bc.Calibration, names: Any) -> tuple[np.ndarray, np.ndar
 def test_misalignments_are_known_as_well_as_the_mountings_are() -> None:
     """Forty rates about each axis leave 1 mrad of a mounting on the axes across, and hardly a ppm on the scale."""
     rates = tuple(float(r) for r in np.linspace(-100, 100, 40))
-    readings = gyro_triad.simulate(
-        seed=2, campaign=Campaign(mountings=("x", "y", "z"), rates=rates)
-    )
+    campaign = Campaign(mountings=("x", "y", "z"), rates=rates)
+    readings = gyro_triad.simulate(seed=2, campaign=campaign)
     mean, sd = stated(bc.fit(MODEL, readings), TRUE)
     assert np.all(np.abs(mean - list(TRUE.values())) < 4 * sd)
     assert np.allclose(sd[6:], 1.0, rtol=0.1)  # mrad

@@ -207,7 +207,6 @@ def test_the_whole_equation_is_learned_from_verification_data() -> None:
     assert (np.abs(scale.mean(axis=0) - 100.0) < 3.5 * scale.std(axis=0)).all()
     held = Table(other)
     made = inclinometer.compensate(whole, held.reading_x, held.reading_y)
-    for before, after in zip(
-        held.errors, (made.x - held.true_x, made.y - held.true_y), strict=True
-    ):
+    errors = made.x - held.true_x, made.y - held.true_y
+    for before, after in zip(held.errors, errors, strict=True):
         assert np.abs(after).max() < 0.1 * np.abs(before).max()

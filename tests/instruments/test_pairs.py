@@ -116,9 +116,7 @@ def test_the_set_of_pairs_is_disjoint_and_optimal(seed: int) -> None:
     for side in zip(*table.matching, strict=True):
         assert len(set(side)) == 3
     total = sum(table.of(*pair).expected_residual for pair in table.matching)
-    best = min(
-        sum(cost[i, j] for i, j in enumerate(chosen)) for chosen in permutations(range(4), 3)
-    )
+    best = min(sum(cost[i, j] for i, j in enumerate(order)) for order in permutations(range(4), 3))
     assert total == pytest.approx(best)
 
 

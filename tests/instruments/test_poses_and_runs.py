@@ -106,6 +106,15 @@ def drifting(campaign: Campaign | None = None) -> bc.Measurements:
     return accelerometer_triad.simulate(hidden, seed=1, campaign=campaign or Campaign(poses=60))
 
 
+def test_the_uncertainty_of_a_compensated_vector_is_tabulated() -> None:
+    """At 1 g, from offsets of sd 0.3 mg and a matrix of sd 0.4 mg/g; with the noise of 1.2 mg."""
+    terms = np.concatenate([np.zeros(3), np.eye(3).ravel()])[None]
+    covariance = np.diag(np.repeat([9e-8, 16e-8], [3, 9]))
+    made = bc.VectorCorrection(AXES, "g", 25.0, 25.0, 25.0, terms, covariance, noise=1.2e-3)
+    _, table = bc.VectorCorrection.from_data(made.to_json_data()).tabulate_uncertainty()
+    assert [[*row] for row in table.rows] == [[a, "0.0005", "0.001", "0.0026"] for a in AXES]
+
+
 @pytest.mark.slow
 def test_a_drift_widens_the_correction_by_what_it_moves_over_the_test() -> None:
     readings = drifting()

@@ -287,9 +287,8 @@ def test_six_positions_are_as_uncertain_as_their_rests_show() -> None:
     general = accelerometer_triad.INSTRUMENT
     poses = bc.Measurements.from_arrays(general, **columns, **stated)
     own = general.for_readings(poses)
-    assert dict(own.settings) == {"scatter": 2e-4} and own.noise == bc.White(
-        bc.LogNormal(2e-4, 1.0)
-    )
+    assert dict(own.settings) == {"scatter": 2e-4}
+    assert own.noise == bc.White(bc.LogNormal(2e-4, 1.0))
     biases = [f"bias.constant[{a}]" for a in "xyz"]
     fits = {i: bc.fit(i.baseline(), poses) for i in (general, own)}
     sd = {i: np.array([c.samples(b).std() for b in biases]) for i, c in fits.items()}

@@ -86,8 +86,13 @@ def test_new_runs_have_the_deviations_that_so_few_runs_leave_open(average, tmp_p
     wide, narrow = found.uncertainty[0], plain.uncertainty[0]
     slope = np.diff(found.value)[0]
     assert wide**2 - narrow**2 == pytest.approx((slope * size) ** 2, rel=0.02)
-    (row,) = (s for s in bc.budget(in_use[0]).sources if "bias.run of a new run, neither" in s.name)
-    assert row.contribution == pytest.approx(slope * size, rel=0.02)
+    budget = bc.budget(in_use[0])
+    (row,) = (s for s in budget.sources if "bias.run of a new run, neither" in s.name)
+    assert row.contribution == pytest.approx(slope * size, rel=0.02) and row.kind == ""
+    (note,) = (n for n in budget.notes if getattr(n, "code", "") == "budget.new_run")
+    p, tau = note.numbers["p"], note.numbers["tau"]
+    assert (1 - p) ** 0.5 * tau == pytest.approx(size)  # the equation that the note states
+    assert p == average.inclusion.get("bias.run", 0.0) and note.numbers["plausible"] == 0.05
 
 
 def test_what_a_discovery_fits_is_what_calibrate_uses() -> None:

@@ -194,7 +194,7 @@ class VectorCorrection:
         rows = [("xyz"[i], *map(ws.number, (u[i], 2 * u[i], 2 * total[i]))) for i in range(3)]
         columns = (ws.TableColumn(title, lambda row, i=i: row[i]) for i, title in enumerate(titles))
         unit = ws.unit_label(self.unit)
-        caption = f"Compensated vector of {ws.number(self.max_input)} {unit} along any axis, at {t:g} °C; noise: one reading"
+        caption = f"Compensated vector of {ws.number(self.max_input)} {unit} along any axis, {t:g} °C; noise: a reading"
         return caption, ws.ResultTable(tuple(columns), rows)
 
     @property
