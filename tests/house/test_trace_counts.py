@@ -26,6 +26,7 @@ HUMIDITY = bc.Effect(
     columns=("humidity",),
 )
 MODEL = INSTRUMENT.baseline() + HUMIDITY + "bias.run"
+METHODS = [bc.Marginal(), bc.LeastSquares(draws=400)]
 
 
 def readings(seed: int) -> bc.Measurements:
@@ -45,9 +46,7 @@ def test_the_listener_hears_compilations() -> None:
     assert compiled(lambda: jax.jit(lambda x: x + 1.2345)(np.ones(3)))
 
 
-@pytest.mark.parametrize(
-    "method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name
-)
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
     first, second = readings(1), readings(2)
     calibration = bc.fit(MODEL, first, method)
@@ -67,9 +66,7 @@ def test_a_second_fit_of_the_same_structure_compiles_nothing(method) -> None:
 FEW = 12  # programs of padded sizes that were not met before
 
 
-@pytest.mark.parametrize(
-    "method", [bc.Marginal(), bc.LeastSquares(draws=400)], ids=lambda m: m.name
-)
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 def test_another_structure_compiles_only_for_columns_and_sizes_not_seen_before(method) -> None:
     table = readings(1)
     bc.fit(MODEL, table, method)  # all of the columns

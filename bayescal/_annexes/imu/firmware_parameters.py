@@ -232,9 +232,8 @@ def evaluate_offsets(compensator: bc.Compensator, axis: Axis, local_gravity: flo
     """
     calibration, inputs = compensator.calibration, compensator.equation.at_fit
     if "temperature" not in inputs:
-        raise bc.InputError(
-            f"{axis}: firmware corrects by temperature, but the calibration has no column 'temperature'"
-        )
+        message = f"{axis}: firmware corrects by temperature, but the calibration has no column 'temperature'"
+        raise bc.InputError(message)
     program, zero_input = compensator.program, np.zeros(len(calibration.readings))
     (expected,) = program.graph.evaluate(
         (program.equation.expected,), {**inputs, ws.STIMULUS: zero_input}
@@ -406,9 +405,8 @@ def _find_device_ids(
             )
     sensors = dict.fromkeys(a.sensor for a in by_axis)
     if unknown := stated.keys() - sensors:
-        raise bc.InputError(
-            f"a device_id is given for {min(unknown)!r}, which is not one of the sensors: {', '.join(sensors)}"
-        )
+        message = f"a device_id is given for {min(unknown)!r}, which is not one of the sensors: {', '.join(sensors)}"
+        raise bc.InputError(message)
     return device_ids | dict(stated)
 
 

@@ -199,12 +199,10 @@ def _add_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str])
     sensor = sensors[name]
     if sensor.temperature is not None or sensor.device is None:
         return sensor
-    for donor, other in sensors.items():
+    for peer, other in sensors.items():
         if other.device == sensor.device and other.temperature is not None:
             is_finite = np.isfinite(other.temperature)
-            notes.append(
-                f"{name} logs no temperature; that of {donor}, on the same device, is used"
-            )
+            notes.append(f"{name} logs no temperature; that of {peer}, on the same device, is used")
             temperature, time = other.temperature[is_finite], other.time[is_finite]
             return replace(sensor, temperature=temperature, temperature_time=time)
     return sensor

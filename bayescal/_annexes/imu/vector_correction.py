@@ -290,9 +290,8 @@ class VectorCorrection:
         temperature = self.default_temperature if temperature is None else temperature
         temperatures = np.broadcast_to(np.asarray(temperature, float), len(y))
         if self.beside and secondary is None:
-            raise bc.InputError(
-                f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
-            )
+            message = f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
+            raise bc.InputError(message)
         g = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
         terms = self.powers(temperatures) @ self.terms
 

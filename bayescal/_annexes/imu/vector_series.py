@@ -46,9 +46,8 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     """
     instrument = calibration.model.instrument
     if (vector := instrument.vector) is None:
-        raise bc.ModelError(
-            f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
-        )
+        message = f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
+        raise bc.ModelError(message)
     effects = calibration.model.effects
     unneeded = {TEMPERATURE, *vector.beside} - calibration.usual_columns
     calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - unneeded)
