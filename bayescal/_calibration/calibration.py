@@ -126,8 +126,7 @@ class Calibration(Printed, Fitted):
             "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
             "constant_data": readings.to_xarray().drop_vars("output"),
         }
-        draws_per_chain = self.joint.x.shape[1]
-        groups = {n: _prepare_for_netcdf(g, draws_per_chain) for n, g in groups.items()}
+        groups = {n: _prepare_for_netcdf(g, self.joint.x.shape[1]) for n, g in groups.items()}
         if not self.layout.is_improper:
             prior = to_xarray(self.unknowns, self.unknowns.values(*_draw_from_prior(self)))
             groups["prior"] = _prepare_for_netcdf(prior, PRIOR_DRAWS)
@@ -169,8 +168,7 @@ def _prepare_for_netcdf(group: xr.Dataset, draws_per_chain: int) -> xr.Dataset:
 
 def _draw_from_prior(c: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """Draw (x, v) from the prior, as one chain."""
-    random = np.random.default_rng([c.seed, 2])
-    v = np.zeros((PRIOR_DRAWS, len(c.layout.hypers)))
+    random, v = np.random.default_rng([c.seed, 2]), np.zeros((PRIOR_DRAWS, len(c.layout.hypers)))
     for i, h in enumerate(c.layout.hypers):
         v[:, i] = draw_prior(h.prior, random, PRIOR_DRAWS)
     sd = c.problem.prior(c.problem.hyper(v.T), np.ones(c.problem.size), (PRIOR_DRAWS,)).sd

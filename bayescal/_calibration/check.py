@@ -476,8 +476,7 @@ def noise_floor(calibration: Fitted) -> float:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))
         order, has_previous = np.argsort(key, kind="stable"), np.ones(len(readings), bool)
         has_previous[0] = False
-    r = residuals[order]
-    has_both = has_previous[1:-1] & has_previous[2:]
+    r, has_both = residuals[order], has_previous[1:-1] & has_previous[2:]
     differences = (r[1:-1] - 0.5 * (r[:-2] + r[2:]))[has_both]
     if differences.size < 3:
         return float(np.sqrt(np.mean(residuals**2)))

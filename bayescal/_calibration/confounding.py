@@ -74,9 +74,8 @@ def find_confounders(
     z = (linear.mode.x - linear.problem.mean_of_x)[indices] / np.where(sd > 0, sd, 1.0)[indices]
     amplitude = AMPLITUDE_SHARE * float(np.std(linear.nuisance[:, indices] @ z))
     # An unmodelled effect enters the first slot (term of the equation) in the output's unit, or that of each axis.
-    instrument = layout.model.instrument
+    instrument, vector = layout.model.instrument, layout.model.instrument.vector
     slots = [s.name for s in instrument.slots if s.unit == instrument.unit]
-    vector = instrument.vector
     slots = slots[:1] if vector is None else [n for n in slots if n not in vector.rig]
     candidates = [
         (name, amplitude * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
@@ -84,8 +83,7 @@ def find_confounders(
         for slot in slots
     ]
     candidates += [(n, step / math.sqrt(12.0) * slope, step) for n, (step, slope) in steps.items()]
-    slices = {b.name: b.x_slice for b in layout.x_blocks}
-    confounders = list[Confounder]()
+    slices, confounders = {b.name: b.x_slice for b in layout.x_blocks}, list[Confounder]()
     for name, values, step in candidates:
         # The whitened, scaled column a, its projection P·a on the model's columns, and K = |a − P·a|².
         column = linear.whiten(values[:, None])[:, 0]
@@ -137,8 +135,7 @@ def find_unmodelled_columns(
     declared_names = {c.name for c in model.instrument.columns}
     excluded = declared_names | model.columns | {*TIME_COLUMNS}
     units = [readings.unit(n) for n in declared_names & {*readings.columns}]
-    units = [u for u in units if u not in (None, "1", "s")]
-    columns = dict[str, np.ndarray]()
+    units, columns = [u for u in units if u not in (None, "1", "s")], dict[str, np.ndarray]()
     for name, values in list_covariates(readings).items():
         column = strip_rate(name)
         unit = readings.unit(column) if readings.has(column) else None

@@ -157,8 +157,7 @@ def find_widened_coefficients(subject: Subject) -> Iterator[Claim]:
     for row in summary(subject.fit)[0]:
         name, contraction = row["name"], row["contraction"]
         is_accepted = name in confounded_names or subject.accepts(name, row["effect"])
-        lower_limit = limit("prior.widened", "contraction")
-        if not is_accepted and contraction is not None and contraction < lower_limit:
+        if not is_accepted and (contraction or 0.0) < limit("prior.widened", "contraction"):
             yield Claim("prior.widened", name, contraction=contraction)
 
 
@@ -173,10 +172,10 @@ def find_sds_beyond_range(subject: Subject) -> Iterator[Claim]:
     sds -= {e.measure_name for e in fit.model.effects}
     span = float(np.ptp(fit.readings["output"]))
     for row in summary(fit)[1]:
-        is_beyond = row["name"] in sds and row["unit"] == fit.unit and row["mean"] > span > 0
-        if is_beyond and not subject.accepts(row["name"], row["effect"]):
-            numbers = {"mean": row["mean"], "reach": span, "unit": fit.unit}
-            yield Claim("size.beyond_output", row["name"], **numbers)
+        name, mean = row["name"], row["mean"]
+        is_beyond = name in sds and row["unit"] == fit.unit and mean > span > 0
+        if is_beyond and not subject.accepts(name, row["effect"]):
+            yield Claim("size.beyond_output", name, mean=mean, reach=span, unit=fit.unit)
 
 
 def find_implausible_curves(subject: Subject) -> Iterator[Claim]:
@@ -213,8 +212,7 @@ def find_implausible_members(subject: Subject) -> Iterator[Claim]:
     rows = (r for r in summary(fit)[0] if not subject.accepts(r["name"], r["effect"]))
     means = {row["name"]: row["mean"] for row in rows}
     for b in fit.layout.blocks:
-        c = b.coefficient
-        members = [n for n in b.member_names(fit.levels) if n in means]
+        c, members = b.coefficient, [n for n in b.member_names(fit.levels) if n in means]
         if c.group_sd is None or b.effect.weights is not None or not members:
             continue
         name = max(members, key=lambda n: abs(means[n] - c.mean))

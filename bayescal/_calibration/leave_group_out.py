@@ -117,8 +117,7 @@ def choose_groups(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndar
         if len(levels) >= 2 and (codes >= 0).all():
             return name, levels, codes
     position = readings["time"] if readings.has("time") else np.arange(len(readings))
-    rank = np.argsort(np.argsort(position, kind="stable"))
-    count = min(MAX_BLOCKS, len(readings))
+    rank, count = np.argsort(np.argsort(position, kind="stable")), min(MAX_BLOCKS, len(readings))
     codes = rank * count // len(readings)
     kind = "time block" if readings.has("time") else "block of rows"
     return kind, tuple(str(i + 1) for i in range(count)), codes

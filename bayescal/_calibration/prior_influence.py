@@ -89,8 +89,7 @@ class NotMeasured:
             spectrum, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
             spectrum = np.maximum(spectrum, np.finfo(float).tiny)
             information = np.where(1 / spectrum - 1 < WEAK_INFORMATION, 0.0, 1 / spectrum - 1)
-            freed_variance = 1 / (information + FREE_SD_FACTOR**-2)
-            means = mean @ vectors
+            freed_variance, means = 1 / (information + FREE_SD_FACTOR**-2), mean @ vectors
             shifted_means = np.where(information > 0, means * freed_variance / spectrum, means)
             scores = shifted_means + (centred @ vectors) * np.sqrt(freed_variance / spectrum)
             slope = vectors / spectrum @ vectors.T @ centred.T @ (y - y.mean(axis=0)) / len(centred)

@@ -390,8 +390,7 @@ def _evaluate_sums(readings: Measurements, seed: int) -> EvaluatedSums:
     parameters = {WHITE: np.full((1, 1), scale), "noise.walk": np.full((1, 1), walk)}
     model = SummedNoise(runs.step, max_duration, ("walk",))
     random, weights = np.random.default_rng(seed), Counter[Terms]()
-    imputations = list[tuple[list[RestNoise], dict[Terms, float]]]()
-    time_limit = deadline.current()
+    imputations, time_limit = list[tuple[list[RestNoise], dict[Terms, float]]](), deadline.current()
     time_limit.defer_interrupt()
     for k in range(IMPUTATIONS if runs.lost else 1):
         imputed = [_impute_run(run, model, parameters, runs.step, random) for run in run_columns]
@@ -525,8 +524,7 @@ def _compute_negative_correlation_z(output: Float[np.ndarray, "n"], runs: EvenRu
     values = np.concatenate(padded)
     differences = [values[k:] - values[:-k] for k in lags]
     variogram = np.array([0.5 * np.nanmean(d**2) for d in differences])
-    count = np.isfinite(differences[0]).sum()
-    expected = float(LAG_WEIGHTS @ variogram[1:])
+    count, expected = np.isfinite(differences[0]).sum(), float(LAG_WEIGHTS @ variogram[1:])
     # The estimate of γₖ from n readings of white noise with variance γ₀ has the variance γ₀²/n.
     sd = abs(expected) * math.sqrt((1 + float(LAG_WEIGHTS @ LAG_WEIGHTS)) / count)
     return float(variogram[0] - expected) / sd
@@ -539,8 +537,7 @@ def _find_line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, d
     averaged over k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
     run, best_z, line = max(runs.arrange(output), key=len), 0.0, (0.0, 0, 0)
-    run = np.where(np.isfinite(run), run, np.nanmean(run))
-    length = MIN_WINDOW
+    run, length = np.where(np.isfinite(run), run, np.nanmean(run)), MIN_WINDOW
     while (count := len(run) // length) >= MIN_WINDOWS:
         # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
         window, blocks = np.hanning(length), run[: count * length].reshape(count, length)
@@ -692,8 +689,7 @@ def _fit_line_rms(y: Float[np.ndarray, "n"], freq: float) -> float:
     n = len(y)
     edges = np.linspace(0, n, min(MAX_PHASE_BLOCKS, n) + 1).astype(int)
     baseband = (y - y.mean()) * np.exp(-2j * math.pi * freq * np.arange(n))
-    bands = np.add.reduceat(baseband, edges[:-1])
-    block_centres = 0.5 * (edges[:-1] + edges[1:]) / n
+    bands, block_centres = np.add.reduceat(baseband, edges[:-1]), 0.5 * (edges[:-1] + edges[1:]) / n
 
     def power(offset: float) -> float:
         """Return the periodogram at an offset from the frequency, cycles per run."""
@@ -731,8 +727,7 @@ def _draw_parameters(
 def _filter_densities(sums: EvaluatedSums) -> tuple[np.ndarray, np.ndarray]:
     """Return posterior draws of N and K for a Kalman filter; if noise is uncorrelated, K is the random walk's bound."""
     factors, step = sums.runs.factors, sums.runs.step
-    walk_factor = step * (2 * factors**2 + 1) / (6 * factors)
-    densities, walk_draws = [], []
+    walk_factor, densities, walk_draws = step * (2 * factors**2 + 1) / (6 * factors), [], []
     for noise in sums.noises:
         terms = {*noise.model.terms}
         quantisation = noise.draws.get("noise.quantisation", 0.0) / step

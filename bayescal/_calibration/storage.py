@@ -61,11 +61,9 @@ def save(calibration: Fitted, path: Path) -> Path:
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file *.nc, not {path.name!r}")
-    descriptions = {c.name: c.meaning or c.name for c in calibration.model.instrument.columns}
+    titles = {c.name: c.meaning or c.name for c in calibration.model.instrument.columns}
     readings = {
-        atomic_file.encode_name(n): v._replace(
-            attrs={**v.attrs, "long_name": descriptions.get(n, n)}
-        )
+        atomic_file.encode_name(n): v._replace(attrs={**v.attrs, "long_name": titles.get(n, n)})
         for n, v in calibration.readings.variables().items()
     }
     mode = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
@@ -125,8 +123,7 @@ def _read_netcdf(
     if counts != expected:
         raise ValueError(f"its draws have {counts} unknowns, but its model has {expected}")
     mode = Mode(**{n: groups["mode"][n].values for n in Mode._fields})
-    verdict = Verdict.read(metadata["verdict"])
-    log_evidence = metadata["log_evidence"]
+    verdict, log_evidence = Verdict.read(metadata["verdict"]), metadata["log_evidence"]
     fields = {
         **{name: metadata[name] for name in STORED_FIELDS},
         "log_evidence": log_evidence and tuple(log_evidence),
@@ -275,8 +272,7 @@ def restore_model(path: Path, metadata, readings: Measurements, effects, instrum
     """Restore a file's model; raise InputError naming an instrument, effect or noise model missing or changed."""
     instrument = _restore_instrument(path, metadata, readings, instruments)
     ranges, saved_unknowns = metadata["ranges"], metadata["unknowns"]
-    names = metadata["effects"]
-    formulas = metadata["typed"].items()
+    names, formulas = metadata["effects"], metadata["typed"].items()
     typed = {n: effect(line, readings=readings, instrument=instrument) for n, line in formulas}
     catalogue = {**_collect_instrument_effects(instrument), **{e.name: e for e in effects}, **typed}
     for n in names:

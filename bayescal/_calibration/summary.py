@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -26,6 +27,7 @@ Direction = Float[np.ndarray, "p"]
 
 SKEWED = "skewed: see interval"  # in place of value ± u
 CONTRACTION = "contraction: 1 − posterior variance/prior variance"
+IN_PRIOR_SDS = "  (in prior standard deviations)"
 MAX_TERMS = 8  # printed terms of a linear combination
 NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coefficient is named
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
@@ -63,7 +65,7 @@ def unknowns_parts(
     names = calibration.model.names if effects is None else effects
     pairs = ((n, p) for n, p in calibration.inclusion.items() if n in names and p < 1)
     if text := ", ".join(f"{name} {probability(p)}" for name, p in pairs):
-        lines.append(f"* conditional on the effect being present; its probability: {text}")
+        lines.append(f"* conditional on the effect being present; weight in the average: {text}")
     return [table, *(folded(line, "") for line in lines)]
 
 
@@ -168,9 +170,9 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
 def null_directions(calibration: Fitted) -> list[Claim]:
     """Return claims on unidentified linear combinations of coefficients.
 
-    First, exact null directions of the design matrix, in the coefficients' units, each with as few coefficients as
-    possible. Second, weak directions: information below a tenth of the prior's, so that the posterior is the prior.
-    Third, one claim for all directions of group deviations or unknown functions. Last, confounders.
+    First, exact null directions of the design matrix, each with as few coefficients as possible; weak directions:
+    information below a tenth of the prior's, so that the posterior is the prior; one claim for all of group deviations
+    or unknown functions; pairs of coefficients of which only one combination is measured. Last, confounders.
     """
     claims = unidentified_claims(calibration.linear, calibration.levels)
     return [*claims, *(confounder.claim for confounder in calibration.confounders)]
@@ -191,21 +193,25 @@ def unidentified_claims(
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
     exact_vectors, weak_vectors, member_vectors = null_vectors(linear, with_exact)
-    for v in exact_vectors:  # combinations that change no reading, in the coefficients' units
-        vector = v * linear.sd[: len(v)]
-        vector, order = null_space.scale_to_integers(vector), np.flatnonzero(vector)
+    for v in exact_vectors:  # no reading changes; in the coefficients' units if of small integers
+        order = np.flatnonzero(np.abs(v) > NAMED_SHARE * np.abs(v).max())
+        factors, suffix = null_space.scale_to_integers((v * linear.sd[: len(v)])[order]), ""
+        if np.any(factors != np.rint(factors)):  # else in prior sd, the largest first
+            order = order[np.argsort(-np.abs(v[order]), kind="stable")]
+            factors, suffix = null_space.scale_to_integers(v[order]), IN_PRIOR_SDS
         code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
-        combination = _format_combination([(vector[i], names[i]) for i in order])
-        claims.append(Claim(code, *(names[i] for i in order), combination=combination))
+        subjects = [names[i] for i in order]
+        combination = _format_combination([*zip(factors, subjects, strict=True)]) + suffix
+        claims.append(Claim(code, *subjects, combination=combination))
     for v in weak_vectors:  # weakly identified directions, in prior standard deviations
         v = v / np.linalg.norm(v)
         order = [i for i in np.argsort(-np.abs(v)) if v[i] ** 2 > CONCERNED_SHARE]
         order = order or [int(np.argmax(np.abs(v)))]
         sign = float(np.sign(v[order[0]]))
         combination = _format_combination([(sign * round(float(v[i]), 2), names[i]) for i in order])
-        numbers = {"combination": f"{combination}  (in prior standard deviations)"}
+        combination += IN_PRIOR_SDS
         code = "direction.none" if len(order) == 1 else "direction.other"
-        claims.append(Claim(code, *(names[i] for i in order), **numbers))
+        claims.append(Claim(code, *(names[i] for i in order), combination=combination))
     if member_vectors:  # those of group deviations and unknown functions' coefficients
         largest, is_single = np.max(np.abs(member_vectors), axis=0), is_single_coefficient(layout)
         is_traced = np.where(is_single, 0.0, largest) > NAMED_SHARE * largest.max()
@@ -213,6 +219,17 @@ def unidentified_claims(
         effects = dict.fromkeys(b.effect.name for b in blocks)
         numbers = {"count": len(member_vectors), "combination": ", ".join(effects)}
         claims.append(Claim("direction.members", *effects, **numbers))
+    # Pairs: one's variance is due to the other, on which the prior is more informative than the readings.
+    hypers = [layout.hypers[i] for i in layout.nonlinear_phi]
+    names, sd = [*names, *(h.name for h in hypers)], np.linalg.norm(linear.root, axis=1)
+    is_single = [*is_single_coefficient(layout), *(h.kind == "promoted" for h in hypers)]
+    correlation = linear.root @ linear.root.T / np.outer(sd, sd).clip(1e-300)
+    for i, j in itertools.permutations(np.flatnonzero(is_single), 2):
+        pair, r = (names[j], names[i]), float(correlation[i, j])
+        is_pair = linear.weight[i] * sd[i] ** 2 > 0.5 and r**2 > limit("direction.pair", "share")
+        if is_pair and not any({*pair} <= {*claim.subjects} for claim in claims):
+            combination = " and ".join(pair)
+            claims.append(Claim("direction.pair", *pair, combination=combination, correlation=r))
     return claims
 
 

@@ -380,8 +380,7 @@ class CompareCommand(FitRequest, ReadRequest, AsJson, Command):
         for i, name in enumerate(counted([*models], "structures")):
             with deadline.sooner(1 / (len(models) - i)):
                 fits[name] = bc.fit(models[name], readings, method, **kwargs)
-        comparison = bc.compare(fits)
-        verdicts = ((name, c.verdict) for name, c in fits.items())
+        comparison, verdicts = bc.compare(fits), ((name, c.verdict) for name, c in fits.items())
         reasons = "; ".join(f"{n}: {' '.join(v.reasons)}" for n, v in verdicts if not v.ok)
         return Answer(comparison, as_json(comparison), why=reasons)
 
@@ -410,8 +409,7 @@ class PredictCommand(ColumnOptions, StructureOptions, AsJson, Command):
 
         if self.out is not None:
             write_prediction(prediction, readings, self.out)
-        expected_rmse = float((prediction.sd**2).mean()) ** 0.5
-        unit = unit_label(calibration.unit)
+        expected_rmse, unit = float((prediction.sd**2).mean()) ** 0.5, unit_label(calibration.unit)
         text = f"{len(readings)} readings: rms error {number(prediction.rmse)} {unit} "
         text += f"({number(expected_rmse)} {unit} expected from the standard uncertainties)"
         text += f"\nwritten: {self.out}" if self.out else ""
@@ -582,8 +580,7 @@ class ExportCommand(MemberOptions, DecisionRule, Command):
         first_program, *others = programs
         kwargs = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
         text = files.as_text(first_program, format, **kwargs)
-        if self.out is not None:
-            text = f"written: {write_text(text, self.out)}"
+        text = text if self.out is None else f"written: {write_text(text, self.out)}"
         names = [program.instrument for program in programs]
         omissions = zip(names, (kind.describe_omissions(p, format) for p in programs), strict=True)
         print_notes([f"{name}: {words}" for name, words in omissions if words])

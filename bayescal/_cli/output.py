@@ -10,7 +10,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import format_check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.summary import directions_data, summary, unknowns_parts
+from bayescal._calibration.summary import directions_data, null_directions, summary, unknowns_parts
 from bayescal._core import progress
 from bayescal._core.formatting import folded, number, probability
 from bayescal._core.result_table import plain_table
@@ -86,9 +86,8 @@ def format_effects(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dic
 
 def convert_fit(calibration: Calibration) -> dict[str, Any]:
     """Convert the results of a fit to data for JSON."""
-    verdict = calibration.verdict
+    verdict, (coefficients, hyperparameters) = calibration.verdict, summary(calibration)
     reasons = [*verdict.reasons, *verdict.against]
-    coefficients, hyperparameters = summary(calibration)
     return {
         "coefficients": coefficients,
         "hyperparameters": hyperparameters,
@@ -150,8 +149,10 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
     """
     final = path.final
     parts = [""] if has_begun else [format_first_model(path, verbose)]
-    if final.discovery and (rows := final.discovery.equivalent):
-        lines = [f"{claim.subjects[0]} and {' + '.join(claim.numbers['beside'])}" for claim in rows]
+    claims = final.discovery.equivalent if final.discovery else ()
+    lines = [f"{c.subjects[0]} and {' + '.join(c.numbers['beside'])}" for c in claims]
+    pairs = (c for c in null_directions(final.calibration) if c.code == "direction.pair")
+    if lines := [*(c.numbers["combination"] for c in pairs), *lines]:
         parts.append(_section("WHAT THESE READINGS CANNOT TELL APART", *map(folded, lines)))
     for i, step in enumerate(path.steps if verbose else ()):
         heading = f"EFFECTS MISSING FROM STEP {i} ({step.title})"
@@ -182,9 +183,12 @@ def format_average(path: SearchPath, verbose: bool = False) -> str:
         return _section("STRUCTURES", plain_table(["effects added", "probability"], rows, fold=60))
     if (others := len(shares) - MAX_STRUCTURES) > 1:
         shares[MAX_STRUCTURES:] = [(f"{others} others", sum(p for _, p in shares[MAX_STRUCTURES:]))]
-    probability_list = ", ".join(f"{name} {probability(p)}" for name, p in shares)
-    text = f"coefficients, corrections and budgets average {len(path.shares)} structures: {probability_list}"
-    return folded(f"{text}; --structure best uses the first alone")
+    texts = ", ".join(f"{name} {probability(p)}" for name, p in shares)
+    first, s = path.steps[0].discovery, settings()
+    given = ", given what is missing from step 0" if first and first.findings else ""
+    head = f"coefficients, corrections and budgets average {len(path.shares)} structures, those of "
+    head += f"probability {s.averaged_probability:g} or more in the {100 * s.found_probability:g} % credible set"
+    return folded(f"{head}{given}: {texts}; --structure best uses the first alone")
 
 
 def _explain_not_tested(step: Step) -> str:

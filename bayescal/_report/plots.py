@@ -26,7 +26,7 @@ from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.formatting import number
 from bayescal._data.allan_deviation import AllanDeviation
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
+from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, PURPLE, RED
 from bayescal._report.report_text import describe_change
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath, new_run_differs
@@ -171,7 +171,7 @@ def compute_body_temperature(calibration: Calibration, column: str) -> np.ndarra
 MAX_CANDIDATES = 12  # bars of a plot, to be readable
 LEGEND_INCHES = 0.45  # from an axis to its legend, below tick labels and axis label
 TEXT_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}  # hides lines behind text
-COLOURS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
+COLOURS = {"finding": RED, "one of several": PURPLE, "lead": ORANGE, "not visible": PALE}
 
 
 def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = "") -> Figure:
@@ -241,7 +241,8 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     is_discovery = isinstance(found, Discovery)
     candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
     tested = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
-    bars = sorted(tested, key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]))
+    found_kinds = ("finding", "one of several")
+    bars = sorted(tested, key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
     bars = bars[-MAX_CANDIDATES:]
     ax = open_axes(ax, 5.6, 0.3 * len(bars) + 1.3)
     values = [c["log_bayes_factor"] for c in bars]
@@ -257,7 +258,8 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.axvline(0, color=GREY, lw=0.8)
     ax.set_xlabel("log Bayes factor of the effect [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in bars[::-1]))
-    other_label = "not needed with the findings" if "finding" in kinds else "no evidence"
+    has_findings = not {*kinds}.isdisjoint(found_kinds)
+    other_label = "not needed with the findings" if has_findings else "improbable"
     names = [Patch(color=COLOURS.get(k or "", BLUE), label=escape(k or other_label)) for k in kinds]
     if names:
         _place_legend_below(ax, names, len(names))

@@ -24,7 +24,7 @@ from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, Known, LogNormal, LogUniform, Normal
 from bayescal._report.result_json import Chapter
 from bayescal._search.discover import group_untested
-from bayescal._search.search_path import format_forms, is_rise, steps_table
+from bayescal._search.search_path import format_forms, is_rise, list_headings, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 MAX_SIGNED_ROWS = 14  # number of coefficients on the page that is signed
@@ -261,16 +261,23 @@ def _describe_additions(chapter: Chapter) -> str:
         names = [n for n in c.model.names if n not in latent_names[-1]]
         model = f"{len(names)} effects" if len(names) > MAX_NAMED else ", ".join(names) or "empty"
         return f"{statement} the first model ({model})."
-    texts = []
+    candidates = data["missing"][0]["candidates"] if data["missing"] else ()
+    probabilities = {c["effect"]: c["probability"] for c in candidates}
+    search = data["search"] or {}
+    heads, texts = list_headings(search.get("complete", True)), dict[str, list[str]]()
+    structures = [(*s.values(),) for s in search.get("averaged_over", ())]
     for effect in added_effects:
-        inclusion, qualifier = _find_first_probability(chapter, effect), ""
-        if inclusion is not None and inclusion < settings().found_probability:
-            qualifier = f"probably ({inclusion:.2f}) "
-        structures = [(*s.values(),) for s in (data["search"] or {}).get("averaged_over", ())]
+        p = probabilities.get(effect.family_name)
         name = format_forms(effect.name, effect.family_name, structures)
-        texts.append(qualifier + _describe_effect(chapter.used, effect, name))
-    unit_note = " (± standard uncertainty)" * any("±" in text for text in texts)
-    return f"Found in addition to the first model{unit_note}: {'; '.join(texts)}."
+        suffix = f", probability {probability(p)}" if p and p < max(heads) else ""
+        head = next(h for least, h in heads.items() if p is None or p >= least)
+        texts.setdefault(head, []).append(_describe_effect(chapter.used, effect, name) + suffix)
+    sentences = list[str]()
+    for head in (h for h in heads.values() if h in texts):
+        text, where = "; ".join(texts[head]), " in addition to the first model" * (head == "found")
+        unit_note = " (± standard uncertainty)" * ("±" in text)
+        sentences.append(f"{head.capitalize()}{where}{unit_note}: {text}.")
+    return " ".join(sentences)
 
 
 PHRASES = {  # phrase by an effect's kind
@@ -317,16 +324,6 @@ def _describe_size(c: Calibration, effect: Effect, effect_name: str) -> str:
     if texts and effect_name.endswith(")"):  # with the probabilities of its forms
         return f"{effect_name[:-1]}; of the first form: {', '.join(texts)})"
     return f"{effect_name} ({', '.join(texts)})" if texts else effect_name
-
-
-def _find_first_probability(chapter: Chapter, effect: Effect) -> float | None:
-    """Return the probability that an effect, alone or in a set, is missing from the first model; None if unknown."""
-    if not chapter.data["missing"]:
-        return None
-    first_search = chapter.data["missing"][0]
-    if any(effect.family in group["effects"] for group in first_search["sets"]):
-        return 1.0
-    return {c["effect"]: c["probability"] for c in first_search["candidates"]}.get(effect.family)
 
 
 def describe_change(initial: float, final: float) -> str:

@@ -331,8 +331,7 @@ class StepwiseSearch:
         evaluated = self.structures.evaluate(structure)
         model = evaluated.sized_model
         method = self.method if is_last else self.step_method(model)
-        step = self.fit_step(model, method, evaluated.phi)
-        added, description = None, ""
+        step, added, description = self.fit_step(model, method, evaluated.phi), None, ""
         if previous is not None:
             added = " + ".join(sorted(structure.effects - previous.effects)) or None
             if structure.noise != previous.noise:

@@ -46,7 +46,7 @@ class Candidate:
         shape: shape parameters, in their units.
         visibility: ratio of the information on the effect with nuisances marginalised to that with them known.
         minimum_detectable: size in `unit` that would be found with 80 % power.
-        kind: "finding", "lead", "not visible", "not testable", or None for no evidence.
+        kind: "finding", "one of several" of a finding, "lead", "not visible", "not testable"; None for no evidence.
         indistinguishable_from: other candidates that these readings cannot distinguish from it.
         reason: why it is not testable or not visible.
         role: "named", "unnamed" for an unknown function of a covariate, or "freed" for an effect of the model (`frees`)
@@ -241,8 +241,7 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float
     normal_draws = np.random.default_rng(0).standard_normal((400, len(values)))
     for factor in np.geomspace(0.01, 1e4, 120):
         # The score along each axis has variance λ + λ²·factor² in units of the amplitude.
-        square = normal_draws**2 * (values + values**2 * factor**2)
-        ratio = values * factor**2
+        square, ratio = normal_draws**2 * (values + values**2 * factor**2), values * factor**2
         log_factor = 0.5 * square * factor**2 / (1 + ratio) - 0.5 * np.log1p(ratio)
         if np.mean(log_factor.sum(axis=1) >= nats) >= settings().power:
             return float(factor * amplitude)
@@ -251,8 +250,7 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, nats: float
 
 def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
     """Return for each candidate the other candidates whose fitted contributions are parallel to its own."""
-    columns, projections = [], []
-    top_points = [scores[0] for scores in points.values()]
+    columns, projections, top_points = [], [], [scores[0] for scores in points.values()]
     rows = top_points[0].scorer.linear_for([point.point for point in top_points])
     for p in top_points:
         sd = p.prior_scale.sd
@@ -269,10 +267,12 @@ def find_indistinguishable(points: Scores) -> dict[str, set[str]]:
     return {name: {names[j] for j in np.flatnonzero(parallel[i])} for i, name in enumerate(names)}
 
 
-def classify_candidate(candidate: Candidate, is_found: bool, effect: Effect | None) -> Candidate:
-    """Return the candidate with its kind (see `Candidate`); `effect` is the scored effect, None without a score."""
-    if is_found:
-        return replace(candidate, kind="finding")
+def classify_candidate(candidate: Candidate, finding: set[str], effect: Effect | None) -> Candidate:
+    """Return the candidate with its kind, given the effects of its finding, if any, and the scored effect, if any."""
+    if finding:
+        is_likely = (candidate.probability or 0.0) >= settings().found_probability
+        is_found = is_likely or len(finding) == 1
+        return replace(candidate, kind="finding" if is_found else "one of several")
     if (candidate.probability or 0.0) >= LEAD_PROBABILITY:
         return replace(candidate, kind="lead")
     # A candidate with strong evidence is visible: another effect explains the readings.

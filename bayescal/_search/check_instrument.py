@@ -148,8 +148,7 @@ def _fit_simulated(
     reference, is_baseline = reference_of(readings), len(effects) == len(model.effects)
     frame, (layout, levels) = build_frame(readings, reference), bind(model, readings)
     v = jnp.zeros(len(layout.hypers))
-    hyper = layout.hyper(v)
-    rng, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
+    hyper, rng, signs = layout.hyper(v), np.random.default_rng(seed + 1), np.ones(layout.size)
     for n, b in enumerate(layout.x_blocks):
         is_single = b.coefficient.per is None
         signs[b.x_slice] = 1 - 2 * (n % 2) if is_single else rng.standard_normal(b.size)

@@ -162,8 +162,7 @@ class Discovery(Printed):
             lines.append(folded(f"noise law with missing effects (probability): {laws}"))
         lines += [self.stopped, *(folded(f"unit? {w}", "") for w in self.off_scale)]
         rows = [vars(c) for c in self.candidates]
-        table = candidates_table(rows)
-        power = f"{100 * settings().power:g} %, residuals as noise"
+        table, power = candidates_table(rows), f"{100 * settings().power:g} %, residuals as noise"
         note = f"± standard uncertainty (k = 1); detectable: size found with probability {power}"
         refits = any(c["source"] == "refit" for c in table.rows)
         if table.rows:
@@ -284,8 +283,7 @@ def enumerate_structures(
         if reason and not by_name[name].is_placeholder and family not in families:
             untested.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
-    frame = record.frame
-    model = fill_amplitudes(model, readings, record)
+    frame, model = record.frame, fill_amplitudes(model, readings, record)
     amplitudes = guess_amplitudes(model, readings, record)
     testable_effects = {n: e.with_open_ranges(*amplitudes) for n, e in testable_effects.items()}
     record.require_finite((*testable_effects.values(), *model.effects))
@@ -372,7 +370,7 @@ def summarise_discovery(
             indistinguishable_from=tuple(sorted(confounded_names)),
         )
         effect = structures.candidates[scores[0].name] if scores else None
-        tested.append(classify_candidate(candidate, name in findings_by_name, effect))
+        tested.append(classify_candidate(candidate, findings_by_name.get(name, set()), effect))
     ranked = sorted(tested, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     final = posterior.best if stopped else posterior.median_structure
     added_names, model = final.effects - structure.effects, structures.evaluate(final).sized_model

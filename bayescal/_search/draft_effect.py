@@ -38,8 +38,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
         raise ModelError(f"{name!r} has an equation already: name an unknown dependence")
     covariate, frame = effect.covariate, calibration.frame
     low, high = (float(frame.reference[f"{covariate}_{end}"]) for end in ("low", "high"))
-    x = np.asarray(frame.position(covariate)) - 0.5
-    curve = calibration.linear.contribution(name)
+    x, curve = np.asarray(frame.position(covariate)) - 0.5, calibration.linear.contribution(name)
     rows = np.argsort(x, kind="stable")[:: -(-x.size // MAX_POINTS)]
     text, basis = _find_closest_formula(x[rows], curve[rows])
     slot, word = effect.slot, identifier(covariate)[:40]

@@ -70,15 +70,13 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 def _estimate_residual_sd(structures: Structures) -> float:
     """Return the residual sd of a least-squares fit of the base and named candidates without shapes."""
     layout = replace(structures.layout, model=structures.base)
-    linear = linearise_at_priors(Problem(layout, structures.record))
-    library = Library(structures)
+    linear, library = linearise_at_priors(Problem(layout, structures.record)), Library(structures)
     named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
     points = [point for point, *others in named.values() if not others]
     columns = np.column_stack([linear.nuisance, library.columns(linear, points, {})])
     axes, values, _ = np.linalg.svd(columns * compute_column_scales(columns), full_matrices=False)
     axes = axes[:, values > RANK_TOLERANCE * values.max(initial=0.0)]
-    residual = linear.residual - axes @ (axes.T @ linear.residual)
-    dof = linear.size - axes.shape[1]
+    residual, dof = linear.residual - axes @ (axes.T @ linear.residual), linear.size - axes.shape[1]
     return float(np.sqrt(residual @ residual / dof)) if dof > 0 else math.inf
 
 

@@ -173,8 +173,7 @@ def predict_campaign(calibration: Calibration, readings: Measurements) -> Campai
     _, slopes = problem.expected_with_slopes(mean_x, hyper, grouped_terms)
     for t, slope in zip(grouped_terms, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
-        column = np.reshape(slope, -1) * sd
-        member = codes[str(t.per)]
+        column, member = np.reshape(slope, -1) * sd, codes[str(t.per)]
         is_same = (member[:, None] == member) & (member[:, None] >= 0)
         covariance += is_same * np.outer(column, column)
     return CampaignPrediction(means.mean(axis=0), centred.T @ centred / len(means) + covariance)

@@ -81,8 +81,7 @@ def fit_to_residuals(law: Noise, record: Record, previous: ResidualFit = NO_FIT)
         return NO_FIT
     priors = law.parameters()
     points = [np.array([start[n] for n in priors]) for start in starts]
-    problem = Problem(Layout(Model(CHANNEL, (), law), ()), record)
-    curvature = None
+    problem, curvature = Problem(Layout(Model(CHANNEL, (), law), ()), record), None
     if previous.covariance is not None:
         coordinates = np.array([previous.start[n] for n in priors])
         curvature = HessianGuess(coordinates, np.linalg.inv(previous.covariance), True)

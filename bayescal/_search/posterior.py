@@ -19,6 +19,7 @@ MAX_LISTED_STRUCTURES = 20  # number of structures in the summary of a search
 NEGLIGIBLE_PROBABILITY = 1e-3  # probability of a structure below which no printed digit changes
 # Probability that a named effect is the true one in a structure with a substantial unnamed effect.
 NAME_PROBABILITY = 0.55
+MAX_ODDS = 20.0  # of a finding's effect against another that may take its place
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class Posterior:
     def findings(self) -> tuple[Finding, ...]:
         """Return the smallest sets of effects of which at least one is missing with `found_probability`.
 
-        Each set has an effect of the most probable structure, and its substitutes in order of probability.
+        Each set has an effect of the most probable structure and its substitutes, in order of probability.
         """
         findings, equivalents = [], self.space.equivalents_by_effect(self.best)
         # Greedy: each step adds the effect with the highest probability in structures without any member so far.
@@ -170,13 +171,17 @@ class Posterior:
         return tuple(findings)
 
     def _find_next_substitute(self, members: list[str]) -> str | None:
-        """Return the most probable effect in the structures that have none of the members."""
-        # Other effects of the best structure and of the condition are no substitutes.
-        best, condition = map(self.space.families, (self.best.effects, self.condition))
+        """Return the most probable effect in the structures without any of the members, if within `MAX_ODDS`."""
+        # Other effects of the best structure, of the condition and latent in it are no substitutes.
+        given = self.condition | self.space.latent_effects(Structure(self.condition))
+        best, condition = map(self.space.families, (self.best.effects, given))
         excluded_families, sets = (best - {members[0]}) | condition, self.reported_families
         others = [s - excluded_families if s.isdisjoint(members) else frozenset() for s in sets]
         probabilities = _sum_by_name(others, self.probability)
-        return max(probabilities, key=probabilities.__getitem__, default=None)
+        name = max(probabilities, key=probabilities.__getitem__, default="")
+        first_probability = self.inclusion_probability(members[0])
+        is_substitute = MAX_ODDS * probabilities.get(name, 0.0) >= first_probability
+        return name if is_substitute else None
 
     @property
     def median_structure(self) -> Structure:

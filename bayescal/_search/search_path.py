@@ -31,6 +31,7 @@ RISE_MARK = " ↑"  # after a hold-out error above that of the step before
 FLOOR_NOTE = "noise floor: from neighbouring residuals; an rms as fitted is lower: about √(1 − unknowns/readings) of it"
 NEW_RUN_NOTE = "new run: rms error with the fitted deviations of runs and cells at zero; leave-one-…-out: after a refit"
 COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
+LATENT_NOTE = "also in the last model, not found but inseparable from effects in it: "
 
 
 @renamed(against="failures", different="outlying_groups", changed="description", noted="with_notes")
@@ -202,15 +203,15 @@ class SearchPath(Printed):
         lines += [NEW_RUN_NOTE] * new_run_differs(rows)
         lines += [FLOOR_NOTE] * any(r["rmse_fitted"] < r["noise_floor"] for r in rows)
         shares = [(s.effects, s.probability) for s in self.shares]
-        level = settings().found_probability
-        heads = {level: "found" if self.complete else "best when the search ended"}
-        heads |= {0.5: "more probable than not", 0.0: "in the last model, one of several"}
-        texts = dict[str, list[str]]()
+        heads, texts = list_headings(self.complete), dict[str, list[str]]()
         for name, p in ((n, p) for n, p in self.added.items() if p is not None):
             family = self.final.calibration.model.effect(name).family_name
             text = f"{format_forms(name, family, shares)}, probability {probability(p)}"
             texts.setdefault(next(h for least, h in heads.items() if p >= least), []).append(text)
-        return lines + [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
+        lines += [folded(f"{h}: {'; '.join(texts[h])}") for h in heads.values() if h in texts]
+        latent = self.final.discovery.latent if self.final.discovery else ()
+        names = [n for n in latent if n in self.final.calibration.model.names]
+        return lines + [folded(LATENT_NOTE + ", ".join(names))] * bool(names)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -233,8 +234,15 @@ class SearchPath(Printed):
         return f"{', '.join(s.title for s in self.steps)}; rms residual {number(first)} → {number(last)} {unit}"
 
 
+def list_headings(complete: bool) -> dict[float, str]:
+    """Return the headings of added effects by their lowest probability, the highest first."""
+    found = "found" if complete else "best when the search ended"
+    others = {0.5: "more probable than not", 0.0: "in the last model, one of several"}
+    return {settings().found_probability: found, **others}
+
+
 def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], float]]) -> str:
-    """Format an effect's family with its forms in an average: "bias.thermal_lag (form: diffusion 0.58, …)"."""
+    """Format an effect's family with its forms in an average: "bias.thermal_lag (form, if present: paths 0.4, …)"."""
     forms = Counter[str]()
     for effects, share in shares:
         for n in effects:
@@ -243,7 +251,7 @@ def format_forms(name: str, family: str, shares: Iterable[tuple[Sequence[str], f
     if not {*forms} - {"basic"}:
         return name
     texts = [f"{n} {probability(p / forms.total())}" for n, p in forms.most_common()]
-    return f"{family} (form: {', '.join(texts)})"
+    return f"{family} (form, if present: {', '.join(texts)})"
 
 
 def is_rise(error: float | None, previous: float | None) -> bool:

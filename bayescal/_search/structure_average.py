@@ -88,14 +88,12 @@ def _run_spreads(
     spreads, names = dict[str, float](), {*structure.effects, *structures.candidates_for(structure)}
     names &= calibration.model.instrument.known.keys()  # others cannot be looked up by name
     for name, effect in structures.candidates.items():
-        p_absent = 1 - calibration.inclusion.get(name, 0.0)
-        prior = effect.coefficients[0].group_sd
+        p_absent, prior = 1 - calibration.inclusion.get(name, 0.0), effect.coefficients[0].group_sd
         if p_absent and prior is not None and name in names and effect.columns == ("run",):
             fit = structures.evaluate(structure.with_effects(name))
             log_density = fit.log_density_along(effect.group_sd_name(0), LOG_SPREADS)
             log_density = log_density - LOG_SPREADS  # prior density 1/τ
-            weight = np.exp(log_density - log_density.max())
-            squares = prior.value(LOG_SPREADS) ** 2
+            weight, squares = np.exp(log_density - log_density.max()), prior.value(LOG_SPREADS) ** 2
             spreads[name] = float(np.sqrt(p_absent * (weight @ squares) / weight.sum()))
     return {name: size for name, size in spreads.items() if np.isfinite(size)}
 

@@ -109,8 +109,7 @@ class EvaluatedStructure:
     @cached_property
     def column_corrections(self) -> dict[Correction, tuple[float, ...]]:
         """Return the corrections of columns (such as a body's temperature) with their shape parameters at the mode."""
-        phi = self.phi
-        corrections = (c for t in self.problem.terms for c in t.columns.corrections)
+        phi, corrections = self.phi, (c for t in self.problem.terms for c in t.columns.corrections)
         return {c: tuple(phi[n] for n in c.spec.names) for c in corrections}
 
     def log_density_along(self, name: str, v: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
@@ -196,8 +195,7 @@ class Structures:
 
     def other_forms(self, structure: Structure, name: str) -> list[Structure]:
         """Return structures that differ from a given one by another form of one of its effects."""
-        reduced = structure.without_effects(name)
-        forms = {*self.forms[self.family(name)]} - {name}
+        reduced, forms = structure.without_effects(name), {*self.forms[self.family(name)]} - {name}
         return [reduced.with_effects(n) for n in self.candidates_for(reduced) if n in forms]
 
     def is_special_case(self, structure: Structure) -> bool:

@@ -134,8 +134,7 @@ SENSOR = bc.Instrument(
 
 @cache
 def fitted() -> bc.Calibration:
-    random = np.random.default_rng(5)
-    time = np.tile(100.0 * np.arange(N), RUNS)
+    random, time = np.random.default_rng(5), np.tile(100.0 * np.arange(N), RUNS)
     run = np.repeat(np.arange(RUNS), N)
     t = 2 * time / 1900.0 - 1
     columns = np.stack([np.ones_like(t), t, 1.5 * t**2 - 0.5], axis=1)

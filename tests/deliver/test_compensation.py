@@ -104,8 +104,7 @@ def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> N
     random, count = np.random.default_rng(seed), 48
     elapsed = np.tile(140.0 * np.arange(count), 2)
     angle = np.tile(np.arange(count) % 12 * np.pi / 6, 2)
-    temperature = 25 + 30 * np.sin(elapsed / 1500)
-    acts = 1e6 * np.sin(angle)
+    temperature, acts = 25 + 30 * np.sin(elapsed / 1500), 1e6 * np.sin(angle)
     bias = 100 + 10 * (temperature - 25) + 12 * np.exp(-elapsed / 1000)
     readings = bc.Measurements.from_arrays(
         HEAD,

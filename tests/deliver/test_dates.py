@@ -22,8 +22,7 @@ LATER = 9.0  # days after the first reading
 
 def columns(day: float, seed: int) -> dict[str, np.ndarray]:
     """A run of a gyroscope that begins on a day: its bias drifts by the date, and warms up in each run."""
-    random = np.random.default_rng(seed)
-    elapsed = STEP * np.arange(ROWS)
+    random, elapsed = np.random.default_rng(seed), STEP * np.arange(ROWS)
     temperature = 25 + 15 * np.sin(elapsed / 700 + seed)
     rate = 50 * np.sin(2 * np.pi * np.arange(ROWS) / 7)
     bias = 0.1 + 0.01 * (temperature - 25) + DRIFT * (day + elapsed / DAY)

@@ -155,8 +155,7 @@ def test_python_fed_row_by_row(case) -> None:
     text, space = text_of(compensator.program, "python"), {}
     assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
     exec(compile(text, "exported.py", "exec"), space)
-    given = [readings[c] for c in columns(compensator)]
-    found = []
+    given, found = [readings[c] for c in columns(compensator)], []
     record = space["Record"]() if compensator.history else None
     after = steps(readings) if compensator.history else np.zeros(len(readings))
     for output, dt, *now in zip(readings["output"], after, *given, strict=True):

@@ -52,8 +52,7 @@ def expected(compensator: bc.Compensator, rows: np.ndarray) -> np.ndarray:
 def test_the_header_in_double_precision_agrees_to_twelve_digits(
     compensator, rows, tmp_path
 ) -> None:
-    found = run_header(compensator, rows, tmp_path)
-    want = expected(compensator, rows)
+    found, want = run_header(compensator, rows, tmp_path), expected(compensator, rows)
     np.testing.assert_allclose(found[:, 1:3], want[:, 1:], rtol=1e-12)
     # A value near zero is a difference of large numbers: its digits are those of the reading, in the value's unit.
     value, wanted = found[:, 0], want[:, 0]
@@ -147,8 +146,7 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
         pd.read_csv(tmp_path / "in.csv").to_parquet(path)
     done = compensate_file(bent, path, out)
     assert done.rows == len(record) and done.unsolved == 0
-    want = bent(record)
-    back = bc.read(out, bent_sensor.SENSOR)
+    want, back = bent(record), bc.read(out, bent_sensor.SENSOR)
     for name in record.columns:
         np.testing.assert_array_equal(back[name], record[name])
     np.testing.assert_allclose(back["output_compensated"], want.value, rtol=1e-12)

@@ -109,8 +109,7 @@ def test_px4_takes_away_what_the_calibration_found(axes) -> None:
     gyro = at_rest(axes["gyro_x"], "rad/s", temperature)
     np.testing.assert_allclose(px4(values, "G0", 0, temperature), gyro, rtol=2e-6)
     for place, name in ((0, "acc_x"), (2, "acc_z")):  # the constant is not told from gravity
-        reference = values["TC_A0_TREF"]
-        acc = at_rest(axes[name], "m/s^2", temperature)
+        reference, acc = values["TC_A0_TREF"], at_rest(axes[name], "m/s^2", temperature)
         acc = acc - at_rest(axes[name], "m/s^2", np.array([reference]))
         np.testing.assert_allclose(px4(values, "A0", place, temperature), acc, atol=2e-7)
         assert px4(values, "A0", place, reference) == 0
@@ -174,8 +173,7 @@ def test_what_a_cubic_cannot_hold_is_projected_and_said() -> None:
 @pytest.mark.parametrize("kind", ["px4-params", "ardupilot-params"])
 def test_a_corrected_log_has_the_error_that_was_promised(kind, tmp_path) -> None:
     """Log, calibration, parameters, another log: in it, later and cooling, the correction holds what it said."""
-    random = np.random.default_rng(7)
-    noise = {"gyro_y": 2e-4, "acc_z": 4e-3}
+    random, noise = np.random.default_rng(7), {"gyro_y": 2e-4, "acc_z": 4e-3}
     still = {"gyro_y": 0.0, "acc_z": -9.80665}
     size = {"gyro_y": 1.0, "acc_z": 6.0}
     write = write_ulog if kind == "px4-params" else write_dataflash

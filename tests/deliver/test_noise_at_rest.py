@@ -142,8 +142,7 @@ def test_intervals_hold_the_truth(count) -> None:
 def test_noise_figures_equal_those_of_the_filter() -> None:
     """White noise and a walk under the same priors, fitted by the Kalman filter."""
     data = still(5)
-    found = bc.noise(data)
-    changes = np.diff(data["output"])
+    found, changes = bc.noise(data), np.diff(data["output"])
     scale = bc.HalfCauchy(1.4826 * float(np.median(np.abs(changes))) / math.sqrt(2))
     law = bc.SummedNoise(STEP, STEP * 8192, ("walk",), scale, scale)
     fit = bc.fit(GYRO.baseline().with_noise(law), data, strict=False)
@@ -152,8 +151,7 @@ def test_noise_figures_equal_those_of_the_filter() -> None:
         ("N", "noise.white", 60 * math.sqrt(STEP)),
         ("K", "noise.walk", 3600 * 60),
     ):
-        values = unit * posterior[own].values
-        one = symbol(found, name)
+        values, one = unit * posterior[own].values, symbol(found, name)
         assert one.value == pytest.approx(float(np.median(values)), rel=0.01)
 
 
@@ -286,8 +284,7 @@ def test_sensors_of_two_kinds_in_one_column_are_refused(tmp_path) -> None:
 
 
 def test_unusable_time_stamps_are_refused(tmp_path) -> None:
-    random = np.random.default_rng(8)
-    path = tmp_path / "six.csv"
+    random, path = np.random.default_rng(8), tmp_path / "six.csv"
     rows = (f"1.73234e+09,{y:.6f}" for y in random.standard_normal(300))
     path.write_text("time [s],gyro_x [deg/s]\n" + "\n".join(rows))
     done = run("noise", path, "--columns", "output=gyro_x")

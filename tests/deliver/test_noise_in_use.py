@@ -182,8 +182,7 @@ def test_every_exit_has_the_noise_of_the_place(name, tmp_path) -> None:
         at = place(name, 1, **more)
         want = spread * float(case.sd({"elapsed": np.zeros(1), **at})[0]) / 1.002
         inputs = {n: v for n, v in at.items() if n != "pressure"}
-        output = 0.3 + 1.002 * at["pressure"]
-        names = [i.name for i in compensate.inputs]
+        output, names = 0.3 + 1.002 * at["pressure"], [i.name for i in compensate.inputs]
         point = {n: float(v[0]) for n, v in at.items() if n in {"pressure", *names}}
         alone = space["compensate"](float(output[0]), *(point[n] for n in names))
         stated = [

@@ -65,8 +65,7 @@ def read_back(trail: bc.SearchPath, folder: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A line through a bent table, at known noise, with hold-out data."""
-    folder = tmp_path_factory.mktemp("written")
-    instrument = mems_gyro.INSTRUMENT
+    folder, instrument = tmp_path_factory.mktemp("written"), mems_gyro.INSTRUMENT
     bent = bc.read(write_bent_table(folder / "bent.csv"), instrument)
     trail = bc.calibrate(
         instrument.baseline().fix(KNOWN),

@@ -109,8 +109,7 @@ def test_nuts_on_the_numpyro_model_agrees(instrument: str) -> None:
     compared = [name for name in map(str, fitted.posterior) if name in drawn]
     assert len(compared) >= 3
     for name in compared:
-        theirs = fitted.samples(name)
-        ours = drawn[name].reshape(len(drawn[name]), -1).T
+        theirs, ours = fitted.samples(name), drawn[name].reshape(len(drawn[name]), -1).T
         for one, other in zip(ours, theirs.reshape(len(theirs), -1).T, strict=True):
             assert effective(one) > 100, name
             scatter = (1 / effective(one) + 1 / effective(other)) ** 0.5

@@ -30,8 +30,7 @@ def test_no_effect_is_found_where_none_is_hidden() -> None:
 def test_correction_in_use_returns_the_input_axis_acceleration() -> None:
     readings = head.simulate(HIDDEN, seed=1)
     fitted = bc.fit(head.INSTRUMENT.baseline() + [*HIDDEN], readings, LS)
-    made = bc.compensator(fitted)(readings)
-    departure = readings["temperature"] - 25.0
+    made, departure = bc.compensator(fitted)(readings), readings["temperature"] - 25.0
     zero = BASELINE["zero.constant"] + HIDDEN["zero.temperature"] * departure
     acting = 1e6 * np.sin(readings["position_angle"] + 1e-6 * zero)
     assert np.std(made.value - acting) < 8.0  # µg, of which 5 are noise

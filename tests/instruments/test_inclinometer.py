@@ -55,8 +55,7 @@ def test_a_new_mounting_is_predicted_for_each_axis(lines: bc.Calibration) -> Non
 
 
 def test_a_projection_is_told_from_a_line_and_a_line_is_left(lines: bc.Calibration) -> None:
-    models = dict(INSTRUMENT.structures)
-    gains = {}
+    models, gains = dict(INSTRUMENT.structures), {}
     for truth, campaign in (("line", Campaign()), ("projection", Campaign(axes=PROJECTED))):
         readings = inclinometer.simulate(seed=0, campaign=campaign)
         line = lines if truth == "line" else bc.fit(INSTRUMENT.baseline(), readings)

@@ -58,8 +58,7 @@ def test_unstated_field_identifies_ratios_of_scale_factors_only(
     path = table(field, tmp_path)
     bc.read(path, INSTRUMENT)
     correct, known = corrected(path), corrected(path, local_field=f"{field} uT")
-    found = np.diag(correct.matrix)
-    slopes = np.zeros((2, correct.terms.size))
+    found, slopes = np.diag(correct.matrix), np.zeros((2, correct.terms.size))
     slopes[:, 3] = -found[1:] / found[0] ** 2
     slopes[[0, 1], [7, 11]] = 1 / found[0]
     sd = np.sqrt(np.diag(slopes @ correct.covariance @ slopes.T))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal import workshop as ws
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer import reference_problem
 from bayescal_models.ng_accelerometer.model import resolve_gravity
@@ -228,3 +229,21 @@ def test_one_factor_of_scale_times_fixture_tilt_is_promoted(full: bc.Calibration
     for name in LINE:
         low, high = np.quantile(full.samples(name), [0.005, 0.995])
         assert low < ng.INSTRUMENT_A.truth[name] < high, name
+
+
+def test_a_pair_of_which_one_prior_sets_both_uncertainties_is_not_measured() -> None:
+    readings, name = ng.simulate(seed=1), "cross_coupling.temperature"
+    model = ng.INSTRUMENT.for_readings(readings).baseline() + name
+    model = model.resize(name, 4 * model.effect(name).coefficients[0].size)
+    fitted = bc.fit(model, readings, bc.LeastSquares(draws=500))
+    claims = {claim.subjects: claim for claim in ws.null_directions(fitted)}
+    for pair in (
+        ("bias.constant", "fixture_tilt.constant"),
+        ("rotation.constant", "base_tilt.constant[parallel]"),
+    ):
+        r = np.corrcoef(*(fitted.samples(n) for n in pair))[0, 1]
+        assert claims[pair].numbers["correlation"] == pytest.approx(r, abs=1e-3) and r < -0.999
+        assert claims[pair].code == "direction.pair" and f"prior of {pair[1]}" in claims[pair]
+    # Of an exact combination only what has more than a hundredth of its largest term is named, largest first.
+    (exact,) = (claim for of, claim in claims.items() if name in of)
+    assert exact.subjects[0] == name and exact.code.endswith("_exactly") and "e-0" not in exact

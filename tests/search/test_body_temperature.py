@@ -105,8 +105,7 @@ def test_two_stages_are_one_body_behind_another() -> None:
     readings = bc.Measurements.from_arrays(
         GYRO, temperature=air, output=np.zeros(time.size) + air, time=time
     )
-    frame = frame_of(readings)
-    tau = 300.0
+    frame, tau = frame_of(readings), 300.0
     modes = BODIES["two_stages"].modes()
     found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in modes) + air
     fine, steps = 0.02, int(10 / 0.02)

@@ -54,11 +54,9 @@ def test_outlying_run_is_named(readings) -> None:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
-    readings = mems_gyro.simulate({}, seed=seed)
-    random = np.random.default_rng(seed)
+    readings, random = mems_gyro.simulate({}, seed=seed), np.random.default_rng(seed)
     high = random.uniform(0.3, 1.5, len(readings)) * (random.random(len(readings)) < 0.2)
-    heavy = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1)))
-    found = []
+    heavy, found = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1))), []
     for more in (high, high * random.choice([-1.0, 1.0], len(readings))):
         spoilt = readings.with_column("output", readings["output"] + more)
         found.append(bc.check(bc.fit(heavy, spoilt, FAST, strict=False)))
@@ -82,8 +80,7 @@ def test_scatter_that_grows_on_both_sides_of_the_output_is_told() -> None:
 
 def test_a_law_that_is_right_leaves_normal_scores() -> None:
     """Where the tails are those of the law, or the scatter follows what it says, no test of the noise objects."""
-    readings = mems_gyro.simulate({}, seed=9)
-    random = np.random.default_rng(9)
+    readings, random = mems_gyro.simulate({}, seed=9), np.random.default_rng(9)
     z = 2 * (readings["temperature"] - 30.0) / 50.0 - 1
     cases = [
         (bc.StudentT(bc.HalfCauchy(0.1)), 0.1 * random.standard_t(2.0, len(readings))),

@@ -45,8 +45,7 @@ BALL = bc.Instrument(
 
 @cache
 def searched(gravity: float, drag: float) -> bc.SearchPath:
-    random = np.random.default_rng(7)
-    time = np.linspace(0.0, 1.0, 120)
+    random, time = np.random.default_rng(7), np.linspace(0.0, 1.0, 120)
     height = 5 - 0.5 * gravity * time**2 + drag * time**4 / 12 + 0.002 * random.standard_normal(120)
     readings = bc.Measurements.from_arrays(BALL, time=time, output=height)
     return bc.calibrate(BALL.baseline(), readings, method=QUICK, widen_noise=False)

@@ -89,8 +89,7 @@ def test_members_that_follow_the_column_that_their_readings_deny() -> None:
     for one in np.unique(given["run"]):
         own = np.flatnonzero(given["run"] == one)
         warm[own] = np.interp(np.arange(len(own)) - 5.0, np.arange(len(own)), warm[own])
-    model = ng_accelerometer.INSTRUMENT.for_readings(given).baseline()
-    told = []
+    model, told = ng_accelerometer.INSTRUMENT.for_readings(given).baseline(), []
     for readings in (given, given.with_column("temperature", warm)):
         found = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
         told.append(judgement.group_conflicts(Subject(found)))

@@ -19,8 +19,7 @@ STEP, TAU, LAG, NOISE = 20.0, 1500.0, 40.0, 1.0
 
 def lagging(rows: int = 900, seed: int = 1) -> dict[str, Any]:
     """A body of 25 minutes behind a temperature that goes up and down."""
-    random = np.random.default_rng(seed)
-    time = STEP * np.arange(rows)
+    random, time = np.random.default_rng(seed), STEP * np.arange(rows)
     temperature = 30 + 12 * np.sin(time / 1300 + seed) + 3 * np.sin(time / 371)
     behind = np.zeros(rows)
     for i in range(1, rows):
@@ -103,8 +102,7 @@ def test_correlated_noise_goes_on_from_the_last_readings() -> None:
 )
 def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> None:
     """A prediction between readings and beyond them is that of the dense process, coefficients integrated out."""
-    random = np.random.default_rng(5)
-    time = STEP * np.arange(400)
+    random, time = np.random.default_rng(5), STEP * np.arange(400)
     temperature = 30 + 5 * np.sin(time / 900)
     walk = np.cumsum(0.5 * random.standard_normal(400))
     output = 4 * temperature + walk + NOISE * random.standard_normal(400)

@@ -79,8 +79,7 @@ def test_thermometer_of_coarse_steps_widens_the_constant(cut) -> None:
 
 @pytest.mark.parametrize("cut", [np.floor, np.rint])
 def test_output_of_coarse_steps_widens_the_constant(cut) -> None:
-    readings = still_sensor.simulate(seed=3)
-    step = 3.0 * NOISE
+    readings, step = still_sensor.simulate(seed=3), 3.0 * NOISE
     found = fitted(readings.with_column("output", step * cut(readings["output"] / step)))
     constant = CONSTANT + SLOPE * (found.hold_at["T0"] - 27.0)
     assert off(found, "bias.constant", constant) < 3

@@ -231,8 +231,7 @@ def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
 
 @pytest.mark.slow
 def test_a_search_goes_by_them_and_the_result_says_so() -> None:
-    readings = split_search.readings()
-    first = split_search.trail().steps[0].discovery
+    readings, first = split_search.readings(), split_search.trail().steps[0].discovery
     assert first is not None and first.findings
     with bc.use_settings(bc.Settings(found_probability=0.9999)):
         trail = bc.calibrate(split_search.trail().steps[0].calibration.model, readings)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._core.null_space import Spans
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linearise_model
@@ -113,6 +114,18 @@ def test_confounded_effects_are_one_finding() -> None:
     assert len(posterior.median_structure.effects) == 1
 
 
+@pytest.mark.parametrize(("mass", "sizes"), [((0.92, 0.04, 0.04), []), ((0.8, 0.16, 0.04), [2])])
+def test_an_improbable_effect_takes_no_other_effect_s_place(mass, sizes) -> None:
+    made, lag, run = structures(hidden(), FEW), "bias.thermal_lag", "bias.run"
+    held = tuple(Structure(frozenset(names)) for names in ((lag,), (run,), ()))
+    options = np.log(mass), np.array(mass), dict.fromkeys(held[:1])
+    posterior = Posterior(made, frozenset(), held, *options)
+    assert [len(f.effects) for f in posterior.findings] == sizes
+    # What readings cannot separate from the model's own effects is in the model, hence not missing.
+    made.spans = Spans({}, {run: ("bias.constant",)})
+    assert not Posterior(made, frozenset(), held, *options).findings
+
+
 def test_a_long_record_is_looked_over_by_means(monkeypatch: pytest.MonkeyPatch) -> None:
     n, rng = 20_000, np.random.default_rng(4)
     t = np.arange(n) * 0.324
@@ -154,8 +167,7 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
 
 def with_noise(seed: int, law: str) -> bc.Measurements:
     """An ordinary record with heavy tails, or scatter that follows the temperature."""
-    readings = hidden(seed, thermal_lag=0.1)
-    random = np.random.default_rng([seed, 1])
+    readings, random = hidden(seed, thermal_lag=0.1), np.random.default_rng([seed, 1])
     if law == "student_t":
         more = 0.05 * random.standard_t(1.5, len(readings))
     else:
@@ -169,8 +181,7 @@ def with_noise(seed: int, law: str) -> bc.Measurements:
 def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     made = structures(with_noise(seed, law), FEW)
     explore(Library(made), max_effects=3)
-    posterior = Posterior.from_structures(made)
-    kind = made.noise_laws[law].law
+    posterior, kind = Posterior.from_structures(made), made.noise_laws[law].law
     assert made.noise_law(posterior.best).law == kind
     of_kind = [n for n, other in made.noise_laws.items() if other.law == kind]
     assert sum(posterior.law_probability(n) for n in of_kind) > bc.Settings().found_probability

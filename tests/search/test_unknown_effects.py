@@ -74,8 +74,7 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(2.0)}
     assert effect.weights is not None
     columns = np.asarray(effect.evaluate(frame, shapes)) * np.asarray(effect.weights(**shapes))
-    position = np.asarray(frame.position("temperature"))
-    kernel = columns @ columns.T
+    position, kernel = np.asarray(frame.position("temperature")), columns @ columns.T
     inner = (position > 0.1) & (position < 0.9)
     exact = 4.0 * np.exp(-0.5 * ((position[:, None] - position[None, :]) / 0.3) ** 2)
     assert np.allclose(kernel[np.ix_(inner, inner)], exact[np.ix_(inner, inner)], atol=0.3)

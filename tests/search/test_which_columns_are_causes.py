@@ -18,11 +18,9 @@ SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three axes that follow the temperature alike, a pressure, and a drive voltage that the output follows."""
-    random = np.random.default_rng(4)
-    time = 10.0 * np.arange(300)
+    random, time = np.random.default_rng(4), 10.0 * np.arange(300)
     temperature = 30 + 10 * np.sin(time / 700)
-    drive = 5 + 0.05 * np.cos(time / 150)
-    curved = 0.2 * (temperature - 30) ** 2
+    drive, curved = 5 + 0.05 * np.cos(time / 150), 0.2 * (temperature - 30) ** 2
     axes = [
         curved * s + 20 * (drive - 5) * s + 0.05 * random.standard_normal(300) for s in (1, -2, 1.5)
     ]
@@ -123,8 +121,7 @@ EACH_ITS_OWN = replace(
 
 
 def at_stations(share: float = 1.0) -> bc.Measurements:
-    stations = np.repeat([*BIASES], 30)
-    temperature = np.linspace(20.0, 60.0, 90)
+    stations, temperature = np.repeat([*BIASES], 30), np.linspace(20.0, 60.0, 90)
     noise = np.random.default_rng(1).standard_normal(90)
     output = 0.02 * (temperature - 40) + [share * BIASES[s] for s in stations] + 0.01 * noise
     columns = {"temperature": temperature, "station": stations, "output": output}

@@ -116,7 +116,7 @@ def _build_row(c: Any, group: str, kind: str) -> dict[str, Any]:
         cells.append({"text": text, "title": f"probability {text}; {factor}", **bar})
     add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
     note, confounded = c.reason, c.indistinguishable_from
-    if c.kind in ("finding", "lead") and confounded:
+    if c.kind in ("finding", "one of several", "lead") and confounded:
         others = f" and {len(confounded) - 3} more" if len(confounded) > 3 else ""
         note = f"confounded with {', '.join(confounded[:3])}{others}"
     actions = [] if c.kind == "not testable" else [add]
