@@ -222,11 +222,9 @@ class Problem:
         if not self.is_affine:
             return line
         static, dynamic_indices = self._static_jacobian
-        if line.mean.ndim > 1:
-            static = np.tile(static, (len(line.mean), 1, 1))
-        jacobian = static.copy(order="A")
+        jacobian = np.tile(static, (*line.mean.shape[:-1], 1, 1))
         jacobian[..., dynamic_indices] = line.jacobian
-        return Linearisation(line.mean + (static @ x[..., None])[..., 0], jacobian, line.inputs)
+        return Linearisation(line.mean + x @ static.T, jacobian, line.inputs)
 
     def linearise_dynamic(
         self,
