@@ -28,7 +28,7 @@ from bayescal._search.structure_average import StructureShare
 
 WORSE_RATIO = limit("step.predicts_worse", "ratio")
 RISE_MARK = " ↑"  # after a hold-out error above that of the step before
-FLOOR_NOTE = "noise floor: from neighbouring residuals; an rms as fitted is lower: about √(1 − unknowns/readings) of it"
+FLOOR_NOTE = "noise floor: from neighbouring residuals; rms as fitted: about √(1 − effective unknowns/readings) of it"
 NEW_RUN_NOTE = "new run: rms error with the fitted deviations of runs and cells at zero; leave-one-…-out: after a refit"
 COMPLETE_NOTE = f"P(complete): {P_COMPLETE}"
 LATENT_NOTE = "also in the last model, not found but inseparable from effects in it: "

@@ -221,7 +221,7 @@ def build_provenance(equation: OperatingEquation) -> Provenance:
     """Build an export's provenance, without notes and failed checks."""
     calibration = equation.calibration
     instrument, use = calibration.model.instrument, equation.use
-    effects = dict.fromkeys(b.effect for b in equation.blocks)
+    effects, note = dict.fromkeys(b.effect for b in equation.blocks), calibration.model.form_note
     scale = calibration.readings.scale or instrument.nominal_scale
     numbers = {k: v for k, v in calibration.reference.items() if not isinstance(v, dict)}
     values = {k: float(v) for k, v in numbers.items() if not k.endswith(("_low", "_high", "_held"))}
@@ -231,7 +231,7 @@ def build_provenance(equation: OperatingEquation) -> Provenance:
         stimulus=use.stimulus,
         unit=use.unit,
         output_unit=calibration.unit,
-        effects=tuple((e.name, e.equation) for e in effects),
+        effects=tuple((f"{e.name}{note(e.name)}", e.equation) for e in effects),
         reference=values | calibration.hold_at,
         sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
