@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import fill
 from threading import RLock
 from typing import Any
 
@@ -32,6 +33,7 @@ from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath, new_run_differs
 
 MAX_LABEL = 32  # characters; longer labels leave no room for the axes
+MAX_TITLE = 52  # characters; longer titles are wrapped
 DRAWING_LOCK = RLock()  # Matplotlib's settings are global, so that one thread draws at a time
 
 
@@ -213,7 +215,7 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = ""
     ends = [(label, v[0], v[-1]) for label, v, _ in series if None not in (v[0], v[-1])]
     changes = ", ".join(f"{label} {describe_change(*e).split()[0]}" for label, *e in ends)
     title += f": {changes}" * (len(steps) > 1 and title != "")
-    ax.set_title(title, fontsize=9 if len(title) > 60 else 10, loc="left")
+    ax.set_title(fill(title, MAX_TITLE), fontsize=10 if len(title) < MAX_TITLE else 9, loc="left")
     floor = last_step["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
