@@ -19,7 +19,6 @@ MAX_LISTED_STRUCTURES = 20  # number of structures in the summary of a search
 NEGLIGIBLE_PROBABILITY = 1e-3  # probability of a structure below which no printed digit changes
 # Probability that a named effect is the true one in a structure with a substantial unnamed effect.
 NAME_PROBABILITY = 0.55
-MAX_ODDS = 20.0  # of a finding's effect against another that may take its place
 
 
 @dataclass(frozen=True)
@@ -171,17 +170,14 @@ class Posterior:
         return tuple(findings)
 
     def _find_next_substitute(self, members: list[str]) -> str | None:
-        """Return the most probable effect in the structures without any of the members, if within `MAX_ODDS`."""
+        """Return the most probable effect in the structures without any of the members."""
         # Other effects of the best structure, of the condition and latent in it are no substitutes.
         given = self.condition | self.space.latent_effects(Structure(self.condition))
         best, condition = map(self.space.families, (self.best.effects, given))
         excluded_families, sets = (best - {members[0]}) | condition, self.reported_families
         others = [s - excluded_families if s.isdisjoint(members) else frozenset() for s in sets]
         probabilities = _sum_by_name(others, self.probability)
-        name = max(probabilities, key=probabilities.__getitem__, default="")
-        first_probability = self.inclusion_probability(members[0])
-        is_substitute = MAX_ODDS * probabilities.get(name, 0.0) >= first_probability
-        return name if is_substitute else None
+        return max(probabilities, key=probabilities.__getitem__, default=None)
 
     @property
     def median_structure(self) -> Structure:
