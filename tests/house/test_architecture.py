@@ -228,27 +228,27 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_006,
+    "bayescal/_core": 2_005,
     "bayescal/_tables": 1_459,
     "bayescal/_data": 4_085,
     "bayescal/_model": 5_313,
     "bayescal/effects": 651,
-    "bayescal/_inference": 5_933,
-    "bayescal/_calibration": 4_432,
+    "bayescal/_inference": 5_931,
+    "bayescal/_calibration": 4_430,
     "bayescal/_use": 2_737,
-    "bayescal/_search": 5_628,
+    "bayescal/_search": 5_621,
     "bayescal/_report": 1_601,
     "bayescal/_cli": 1_658,
     "bayescal/_annexes/fleet": 1_671,
-    "bayescal/_annexes/imu": 2_683,
-    "bayescal/_annexes/metrology": 1_572,
+    "bayescal/_annexes/imu": 2_680,
+    "bayescal/_annexes/metrology": 1_569,
     "bayescal/_annexes/validation": 726,
     "bayescal/_annexes/workbench": 2_402,
-    "models": 8_133,
-    "tests": 22_440,
+    "models": 8_130,
+    "tests": 22_439,
     "benchmarks": 10_606,
 }
-WORDS = 48_522  # of docs/, README.md and CHANGELOG.md together
+WORDS = 48_518  # of docs/, README.md and CHANGELOG.md together
 
 
 @pytest.mark.parametrize("part", CEILINGS)
