@@ -213,15 +213,16 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None, title: str = ""
         step_text = f"{i}  {format_label(step['title'])}{change}"
         ax.text(0.01 * largest, i - 0.03, step_text, va="bottom", bbox=TEXT_BOX)
     ends = [(label, v[0], v[-1]) for label, v, _ in series if None not in (v[0], v[-1])]
-    changes = ", ".join(f"{label} {describe_change(*e).split()[0]}" for label, *e in ends)
+    verbs = [describe_change(*e).split()[0] for _, *e in ends]  # "fell", "stayed" or "rose"
+    labels = ["all"] if len({*verbs}) == 1 < len(verbs) else [label for label, *_ in ends]
+    changes = ", ".join(map(" ".join, zip(labels, verbs, strict=False)))
     title += f": {changes}" * (len(steps) > 1 and title != "")
     ax.set_title(fill(title, MAX_TITLE), fontsize=10 if len(title) < MAX_TITLE else 9, loc="left")
     floor = last_step["noise_floor"]
     line = ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"noise floor {number(floor)}")
     ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
     ax.set_xlabel(axis_label("rms error", last_step["unit"]))
-    handles, _ = ax.get_legend_handles_labels()
-    handles.sort(key=lambda handle: handle is line)  # the floor last, as in the tables
+    handles = sorted(ax.get_legend_handles_labels()[0], key=lambda handle: handle is line)
     _place_legend_below(ax, handles, 2)
     return ax.figure
 
@@ -244,15 +245,14 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     candidates = [vars(c) for c in found.candidates] if is_discovery else found["candidates"]
     tested = [c for c in candidates if c["log_bayes_factor"] is not None and not is_quiet(c)]
     found_kinds = ("finding", "one of several")
-    bars = sorted(tested, key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
-    bars = bars[-MAX_CANDIDATES:]
+    tested.sort(key=lambda c: (c["kind"] in found_kinds, c["log_bayes_factor"]))
+    bars = tested[-MAX_CANDIDATES:]
     ax = open_axes(ax, 5.6, 0.3 * len(bars) + 1.3)
     values = [c["log_bayes_factor"] for c in bars]
     colours = [COLOURS.get(c["kind"] or "", BLUE) for c in bars]
     ax.barh([format_label(c["effect"]) for c in bars], values, color=colours)
     ax.set_xscale("symlog", linthresh=5)
-    low, high = min([0.0, *values]), max([0.0, *values])
-    ticks = [10.0**k for k in range(1, 7)]  # on either side of zero
+    low, high, ticks = min([0.0, *values]), max([0.0, *values]), [10.0**k for k in range(1, 7)]
     positive_ticks = [p for p in ticks if p <= high * 1.2] or [5.0]
     ax.set_xticks([*(-p for p in ticks[::-1] if -p >= low * 1.2), 0.0, *positive_ticks])
     ax.minorticks_off()
