@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -222,12 +221,12 @@ def unidentified_claims(
     # Pairs: one's variance is due to the other, on which the prior is more informative than the readings.
     hypers = [layout.hypers[i] for i in layout.nonlinear_phi]
     names, sd = [*names, *(h.name for h in hypers)], np.linalg.norm(linear.root, axis=1)
-    is_single = [*is_single_coefficient(layout), *(h.kind == "promoted" for h in hypers)]
+    is_single = np.array([*is_single_coefficient(layout), *(h.kind == "promoted" for h in hypers)])
     correlation = linear.root @ linear.root.T / np.outer(sd, sd).clip(1e-300)
-    for i, j in itertools.permutations(np.flatnonzero(is_single), 2):
+    is_pair = np.outer(is_single & (linear.weight * sd**2 > 0.5), is_single)
+    for i, j in np.argwhere(is_pair & (correlation**2 > limit("direction.pair", "share"))):
         pair, r = (names[j], names[i]), float(correlation[i, j])
-        is_pair = linear.weight[i] * sd[i] ** 2 > 0.5 and r**2 > limit("direction.pair", "share")
-        if is_pair and not any({*pair} <= {*claim.subjects} for claim in claims):
+        if i != j and not any({*pair} <= {*claim.subjects} for claim in claims):
             combination = " and ".join(pair)
             claims.append(Claim("direction.pair", *pair, combination=combination, correlation=r))
     return claims

@@ -234,7 +234,7 @@ CEILINGS = {
     "bayescal/_model": 5_313,
     "bayescal/effects": 651,
     "bayescal/_inference": 5_931,
-    "bayescal/_calibration": 4_430,
+    "bayescal/_calibration": 4_429,
     "bayescal/_use": 2_737,
     "bayescal/_search": 5_621,
     "bayescal/_report": 1_601,

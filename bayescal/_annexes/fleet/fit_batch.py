@@ -187,17 +187,17 @@ def _fit_and_compare(
     add_effects = partial(find_devices.add_effects, model, searched, request.candidates)
     effects = tabulate_effects(searched, request.seed)
     probable = {*effects.query("`in fleet` >= 0.5 and devices > 0")["effect"]}
+    sets = dict[tuple[str, ...], list[str]]()  # favoured effects → devices
     for name, structure in structures.items():
         if not structure.families <= probable:
-            favoured = find_devices.find_favoured_effects(structure, effects)
-            refit = replace(request, model=add_effects(favoured), find=False)
-            added = refit.model.names[len(model.names) :]
-            if probable >= {*favoured} and len(added) == len(favoured):
-                (new_fit,) = fit_all(client, refit, devices.select([name]))
-                fits = {name: new_fit} if new_fit.ok else {}
-                results = tuple(fits.get(fit.device, fit) for fit in results)
-                message = REVISED.format(", ".join(structure.effects), ", ".join(added) or "none")
-                revised |= dict.fromkeys(fits, message)
+            sets.setdefault(find_devices.find_favoured_effects(structure, effects), []).append(name)
+    for favoured, names in sets.items():
+        refit = replace(request, model=add_effects(favoured), find=False)
+        text = ", ".join(added := refit.model.names[len(model.names) :]) or "none"
+        if probable >= {*favoured} and len(added) == len(favoured):
+            fits = {f.device: f for f in fit_all(client, refit, devices.select(names)) if f.ok}
+            results = tuple(fits.get(fit.device, fit) for fit in results)
+            revised |= {n: REVISED.format(", ".join(structures[n].effects), text) for n in fits}
     in_fleet = effects["effect"][effects["in fleet"] >= ws.settings().found_probability]
     common_model = add_effects([*in_fleet])
     if shapes := _compute_median_shapes(common_model, model, results):
