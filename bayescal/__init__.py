@@ -20,7 +20,7 @@ and `bayescal --help` are fast.
 # | conformity, tolerance limits, guard band | `_annexes/metrology/conformity.py`, `_annexes/metrology/decide.py` |
 # | convergence diagnostics | `_inference/trust.py` `judge_chains` |
 # | coverage factor, sensitivity coefficient | `_use/budget.py` `Contribution`, `budget` |
-# | credible interval | `_calibration/summary.py` `unknown_rows` |
+# | credible interval | `_calibration/summary.py` `format_rows` |
 # | degrees of freedom of the noise | `_inference/least_squares.py` `LeastSquares` |
 # | evidence, marginal likelihood, Laplace approximation | `_inference/laplace.py` `find_mode` |
 # | hold-out test | `_calibration/predict.py` `HoldoutTest` |

@@ -3,20 +3,20 @@
 # an annex, and what it may offer
 # a calibration: its identity, its files, what stands against it; its part of a report
 # what is said of a calibration
-from ._calibration.check import covariates_of as covariates_of
-from ._calibration.check import place_in_words as place_in_words
+from ._calibration.check import collect_covariates as collect_covariates
+from ._calibration.check import describe_region as describe_region
 from ._calibration.check import why_not as why_not
 from ._calibration.claim import Claim as Claim
 from ._calibration.judgement import explain_missing_noise as explain_missing_noise
+from ._calibration.prior_influence import find_prior_dominance as find_prior_dominance
 from ._calibration.prior_influence import (
-    find_coefficients_not_measured as find_coefficients_not_measured,
+    find_prior_dominated_coefficients as find_prior_dominated_coefficients,
 )
-from ._calibration.prior_influence import find_not_measured as find_not_measured
 from ._calibration.storage import identity as identity
-from ._calibration.storage import sources_of as sources_of
+from ._calibration.storage import list_sources as list_sources
+from ._calibration.summary import format_rows as format_rows
 from ._calibration.summary import null_directions as null_directions
 from ._calibration.summary import summary as summary
-from ._calibration.summary import unknown_rows as unknown_rows
 from ._cli.commands import ExportCommand as ExportCommand
 
 # commands: their options, what they are asked for, what they answer

@@ -13,7 +13,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import MAX_CELLS, Fitted, replicate, to_xarray
 from bayescal._calibration.judgement import Subject, check_reading_count, conflicts, group_conflicts
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import list_unknowns, null_directions, summary
 from bayescal._core.atomic_file import encode_name
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import folded
@@ -50,7 +50,7 @@ class Calibration(Printed, Fitted):
     """
 
     def _list_parts(self) -> list[str | ResultTable]:
-        return [*unknowns_parts(self), self.remarks]
+        return [*list_unknowns(self), self.remarks]
 
     @property
     def remarks(self) -> str:

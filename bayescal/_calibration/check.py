@@ -30,7 +30,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import explained_sum_of_squares
 from bayescal._model.unknown_effect import RESOLUTION, process_columns, process_weights
 
-SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
+SIGNIFICANCE_LEVEL = 1e-3  # p-value of the tests without a Bayes factor
 
 Z_NOTE = "log Bayes factor: smooth dependence common to all runs (run: their differences); z: worst mean/standard error"
 
@@ -127,10 +127,10 @@ class Check(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return one row per covariate or group; means in the output's unit, ranges in the covariate's."""
-        return check_table(self.to_json_data()).to_columns()
+        return tabulate_check(self.to_json_data()).to_columns()
 
 
-def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
+def tabulate_check(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
     """Tabulate residuals against each covariate, from the rows of result.json."""
 
     def format_number(number_format: str) -> Callable[[float | None], str]:
@@ -145,7 +145,7 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
         TableColumn("worst mean", format_worst_mean, name=""),
         TableColumn("worst mean", lambda r: r["worst"]["size"], None),
         TableColumn("z", lambda r: r["worst"]["z"], format_number("+.1f")),
-        TableColumn("where", place_in_words, name=""),
+        TableColumn("where", describe_region, name=""),
         TableColumn("from", lambda r: r["worst"]["from"], None),
         TableColumn("to", lambda r: r["worst"]["to"], None),
         TableColumn("group", lambda r: r["worst"]["group"] or "", None),
@@ -168,7 +168,7 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
             f"the rms is {check.rms / check.noise:.1f} times that",
             "",
         ]
-    lines += [check_table(rows), Z_NOTE] if rows else ["no covariate varies"]
+    lines += [tabulate_check(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
     names = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong) or "none"
     number_tested = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
@@ -189,12 +189,12 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
     if check.outliers:
         outlier_rows = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {outlier_rows}{' …' if len(check.outliers) > 5 else ''}")
-    if check.one_sided < SIGNIFICANT_P:
+    if check.one_sided < SIGNIFICANCE_LEVEL:
         lines.append(f"the largest residuals have mostly one sign (p = {check.one_sided:.1g})")
     return lines
 
 
-def place_in_words(row: Mapping[str, Any]) -> str:
+def describe_region(row: Mapping[str, Any]) -> str:
     """Describe the worst region of a covariate: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
     against, region = row["against"], row["worst"]
     low, high, group = region["from"], region["to"], region["group"]
@@ -231,11 +231,11 @@ def check(calibration: Calibration) -> Check:
     linear = judged_fit.linear
     residuals, scores = linear.conditional_residuals, linear.scores
     noise, rms = float(np.sqrt(np.mean(linear.variance))), float(np.sqrt(np.mean(residuals**2)))
-    covariates = covariates_of(judged_fit)
+    covariates = collect_covariates(judged_fit)
     pairs = _list_covariate_pairs(covariates)
-    factors = log_bayes_factors(judged_fit, covariates, noise)
+    factors = compute_log_bayes_factors(judged_fit, covariates, noise)
     interactions = [_build_interaction(a, b) for a, b in pairs]
-    pair_factors = log_bayes_factors(judged_fit, interactions, noise)
+    pair_factors = compute_log_bayes_factors(judged_fit, interactions, noise)
     rows = zip(covariates, factors, strict=True)
     entries = [Entry(c.name, f, _find_worst_region(judged_fit, c), bool(c.levels)) for c, f in rows]
     pair_rows = [Pair((a.name, b.name), f) for (a, b), f in zip(pairs, pair_factors, strict=True)]
@@ -326,7 +326,7 @@ class Covariate:
         return cls(name, values, process_columns(position, term_count), weights, unit)
 
 
-def covariates_of(calibration: Calibration) -> list[Covariate]:
+def collect_covariates(calibration: Calibration) -> list[Covariate]:
     """List the recorded and derived covariates that residuals are tested against."""
     readings, frame, smooth = calibration.readings, calibration.frame, Covariate.smooth
     excluded_names = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
@@ -386,7 +386,7 @@ def _build_interaction(first: Covariate, second: Covariate) -> Covariate:
     return Covariate(f"{first.name} × {second.name}", first.values, basis, weights)
 
 
-def log_bayes_factors(
+def compute_log_bayes_factors(
     calibration: Calibration, covariates: Sequence[Covariate], noise: float
 ) -> list[float]:
     """Return the log Bayes factor of a dependence of the residuals on each covariate.
@@ -459,7 +459,7 @@ def _test_scatter(
     for name, values in columns.items():
         if np.ptp(values) > 0 and len(values) > 2:
             p_values[name] = judgement.correlation(residual_ranks, _rank_values(values))[1]
-    return {name: p for name, p in p_values.items() if p < SIGNIFICANT_P}
+    return {name: p for name, p in p_values.items() if p < SIGNIFICANCE_LEVEL}
 
 
 def noise_floor(calibration: Fitted) -> float:

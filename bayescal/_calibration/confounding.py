@@ -95,7 +95,7 @@ def find_confounders(
         probability = 1.0 if step else float(expit(0.5 * (score**2 / ratio - math.log(ratio))))
         second_moment = probability * (1 / ratio + (score / ratio) ** 2)
         shifts = math.sqrt(second_moment) * find_shifts(linear, column[:, None])[:, 0]
-        if np.any(is_widened := is_widened_by(linear, shifts)):
+        if np.any(is_widened := mask_widened(linear, shifts)):
             shares = {n: shifts[part].tolist() for n, part in slices.items() if shifts[part].any()}
             widened_names = [n for n, part in slices.items() if is_widened[part].any()]
             confounders.append(Confounder(name, widened_names, remainder / norm2, shares, step))
@@ -119,7 +119,7 @@ def find_shifts(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.project_on_nuisance(columns)
 
 
-def is_widened_by(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
+def mask_widened(linear: LinearModel, added_sd: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
     """Mask the single coefficients whose standard uncertainty grows by a fifth or more."""
     p = linear.problem.layout.size
     sd = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)

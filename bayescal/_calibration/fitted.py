@@ -42,7 +42,7 @@ MAX_THERMOMETER_STEP_DEGC = 1.0  # rounding step of a thermometer; larger steps 
 MAX_CELLS = 2_000_000  # draws × readings evaluated together, or stored for ArviZ
 
 
-class Vectors(NamedTuple):
+class FlatDraws(NamedTuple):
     """Joint draws as flat arrays: coefficients x and unconstrained coordinates v of the hyperparameters φ."""
 
     x: Float[np.ndarray, "b p"]
@@ -281,18 +281,18 @@ class Fitted:
         )
         return replace(self, model=layout.model, layout=layout, joint=Draws.of(x, v), mode=mode)
 
-    def draws(self, limit: int | None = None) -> Vectors:
+    def draws(self, limit: int | None = None) -> FlatDraws:
         """Return joint draws (x, v) as flat arrays, x relative to its origin, evenly thinned to `limit`."""
         x, v = np.concatenate(self.joint.x), np.concatenate(self.joint.v)
         step = 1 if limit is None else max(1, -(-len(x) // limit))
-        return Vectors(x[::step], v[::step])
+        return FlatDraws(x[::step], v[::step])
 
-    def thin_draws(self, limit: int) -> tuple[Vectors, int]:
+    def thin_draws(self, limit: int) -> tuple[FlatDraws, int]:
         """Thin each chain so that draws times readings stay within a limit; return draws and chain count."""
         chains, length = self.joint.x.shape[:2]
         step = -(-length // max(1, min(length, limit // max(1, chains * len(self.readings)))))
         arrays = (np.concatenate(a[:, ::step]) for a in (self.joint.x, self.joint.v))
-        return Vectors(*arrays), chains
+        return FlatDraws(*arrays), chains
 
     def samples(self, name: str) -> np.ndarray:
         """Return the draws of an unknown (draws,), or of a group's members (draws, members), in the reported unit.
@@ -361,8 +361,8 @@ class PredictiveMoments(NamedTuple):
 
 
 @run_on_one_thread
-def predictive_moments(
-    problem: Problem, draws: Vectors, noise: Callable[[np.ndarray], tuple[Any, Any]] | None = None
+def compute_predictive_moments(
+    problem: Problem, draws: FlatDraws, noise: Callable[[np.ndarray], tuple[Any, Any]] | None = None
 ) -> PredictiveMoments:
     """Return predictive moments of readings, including noise on inputs and deviations of unseen members (code −1).
 
@@ -397,7 +397,7 @@ def predictive_moments(
 @run_on_one_thread
 def replicate(
     problem: Problem,
-    draws: Vectors,
+    draws: FlatDraws,
     random: np.random.Generator,
     members: Mapping[str, np.ndarray] | None = None,
 ) -> Float[np.ndarray, "b n"]:
@@ -418,19 +418,19 @@ def replicate(
     return outputs
 
 
-def _iterate_chunks(problem: Problem, draws: Vectors) -> Iterator[tuple[slice, Vectors, Batch]]:
+def _iterate_chunks(problem: Problem, draws: FlatDraws) -> Iterator[tuple[slice, FlatDraws, Batch]]:
     """Yield chunks of draws: their indices, x and v, φ by name."""
     count = max(1, MAX_CELLS // max(1, problem.record.size))
     for start in range(0, len(draws.x), count):
         chunk = slice(start, start + count)
-        sample = Vectors(draws.x[chunk], draws.v[chunk])
+        sample = FlatDraws(draws.x[chunk], draws.v[chunk])
         values = problem.hyper(sample.v.T)
         parameters = {k: np.broadcast_to(value, len(sample.x)) for k, value in values.items()}
         yield chunk, sample, parameters
 
 
 def _compute_mean_and_input_sds(
-    problem: Problem, draws: Vectors, hyper: Batch, terms: Sequence[Term]
+    problem: Problem, draws: FlatDraws, hyper: Batch, terms: Sequence[Term]
 ) -> tuple[Float[np.ndarray, "b n"], list[Any]]:
     """Return the expected outputs (b, n), and the standard deviation of the output due to each of `terms`.
 

@@ -101,7 +101,7 @@ def residual_claims(subject: Subject) -> list[Claim]:
 def failures(subject: Subject) -> list[Claim]:
     """Return all failed checks of a fit outside a search."""
     claims = [*group_conflicts(subject), *residual_claims(subject)]
-    return [*claims, *thermometer_anomalies(subject), *outlying_groups(subject)]
+    return [*claims, *find_thermometer_anomalies(subject), *find_outlying_group(subject)]
 
 
 def find_contradicted_priors(subject: Subject) -> list[Claim]:
@@ -347,7 +347,7 @@ def explain_missing_noise(fit: Fitted) -> str:
     )
 
 
-def outlying_groups(subject: Subject) -> Iterator[Claim]:
+def find_outlying_group(subject: Subject) -> Iterator[Claim]:
     """Yield a claim on the group with the largest leave-one-group-out error, if it is significant.
 
     An effect missing from the model is missing in every group, and inflates the noise of the reference.
@@ -366,7 +366,7 @@ def outlying_groups(subject: Subject) -> Iterator[Claim]:
         yield Claim(code, loo.group, group=group, member=member, **numbers)
 
 
-def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
+def find_thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
     """Yield anomalies in the columns of thermometers that the model depends on."""
     readings, model = subject.fit.readings, subject.first_model or subject.fit.model
     for anomaly in readings.anomalies:
@@ -374,7 +374,7 @@ def thermometer_anomalies(subject: Subject) -> Iterator[Claim]:
             yield Claim("column.odd", anomaly.column, anomaly.code, said=anomaly.description)
 
 
-def stands_in_for_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
+def may_hide_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
     """Return whether correlated noise is slow and large enough to represent a missing effect."""
     white_sd = values.get(WHITE, math.inf)
     return noise.lasting_deviation(values) > limit("noise.describes", "sd") * white_sd
@@ -383,7 +383,7 @@ def stands_in_for_effect(noise: Noise, values: Mapping[str, Any]) -> bool:
 def find_slow_noise(subject: Subject) -> Iterator[Claim]:
     fit = subject.fit
     noise, values = fit.model.noise, fit.problem.hyper(fit.mode.v)
-    if not noise.independent and stands_in_for_effect(noise, values):
+    if not noise.independent and may_hide_effect(noise, values):
         deviation = noise.lasting_deviation(values)
         numbers = {"size": deviation, "unit": fit.unit, "times": deviation / values[WHITE]}
         yield Claim("noise.describes", noise.name, words=noise.in_words, **numbers)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.linalg import orth
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fitted import predictive_moments, replicate
+from bayescal._calibration.fitted import compute_predictive_moments, replicate
 from bayescal._core.parallel import run_on_one_thread
 from bayescal._core.renamed import renamed
 from bayescal._data.measurements import Measurements
@@ -92,7 +92,7 @@ def predict(
         problem, noise = calibration.problem_on(frame), None
         if len(past) and not calibration.model.noise.independent:
             noise = _condition_noise(calibration, part, frame, past)
-        moments = predictive_moments(problem, calibration.draws(draws), noise)
+        moments = compute_predictive_moments(problem, calibration.draws(draws), noise)
         model_var = calibration.form_factor**2 * moments.variance + moments.unknown
         model_var += _compute_unseen_member_variance(calibration, problem)
         residual = np.asarray(frame["output"]) - moments.mean

@@ -54,7 +54,7 @@ def variance_by_origin(
 
 
 @dataclass(frozen=True)
-class NotMeasured:
+class PriorDominance:
     """The unknowns whose priors determine a quantity more than the readings do."""
 
     names: tuple[str, ...]  # of the unknowns, by decreasing share of the quantity's variance
@@ -97,14 +97,14 @@ class NotMeasured:
         return quantity
 
 
-def find_not_measured(
+def find_prior_dominance(
     calibration: Calibration,
     values: Float[np.ndarray, "d g"],
     *,
     name: str = "",
     sd: Float[np.ndarray, "g"] | float = 0.0,
     max_inclusion: float = 0.0,
-) -> NotMeasured | None:
+) -> PriorDominance | None:
     """Return the unknowns whose priors determine a quantity more than the readings do, or None.
 
     Besides `name`, only coefficients with a stated prior (neither flat nor hierarchical) in a slot that a correction
@@ -126,7 +126,7 @@ def find_not_measured(
         if linear or 2 * np.var(v) <= unknown.prior.coordinate_variance:
             return None
         prior_words = _format_unknown(unknown, samples)
-        return NotMeasured((name,), prior_words, "To measure it, take more readings", True)
+        return PriorDominance((name,), prior_words, "To measure it, take more readings", True)
     candidates = list[tuple[Unknown, np.ndarray, float]]()
     shares, is_counted = list[np.ndarray](), list[bool]()
     total_variance = values.var(axis=0) + sd**2
@@ -156,7 +156,7 @@ def find_not_measured(
         remedy = f"readings that separate {' and '.join(candidates[i][0].name for i in indices)}"
     texts = (_format_unknown(u, x, f", prior ± {number(size)}") for u, x, size in samples)
     names = tuple(u.name for u, *_ in samples)
-    return NotMeasured(names, " and ".join(texts), f"To measure it, take {remedy}")
+    return PriorDominance(names, " and ".join(texts), f"To measure it, take {remedy}")
 
 
 def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "") -> str:
@@ -165,10 +165,10 @@ def _format_unknown(u: Unknown, draws: Float[np.ndarray, "d"], suffix: str = "")
     return f"{u.name} ({value}{suffix})"
 
 
-def find_coefficients_not_measured(calibration: Calibration) -> set[str]:
+def find_prior_dominated_coefficients(calibration: Calibration) -> set[str]:
     """Return the names of the coefficients that priors determine more than the readings."""
     names, samples = (u.name for u, *_ in _list_priors(calibration)), calibration.samples
-    return {n for n in names if find_not_measured(calibration, samples(n)[:, None], name=n)}
+    return {n for n in names if find_prior_dominance(calibration, samples(n)[:, None], name=n)}
 
 
 def _list_priors(calibration: Calibration) -> Iterator[tuple[Unknown, Coefficient, bool]]:

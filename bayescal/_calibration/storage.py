@@ -163,7 +163,7 @@ def identity(calibration: Fitted) -> str:
     return digest.hexdigest()
 
 
-def sources_of(readings: Measurements) -> tuple[Source, ...]:
+def list_sources(readings: Measurements) -> tuple[Source, ...]:
     """Return the readings' source files with their hashes; for arrays, the hash of their values."""
     if readings.sources:
         return readings.sources

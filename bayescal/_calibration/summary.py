@@ -32,11 +32,11 @@ NAMED_SHARE = 0.01  # of a null direction's largest entry, above which a coeffic
 MAX_MEMBER_ROWS = 4  # members of a group that are printed one per line
 
 
-def unknowns_parts(
+def list_unknowns(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> list[str | ResultTable]:
     """Tabulate unknowns with standard uncertainties and 95 % intervals; list fixed values and constants."""
-    rows = unknown_rows(calibration, effects)
+    rows = format_rows(calibration, effects)
     head = "unknown", "mean ± standard uncertainty", "unit", "95 % credible interval", "contraction"
     table = plain_table(head, rows.values()) if rows else "every unknown is fixed"
     model, lines = calibration.model, list[str]()
@@ -73,7 +73,7 @@ def is_skewed(mean: float, sd: float, low: float, high: float) -> bool:
     return sd > 0 and max(2 * abs(high + low - 2 * mean), 4 * sd / 2.3) > 0.5 * (high - low)
 
 
-def unknown_rows(
+def format_rows(
     calibration: Fitted, effects: Collection[str] | None = None
 ) -> dict[str, list[str]]:
     """Return printed rows (name, value, unit, interval, contraction) by name; one for each curve or large group."""
@@ -173,17 +173,17 @@ def null_directions(calibration: Fitted) -> list[Claim]:
     information below a tenth of the prior's, so that the posterior is the prior; one claim for all of group deviations
     or unknown functions; pairs of coefficients of which only one combination is measured. Last, confounders.
     """
-    claims = unidentified_claims(calibration.linear, calibration.levels)
+    claims = find_unidentified(calibration.linear, calibration.levels)
     return [*claims, *(confounder.claim for confounder in calibration.confounders)]
 
 
-def directions_data(calibration: Fitted) -> list[dict[str, str]]:
+def list_directions(calibration: Fitted) -> list[dict[str, str]]:
     """Return `null_directions` as in result.json."""
     claims = null_directions(calibration)
     return [{"combination": c.numbers["combination"], "in_words": str(c)} for c in claims]
 
 
-def unidentified_claims(
+def find_unidentified(
     linear: LinearModel, levels: Mapping[str, Sequence[str]], with_exact: bool = True
 ) -> list[Claim]:
     """Return claims on unidentified combinations of a linearised structure, without those due to confounders."""
@@ -191,7 +191,7 @@ def unidentified_claims(
     if layout.size == 0:
         return []
     names, claims = [u.name for u in Unknowns.of(layout, levels) if u.x is not None], list[Claim]()
-    exact_vectors, weak_vectors, member_vectors = null_vectors(linear, with_exact)
+    exact_vectors, weak_vectors, member_vectors = find_null_vectors(linear, with_exact)
     for v in exact_vectors:  # no reading changes; in the coefficients' units if of small integers
         order = np.flatnonzero(np.abs(v) > NAMED_SHARE * np.abs(v).max())
         factors, suffix = null_space.scale_to_integers((v * linear.sd[: len(v)])[order]), ""
@@ -232,7 +232,7 @@ def unidentified_claims(
     return claims
 
 
-def null_vectors(
+def find_null_vectors(
     linear: LinearModel, with_exact: bool = True
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Return exact, weak, and group-deviation null directions (p,), in prior standard deviations."""

@@ -183,7 +183,7 @@ class DemoCommand(AsJson, Command):
     seed: int = Shared.seed
 
     def answer(self) -> Answer:
-        from bayescal._calibration.summary import unknown_rows
+        from bayescal._calibration.summary import format_rows
 
         gyro, files = "mems_gyro", (self.out / "readings.csv", self.out / "holdout.csv")
         hidden = ["bias.thermal_lag=0.05"]
@@ -198,7 +198,7 @@ class DemoCommand(AsJson, Command):
         command = "bayescal" if shutil.which("bayescal") == program else program
         line = f"{command} calibrate FILE.csv --instrument mems_gyro --out result"
         paths = [self.out / n for n in (CALIBRATION, AVERAGED) if (self.out / n).is_file()]
-        rows = unknown_rows(bc.load(paths[-1]), bc.load(paths[0]).model.names).items()
+        rows = format_rows(bc.load(paths[-1]), bc.load(paths[0]).model.names).items()
         found = ", ".join(f"{n} {row[1]} {row[2]}" for n, row in rows if "[" not in n)
         hints = [folded(SIMULATED), folded(f"found: {found}"), f"picture: {self.out / 'loop.png'}"]
         written = "\n".join([calibrated.written, *hints, f"with your own readings: {line}"])

@@ -10,7 +10,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import format_check
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.summary import directions_data, null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import list_directions, list_unknowns, null_directions, summary
 from bayescal._core import progress
 from bayescal._core.formatting import folded, number, probability
 from bayescal._core.result_table import plain_table
@@ -95,7 +95,7 @@ def convert_fit(calibration: Calibration) -> dict[str, Any]:
         "fixed": dict(calibration.model.fixed),
         "log_evidence": calibration.log_evidence,
         "verdict": {**vars(verdict), "ok": verdict.reliable, "reasons": reasons},
-        "identifiability": {"null_directions": directions_data(calibration)},
+        "identifiability": {"null_directions": list_directions(calibration)},
     }
 
 
@@ -169,7 +169,7 @@ def format_loop(path: SearchPath, has_begun: bool = False, verbose: bool = False
 def coefficients_text(path: SearchPath, verbose: bool = False) -> str:
     """Format the coefficients of the model average; if verbose, also those that the most probable structure lacks."""
     final = path.final.calibration
-    tables = unknowns_parts(path.calibration, None if verbose else final.model.names)
+    tables = list_unknowns(path.calibration, None if verbose else final.model.names)
     return "\n".join([*map(str, tables), final.remarks])
 
 

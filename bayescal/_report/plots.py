@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import Check, Entry, check, covariates_of
+from bayescal._calibration.check import Check, Entry, check, collect_covariates
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._core.atomic_file import replacing_for_user
@@ -121,7 +121,7 @@ def plot_residual_panel(
     ax: Any, calibration: Calibration, check: Check, entry: Entry, title: str = ""
 ) -> None:
     """Plot residuals against the covariate of a check's `entry` in axes `ax`."""
-    values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
+    values = next(b.values for b in collect_covariates(calibration) if b.name == entry.against)
     body_temperatures = compute_body_temperature(calibration, entry.against)
     values = values if body_temperatures is None else body_temperatures
     levels, codes = calibration.readings.groups("run")

@@ -20,8 +20,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check import Check, check_table
-from bayescal._calibration.storage import identity, sources_of
+from bayescal._calibration.check import Check, tabulate_check
+from bayescal._calibration.storage import identity, list_sources
 from bayescal._core.annex import load_entries, load_entry
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
@@ -188,8 +188,8 @@ def render_page(
         "measured": report_text.format_with_unit,
     }
     functions = (
-        *(list_average_claims, candidates_table, check_table, compute_budget, group_confounded),
-        *(group_untested, identity, sources_of),
+        *(list_average_claims, candidates_table, tabulate_check, compute_budget, group_confounded),
+        *(group_untested, identity, list_sources),
     )
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.prior_influence import find_coefficients_not_measured
-from bayescal._calibration.storage import sources_of
-from bayescal._calibration.summary import is_skewed, summarise_curve, summary, unknown_rows
+from bayescal._calibration.prior_influence import find_prior_dominated_coefficients
+from bayescal._calibration.storage import list_sources
+from bayescal._calibration.summary import format_rows, is_skewed, summarise_curve, summary
 from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -89,7 +89,7 @@ def tabulate_files(chapter: Chapter) -> ResultTable:
     def join_names(names: str | list[str]) -> str:
         return names if isinstance(names, str) else ", ".join(names)
 
-    rows = [[s.file, str(s.rows), s.sha256] for s in sources_of(chapter.calibration.readings)]
+    rows = [[s.file, str(s.rows), s.sha256] for s in list_sources(chapter.calibration.readings)]
     if holdout := chapter.data["holdout"]:
         names = f"hold-out: {join_names(holdout['file']) or 'arrays'}"
         rows.append([names, str(holdout["rows"]), join_names(holdout["sha256"])])
@@ -98,9 +98,9 @@ def tabulate_files(chapter: Chapter) -> ResultTable:
 
 def tabulate_coefficients(chapter: Chapter) -> ResultTable:
     """Tabulate the unknowns of the last model, given that their effects are present, with two intervals."""
-    used, not_measured = chapter.used, find_coefficients_not_measured(chapter.used)
+    used, not_measured = chapter.used, find_prior_dominated_coefficients(chapter.used)
     summaries, rows = {r["name"]: r for r in chain(*summary(used))}, list[dict[str, Any]]()
-    for key, (name, value, unit, *_) in unknown_rows(used, chapter.calibration.model.names).items():
+    for key, (name, value, unit, *_) in format_rows(used, chapter.calibration.model.names).items():
         empty = dict.fromkeys(("u", "k2", "credible"), "–")
         if (r := summaries.get(key)) is None:  # a curve or a large group
             name, value = name.replace(" *", " (if present)"), f"{value} {unit}".rstrip()

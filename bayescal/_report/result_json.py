@@ -22,7 +22,7 @@ from bayescal._calibration.check import Check, check
 from bayescal._calibration.fit import load
 from bayescal._calibration.leave_group_out import choose_groups
 from bayescal._calibration.storage import identity
-from bayescal._calibration.summary import directions_data, summary
+from bayescal._calibration.summary import list_directions, summary
 from bayescal._core.annex import load_entries
 from bayescal._core.errors import InputError
 from bayescal._core.json_data import as_json, read_json
@@ -105,7 +105,7 @@ def result(path: SearchPath) -> dict[str, Any]:
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
             **{k: v for add in load_entries("result") for k, v in add(final, path.average).items()},
-            "identifiability": {"null_directions": directions_data(final)},
+            "identifiability": {"null_directions": list_directions(final)},
             "verdict": {
                 "ok": path.ok,
                 "reasons": list(dict.fromkeys(reasons)),

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.confounding import find_shifts, is_widened_by
+from bayescal._calibration.confounding import find_shifts, mask_widened
 from bayescal._core.null_space import UNDECIDED_NATS, Spans, beyond, information_nats, is_undecided
 from bayescal._data.measurements import Measurements
 from bayescal._inference.gaussian import compute_column_scales
@@ -125,7 +125,7 @@ def _group_whitener(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Arra
 
 def _list_widened(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> tuple[str, ...]:
     """Return the names of coefficients whose uncertainty an effect with these columns would increase."""
-    is_widened = is_widened_by(linear, np.linalg.norm(find_shifts(linear, columns), axis=1))
+    is_widened = mask_widened(linear, np.linalg.norm(find_shifts(linear, columns), axis=1))
     blocks = linear.problem.layout.x_blocks
     return tuple(b.name for b in blocks if is_widened[b.start : b.start + b.size].any())
 

@@ -41,9 +41,9 @@ def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
         remedy=_choose_remedy(last),
     )
     claims = [*last.outlying_groups, *judgement.residual_claims(subject), *undecided_claims(steps)]
-    claims += [*equivalent_claims(steps, "doubt"), *judgement.thermometer_anomalies(subject)]
+    claims += [*equivalent_claims(steps, "doubt"), *judgement.find_thermometer_anomalies(subject)]
     claims += [term.claim for term in _compare_terms(steps) if not term.is_measured][:1]
-    claims += [*worsened_claims(steps), *judgement.outlying_groups(subject)]
+    claims += [*worsened_claims(steps), *judgement.find_outlying_group(subject)]
     return [*claims, *unlike_run_claims(steps), *contradicted_claims(steps)]
 
 

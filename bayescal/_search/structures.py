@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.judgement import stands_in_for_effect
+from bayescal._calibration.judgement import may_hide_effect
 from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
@@ -104,7 +104,7 @@ class EvaluatedStructure:
     def has_unnamed_noise(self) -> bool:
         """Return whether the correlated noise is so slow and large that it represents an unnamed effect."""
         noise = self.problem.noise
-        return not noise.independent and stands_in_for_effect(noise, self.phi)
+        return not noise.independent and may_hide_effect(noise, self.phi)
 
     @cached_property
     def column_corrections(self) -> dict[Correction, tuple[float, ...]]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.summary import null_vectors, unidentified_claims
+from bayescal._calibration.summary import find_null_vectors, find_unidentified
 from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
@@ -105,8 +105,8 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     planned_model, vector = linear(readings), model.instrument.vector
     is_log = readings.has(TURNED[0])  # a log of moves: it needs further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not is_log else 1)
-    directions = null_vectors(planned_model, with_exact=False)[1] if layout.size else []
-    claims = unidentified_claims(planned_model, levels, with_exact=False)
+    directions = find_null_vectors(planned_model, with_exact=False)[1] if layout.size else []
+    claims = find_unidentified(planned_model, levels, with_exact=False)
     combinations = tuple(claims[: len(directions)])  # none of a rig's errors
     if vector is None or not directions or is_log:
         return Undetermined(count, combinations)

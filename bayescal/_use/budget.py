@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.prior_influence import find_not_measured, variance_by_origin
+from bayescal._calibration.prior_influence import find_prior_dominance, variance_by_origin
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import folded, number, with_error
 from bayescal._core.json_data import as_json
@@ -238,7 +238,7 @@ def budget(
     variance = float(gradient @ covariance @ gradient)
     inputs, stimulus = {n: np.array([v]) for n, v in point.items()}, correction.stimulus
     value_draws = correction.equation.moments(ALL_DRAWS).draws @ gradient
-    dominant = find_not_measured(correction.calibration, value_draws[:, None])
+    dominant = find_prior_dominance(correction.calibration, value_draws[:, None])
     half_width = float(np.quantile(np.abs(value_draws - value_draws.mean()), 0.95))
     claims = [Claim("budget.prior", *u.names, untold=str(u), told=u.cure) for u in (dominant,) if u]
     sd = np.sqrt(np.diag(covariance))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.storage import sources_of
+from bayescal._calibration.storage import list_sources
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
@@ -233,7 +233,7 @@ def build_provenance(equation: OperatingEquation) -> Provenance:
         output_unit=calibration.unit,
         effects=tuple((f"{e.name}{note(e.name)}", e.equation) for e in effects),
         reference=values | calibration.hold_at,
-        sources=tuple((s.file, s.sha256) for s in sources_of(calibration.readings)),
+        sources=tuple((s.file, s.sha256) for s in list_sources(calibration.readings)),
         raw=(scale.unit, scale.gain, scale.offset) if scale else None,
         notes=(),
         made_by=f"bayescal {__version__}",

@@ -182,7 +182,7 @@ def dcc_text(
         stated=stated,
         conditions={name: value for name, value in conditions.items() if value},
         identity=ws.identity(calibration),
-        sources=ws.sources_of(calibration.readings),
+        sources=ws.list_sources(calibration.readings),
         calibration=calibration,
         k=f"{COVERAGE_FACTOR:g}",
         covered=list(_find_ranges(calibration, local_gravity)),
@@ -210,7 +210,7 @@ def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[t
     for name, (value, unit) in calibration.reference_constants.items():
         yield f"{name}, to which coefficients refer", dsi_real(value, unit, local_gravity)
     coefficients, hyperparameters = ws.summary(calibration)
-    not_measured = ws.find_coefficients_not_measured(calibration)
+    not_measured = ws.find_prior_dominated_coefficients(calibration)
     for row in coefficients:
         name = row["name"] + ", determined by its prior" * (row["name"] in not_measured)
         yield name, dsi_real(row["mean"], row["unit"], local_gravity, row["sd"])

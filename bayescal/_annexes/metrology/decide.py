@@ -89,7 +89,7 @@ def compute_recalibration(
     delay = find_first_below(probability, stated)
     change = quantity.draw(HORIZON_S if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
-    if unmeasured := ws.find_not_measured(calibration, change, max_inclusion=1 - stated):
+    if unmeasured := ws.find_prior_dominance(calibration, change, max_inclusion=1 - stated):
 
         def likelihood_probability(delay: float) -> float:
             draws = quantity.draw(delay)
@@ -478,7 +478,7 @@ def _decide_limit(
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
     options = {"name": quantity.limit.quantity, "sd": draws.scatter, "max_inclusion": false_accept}
-    if unmeasured := ws.find_not_measured(calibration, draws.values, **options):
+    if unmeasured := ws.find_prior_dominance(calibration, draws.values, **options):
         values, risk = unmeasured.update_by_readings(calibration, draws.values), false_accept
         p2 = replace(draws, values=values).probability(limits)  # with the likelihood alone
         is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)

@@ -428,7 +428,7 @@ class Session:
         """
         states = self.current, self.states[number]
         fits = {f"{s.number} {s.title}": s.calibration for s in states}
-        tables = [ws.unknown_rows(c) for c in fits.values()]
+        tables = [ws.format_rows(c) for c in fits.values()]
         units = {name: row[2] for table in tables for name, row in table.items()}
         rows = [
             [name, *(table[name][1] if name in table else "–" for table in tables), unit]

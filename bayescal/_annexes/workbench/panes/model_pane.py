@@ -132,7 +132,7 @@ def format_equation(model: Any) -> str:
 def build_effect_rows(calibration: Any) -> list[dict[str, Any]]:
     """Return a row per effect: coefficients ± standard uncertainty with bars of contraction, or a curve's size."""
     model, rows = calibration.model, []
-    unknowns, curves = [t for r in ws.summary(calibration) for t in r], ws.unknown_rows(calibration)
+    unknowns, curves = [t for r in ws.summary(calibration) for t in r], ws.format_rows(calibration)
     for effect in model.effects:
         terms = [t for t in unknowns if t["effect"] == effect.name]
         cells: list[dict[str, Any]] = [

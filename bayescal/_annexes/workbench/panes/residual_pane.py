@@ -62,7 +62,7 @@ class ResidualsOfState:
 
     def __init__(self, step: Any, compared: np.ndarray | None) -> None:
         """Read a state's step; `compared` are the residuals of the step to compare with, output unit, (n,), or None."""
-        readings, columns = step.calibration.readings, ws.covariates_of(step.calibration)
+        readings, columns = step.calibration.readings, ws.collect_covariates(step.calibration)
         self.check: bc.Check = step.check
         self.compared, self.runs = compared, readings.groups("run")
         self.residual = np.asarray(self.check.residuals, float)
@@ -102,7 +102,7 @@ class ResidualsOfState:
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms_text}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
-            f"on average, {ws.place_in_words(worst.to_json_data(self.check.unit))} (z = {worst.worst.z:+.1f}; log "
+            f"on average, {ws.describe_region(worst.to_json_data(self.check.unit))} (z = {worst.worst.z:+.1f}; log "
             f"Bayes factor {worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 
