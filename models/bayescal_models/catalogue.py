@@ -190,8 +190,8 @@ def make_common_effects(
     slow_lag = thermal_lag(*LONG_LAG_S, q, unit, column=column)
     lag_cross = temperature_x_lag(*SHORT_LAG_S, column)
     backlash = _adapt(effects.hysteresis, column=column, widths=(0.01 * span, 0.5 * span, "degC"))
-    supply = effect(_supply_deviation, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
-    product = effect(partial(_supply_product, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
+    supply = effect(_evaluate_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
+    product = effect(partial(_evaluate_product, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
     powers: tuple[tuple[str, Factory, float, str, float, str], ...] = (
         (column, power(effects.linear), size / span, slope, 1.0, end),
         (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{slope}^2", 0.5, end),
@@ -217,13 +217,13 @@ def make_common_effects(
     )
 
 
-def _supply_deviation(r: bc.Frame) -> Any:
+def _evaluate_supply(r: bc.Frame) -> Any:
     low, high = (r.reference[f"{SUPPLY.name}_{end}"] for end in ("low", "high"))
     return r[SUPPLY.name] - 0.5 * (low + high)
 
 
-def _supply_product(column: str, r: bc.Frame) -> Any:
-    return r.centred(column) * _supply_deviation(r)
+def _evaluate_product(column: str, r: bc.Frame) -> Any:
+    return r.centred(column) * _evaluate_supply(r)
 
 
 def _expand(base: bc.Effect, group: str | None) -> bc.Effect:
@@ -315,7 +315,9 @@ def centred(r: bc.Frame) -> Any:
     return r.centred()
 
 
-def missing_reversal(column: str, dead_band: float, readings: bc.Measurements) -> str | None:
+def explain_missing_reversal(
+    column: str, dead_band: float, readings: bc.Measurements
+) -> str | None:
     """Return why readings do not identify a hysteresis: no rise or no fall above `dead_band`, °C; None if they do."""
     has_rise = has_fall = False
     _, run = readings.groups("run")

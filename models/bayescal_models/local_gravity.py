@@ -32,7 +32,7 @@ def make_nuisance_effect(slot: str, size: float = SD_PPM, unit: str = "ppm") -> 
     return bc.Effect(
         f"{slot}.local_gravity",
         slot,
-        _assumption_indicator,
+        _evaluate_assumption,
         coefficients=(bc.Coefficient(unit, bc.Normal(0.0, size)),),
         equation="c,  deviation of local gravity from the assumed value",
         source="range of normal gravity (GRS 80) as a rectangular distribution (JCGM 100:2008)",
@@ -40,7 +40,7 @@ def make_nuisance_effect(slot: str, size: float = SD_PPM, unit: str = "ppm") -> 
     )
 
 
-def _assumption_indicator(r: bc.Frame) -> Any:
+def _evaluate_assumption(r: bc.Frame) -> Any:
     return r[ASSUMED_GRAVITY.name] if ASSUMED_GRAVITY.name in r.columns else 0.0 * r.step
 
 

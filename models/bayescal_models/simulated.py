@@ -74,10 +74,10 @@ class TimeGrid:
 
     def low_pass(self, drive: Array, time_constant: float, start: float | None = None) -> Array:
         """Filter `drive` by a first-order low-pass of this time constant, s, from the state `start`; (m,)."""
-        return first_order_low_pass(drive, time_constant, self.step, start)
+        return apply_low_pass(drive, time_constant, self.step, start)
 
 
-def first_order_low_pass(
+def apply_low_pass(
     drive: Array, time_constant: float, step: float, start: float | None = None
 ) -> Array:
     """Solve τ·dT/dt = drive − T for T on a uniform grid; exact for a piecewise linear drive.
@@ -117,7 +117,7 @@ def correlated_noise(
     return np.asarray(lfilter([1.0], [1.0, -decay], increments))
 
 
-def ramp_limited_set_point(
+def compute_ramped_set_point(
     time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
 ) -> Array:
     """Return a set point over time, °C, that approaches `goals` from their times `starts`, s, at `ramp` °C/min."""
@@ -136,7 +136,7 @@ SLIP_THRESHOLDS_DEGC = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of stick-slip joi
 SUPPLY_V, SUPPLY_SD_V, SUPPLY_INTERVAL_S = 5.0, 0.1, 1200.0
 
 
-def stick_slip_strain(temperature: Array) -> Array:
+def compute_stick_slip_strain(temperature: Array) -> Array:
     """Return the hysteretic strain of stick-slip joints: mean of several play operators (Prandtl–Ishlinskii)."""
     mean_strain = np.zeros(temperature.size)
     for threshold in SLIP_THRESHOLDS_DEGC:
@@ -194,13 +194,13 @@ def column_simulator(simulator: Callable[P, SimulatedTest]) -> Callable[P, dict[
     """Return a simulator of columns, which calls a simulator of tests and discards its true values."""
 
     @wraps(simulator)
-    def simulated_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
+    def simulate_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
         return simulator(*args, **options).columns
 
-    return simulated_columns
+    return simulate_columns
 
 
-def readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
+def make_readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
     """Return a simulator of `Measurements`, which calls an instrument's simulator of columns."""
     assert instrument.simulator is not None
 

@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
-from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle
+from bayescal_models.inclinometer.geometry import ARCSEC, compute_placement_angle
 from tests.support.inside import frame_of
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -189,7 +189,7 @@ def test_residual_of_line_compensation_has_the_published_size(lines) -> None:
 
 def test_placement_angles_at_large_tilts() -> None:
     x = np.deg2rad([30.0, 0.0, 45.0])
-    found = np.rad2deg(exact_placement_angle(x, np.deg2rad([30.0, 40.0, 30.0]), np))
+    found = np.rad2deg(compute_placement_angle(x, np.deg2rad([30.0, 40.0, 30.0]), np))
     np.testing.assert_allclose(found, [35.26, 40.0, 45.0], atol=0.01)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
-from bayescal_models.mems_gyro.simulator import simulated_columns
+from bayescal_models.mems_gyro.simulator import simulate_columns
 
 UNITS = [
     ("m/s^2", "ug", 1e6 / 9.80665), ("mg", "ug", 1e3), ("rad/s", "deg/s", 180 / np.pi),
@@ -79,7 +79,7 @@ HIDDEN = (
 @pytest.mark.parametrize("hidden", HIDDEN)
 def test_a_file_is_the_same_whatever_instrument_reads_it(hidden: dict[str, float]) -> None:
     """A gyroscope's campaign read as that of a gyroscope, and as that of any sensor at rest."""
-    columns = simulated_columns(hidden, seed=1)
+    columns = simulate_columns(hidden, seed=1)
     del columns["board_temperature"]
     for instrument in (mems_gyro.INSTRUMENT, still_sensor.INSTRUMENT):
         readings = bc.Measurements.from_arrays(instrument, units={"output": "deg/s"}, **columns)

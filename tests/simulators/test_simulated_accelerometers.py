@@ -10,11 +10,11 @@ import pytest
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.ng_accelerometer.model import CONSTITUENTS
-from bayescal_models.ng_accelerometer.moon_and_sun import normalised_tide, plumb_line_tilt
+from bayescal_models.ng_accelerometer.moon_and_sun import compute_tide, plumb_line_tilt
 from bayescal_models.ng_accelerometer.simulator import simulate_arrays
 from bayescal_models.quartz_beam_accelerometer.campaign import STEP_S
 from bayescal_models.quartz_beam_accelerometer.world import COUPLING, SELF_HEATING, Conditions
-from bayescal_models.simulated import HOUR, first_order_low_pass
+from bayescal_models.simulated import HOUR, apply_low_pass
 
 PLAIN = quartz.simulate(seed=3)
 
@@ -48,7 +48,7 @@ def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
 
 def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
     ramp = 0.02 * STEP_S * np.arange(2000, dtype=np.float64)  # 0.02 °C/s
-    assert ramp[-1] - first_order_low_pass(ramp, 300.0, STEP_S)[-1] == pytest.approx(
+    assert ramp[-1] - apply_low_pass(ramp, 300.0, STEP_S)[-1] == pytest.approx(
         0.02 * 300.0, rel=1e-6
     )
 
@@ -90,7 +90,7 @@ def unexplained(component: np.ndarray, seconds: np.ndarray, stretch: float) -> f
 
 def test_the_tide_is_the_five_constituents_and_little_else() -> None:
     seconds = np.arange(0.0, 60 * 86400.0, 1800.0)
-    for component in normalised_tide(seconds):
+    for component in compute_tide(seconds):
         assert unexplained(component, seconds, 1.0) < 0.1
         assert unexplained(component, seconds, 1.02) > 0.5
     east, north = plumb_line_tilt(7730.0 + seconds / 86400.0)

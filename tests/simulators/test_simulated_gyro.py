@@ -10,9 +10,9 @@ import pytest
 from bayescal_models.mems_gyro import TABLE
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.resonance import (
-    constant_amplitude_change,
-    constant_force_change,
-    resonance_denominator,
+    compute_amplitude_law,
+    compute_denominator,
+    compute_force_law,
 )
 from bayescal_models.mems_gyro.simulator import NOISE_LAWS, simulate_arrays
 from bayescal_models.simulated import SimulatedTest
@@ -92,15 +92,15 @@ def test_thermometer_errs_without_touching_the_gyro() -> None:
 
 
 def test_resonance_denominator_at_match_is_the_damping() -> None:
-    assert resonance_denominator(0.0, 8e-5, 8e-5, 1.0, 250.0) == pytest.approx(1 / 250)
-    apart = resonance_denominator(np.array([-25.0, 25.0]), 8e-5, 8e-5, 1.1, 1e9)
+    assert compute_denominator(0.0, 8e-5, 8e-5, 1.0, 250.0) == pytest.approx(1 / 250)
+    apart = compute_denominator(np.array([-25.0, 25.0]), 8e-5, 8e-5, 1.1, 1e9)
     np.testing.assert_allclose(apart, 0.21 * np.array([1.002, 0.998]))
 
 
 CHANGE = np.linspace(-25.0, 25.0, 101)  # °C
 
 
-@pytest.mark.parametrize("gain", [constant_amplitude_change, constant_force_change])
+@pytest.mark.parametrize("gain", [compute_amplitude_law, compute_force_law])
 @pytest.mark.parametrize("ratio", [1.0, 1.001, 1.05])
 def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(gain, ratio: float) -> None:
     slope = 21.4 * np.ptp(gain(CHANGE[[0, -1]], 1e-4, 1e-4, ratio, 1000.0)) / 50.0
@@ -108,7 +108,7 @@ def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(gain, ratio: float
 
 
 def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
-    rate = 669.0 * constant_amplitude_change(CHANGE, 8e-5, 8e-5, 1.05, 1000.0)
+    rate = 669.0 * compute_amplitude_law(CHANGE, 8e-5, 8e-5, 1.05, 1000.0)
     slope, middle = np.polyfit(CHANGE, rate, 1)
     assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(0.0, abs=0.01)
     bend = rate - np.polyval([slope, middle], CHANGE)

@@ -28,37 +28,37 @@ from bayescal import xp
 from bayescal_models import catalogue, local_gravity
 from bayescal_models.accelerometer_dividing_head import COLUMNS, NOMINAL_SCALE
 from bayescal_models.accelerometer_dividing_head.campaign import Campaign
-from bayescal_models.accelerometer_dividing_head.simulator import simulated_columns
+from bayescal_models.accelerometer_dividing_head.simulator import simulate_columns
 from bayescal_models.catalogue import HOUR, MINUTE, EffectTable, centred, effect, one
-from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
+from bayescal_models.simulated import ReferenceProblem, list_experiments, make_readings_simulator
 
 G = 1e6  # µg
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     angle = r["position_angle"] + slots["zero"]
     gravity = 1 + slots["gravity"]
     a, across = gravity * xp.sin(angle), gravity * xp.cos(angle)
-    return _axial_output(a, slots) + slots["cross_coupling"] * a * across
+    return _evaluate_axial_output(a, slots) + slots["cross_coupling"] * a * across
 
 
-def _axial_output(a, slots):
+def _evaluate_axial_output(a, slots):
     powers = slots["second_order"] * a**2 + slots["third_order"] * a**3
     return slots["bias"] + (1 + slots["scale"]) * G * a + powers
 
 
 def _use_output(acceleration, slots, r):
     """Return the output, µg, of the instrument in use, without the head, for an acceleration in µg."""
-    return _axial_output(acceleration / G, slots)
+    return _evaluate_axial_output(acceleration / G, slots)
 
 
-def _first_harmonic(r):
+def _evaluate_harmonic(r):
     return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
 CONSTANT_EFFECT = effect(one, "c", "position_angle", kind="constant")
 TEMPCO_EFFECT = effect(centred, "c·(T − T0)", "position_angle", "temperature")
-DIVIDING = effect(_first_harmonic, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
+DIVIDING = effect(_evaluate_harmonic, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
 
 EFFECTS = EffectTable.from_rows(
     "data sheets of quartz-flexure accelerometers (Q-flex); size assumed by us",
@@ -99,7 +99,7 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("cross_coupling", "ug/g^2", "Kip, cross-coupling with the pendulous axis"),
         bc.Slot("gravity", "1", "relative deviation of local gravity from the assumed value"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     nuisances=(local_gravity.make_nuisance_effect("gravity"),),
@@ -112,9 +112,9 @@ INSTRUMENT = bc.Instrument(
             lambda: INSTRUMENT.baseline() + ["second_order.constant", "third_order.constant"],
         ),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_experiments(
-        simulated_columns,
+        simulate_columns,
         {
             "the same again": Campaign(),
             "three mountings": Campaign(runs=3),
@@ -124,7 +124,7 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug", _use_output, ("bias", "scale", "second_order", "third_order")),
     source="IEEE Std 1293",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 # 36 readings; with hidden effects 360, with temperatures up and down in three mountings.
 SMALL_CAMPAIGN = Campaign(positions=12, temperatures=(0.0, 25.0, 50.0))
 EFFECT_CAMPAIGN = Campaign(temperatures=(-20.0, 25.0, 70.0, 25.0, -20.0), runs=3)

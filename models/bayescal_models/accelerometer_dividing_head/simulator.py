@@ -123,4 +123,4 @@ def simulate_arrays(
     return SimulatedTest(columns, test, contributions, signal)
 
 
-simulated_columns = column_simulator(simulate_arrays)
+simulate_columns = column_simulator(simulate_arrays)

@@ -5,7 +5,7 @@ import lazy_loader
 import bayescal as bc
 from bayescal_models.local_gravity import ASSUMED_GRAVITY
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, pose_columns, triple
+from bayescal_models.triad.columns import SESSION, declare_pose_columns, triple
 
 COLUMNS = (
     *SESSION,
@@ -21,7 +21,7 @@ COLUMNS = (
     *triple(
         "direction", "1", "specific force at rest (up) along axis {axis}, if known", required=False
     ),
-    *pose_columns("g"),
+    *declare_pose_columns("g"),
     ASSUMED_GRAVITY,
 )
 

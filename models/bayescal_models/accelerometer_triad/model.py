@@ -27,9 +27,9 @@ from typing import Any
 import bayescal as bc
 from bayescal_models import local_gravity
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
-from bayescal_models.accelerometer_triad.simulator import simulated_columns
+from bayescal_models.accelerometer_triad.simulator import simulate_columns
 from bayescal_models.catalogue import EffectTable
-from bayescal_models.simulated import ReferenceProblem, readings_simulator
+from bayescal_models.simulated import ReferenceProblem, make_readings_simulator
 from bayescal_models.triad.campaign import TWO_SESSIONS, Campaign
 from bayescal_models.triad.equation import (
     BIAS,
@@ -39,9 +39,9 @@ from bayescal_models.triad.equation import (
     SCALE,
     SQUARE,
     UPPER,
-    axis_slots,
-    higher_order_slots,
-    output_function,
+    build_equation,
+    make_higher_order_slots,
+    make_slots,
 )
 from bayescal_models.triad.experiments import list_pose_experiments
 from bayescal_models.triad.families import (
@@ -54,19 +54,19 @@ from bayescal_models.triad.families import (
 )
 from bayescal_models.triad.scatter import set_noise_prior
 
-VECTOR = bc.Vector(outputs=OUTPUTS, equation=output_function, common_scale=0.03)
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=build_equation, common_scale=0.03)
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     return VECTOR.response(slots, r)
 
 
 SHEETS = "zero-g offset and (cross-axis) sensitivity in the data sheets of ADXL355, BMI088 and ICM-20948; size assumed"
 TEMPCO = "change with temperature in the data sheets of ADXL355, BMI088 and ICM-20948; size assumed"
 NONLINEARITY = "model equation of IEEE Std 1293-2018; we assume a nonlinearity of 0.1 % at 1 g"
-PACKAGE = "our assumption: 1 mrad in 50 °C, for a plastic package"
-MOUNTING = "our assumption: accuracy of the mounting of a triad"
-SCATTER = "our assumption; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions"
+PACKAGE_SOURCE = "our assumption: 1 mrad in 50 °C, for a plastic package"
+MOUNTING_SOURCE = "our assumption: accuracy of the mounting of a triad"
+SCATTER_SOURCE = "our assumption; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions"
 K2, KIJ, K3 = constant(SQUARE, "K2·f²"), constant(CROSS, "K·f_i·f_j"), constant(CUBE, "K3·f³")
 
 # Sizes are those of consumer MEMS parts.
@@ -80,15 +80,15 @@ EFFECTS = EffectTable.from_rows(
     candidates=(
         ("bias.temperature", tempco(BIAS), 0.5, "mg/degC", TEMPCO),
         ("scale.temperature", tempco(SCALE), 200.0, "ppm/degC", TEMPCO),
-        ("misalignment.temperature", tempco(UPPER), 0.02, "mrad/degC", PACKAGE),
+        ("misalignment.temperature", tempco(UPPER), 0.02, "mrad/degC", PACKAGE_SOURCE),
         ("bias.temperature_quadratic", tempco(BIAS, 2), 0.005, "mg/degC^2", TEMPCO),
         ("square.constant", K2, 1.0, "mg/g^2", NONLINEARITY),
         ("cross.constant", KIJ, 1.0, "mg/g^2", NONLINEARITY),
         ("cube.constant", K3, 1.0, "mg/g^3", NONLINEARITY),
-        ("misalignment.frame", triad_rotation(LOWER), 20.0, "mrad", MOUNTING),
+        ("misalignment.frame", triad_rotation(LOWER), 20.0, "mrad", MOUNTING_SOURCE),
         ("bias.thermal_lag", thermal_lag(BIAS), 0.5, "mg/degC", TEMPCO),
         ("bias.drift", drift(BIAS), 1.0, "mg", "assumed by us"),
-        ("bias.run", run_offset(BIAS), 1.0, "mg", SCATTER),
+        ("bias.run", run_offset(BIAS), 1.0, "mg", SCATTER_SOURCE),
     ),
 )
 
@@ -102,19 +102,19 @@ INSTRUMENT = bc.Instrument(
     name="accelerometer_triad",
     title="three accelerometers in poses at rest: bias, scale, misalignment",
     columns=COLUMNS,
-    slots=(*axis_slots("g", "force"), *higher_order_slots("g")),
-    response=_response,
+    slots=(*make_slots("g", "force"), *make_higher_order_slots("g")),
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     nuisances=(local_gravity.make_nuisance_effect("magnitude", 1e-3 * local_gravity.SD_PPM, "mg"),),
     noise=bc.White(bc.HalfCauchy(1e-3)),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_pose_experiments(1.0),
     vector=VECTOR,
     tailor=tailor_to_readings,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 EFFECT_CAMPAIGN = Campaign(**TWO_SESSIONS, pose_uncertainty=5e-4)  # with hidden effects
 # 24 poses in unknown directions at 0.5 mg.
 reference_problem = ReferenceProblem(INSTRUMENT, Campaign(), EFFECT_CAMPAIGN)

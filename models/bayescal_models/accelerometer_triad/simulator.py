@@ -10,4 +10,4 @@ BASELINE = {
     "misalignment.constant": (4.0, -6.0, 3.0),
 }
 
-simulated_columns = make_pose_simulator(BASELINE, tuple(MEMBER_COUNTS), 1e-3, Campaign)
+simulate_columns = make_pose_simulator(BASELINE, tuple(MEMBER_COUNTS), 1e-3, Campaign)

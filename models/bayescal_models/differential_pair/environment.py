@@ -30,13 +30,13 @@ SENSITIVITY_NAME = "environment.shared[sensitivity]"
 DEPARTURE_SHARE_NAME = "departure.device.share"
 
 
-def order_sds() -> NDArray[np.float64]:
+def compute_order_sds() -> NDArray[np.float64]:
     """Return the prior sds of the polynomial orders of the environment u, µg; their squares sum to 1 mg²."""
     falling = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
     return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
 
 
-def legendre_polynomials(progress: Any, count: int) -> list[Any]:
+def evaluate_legendre_polynomials(progress: Any, count: int) -> list[Any]:
     """Evaluate the Legendre polynomials of unit rms over the record, orders 0 to count − 1.
 
     Args:
@@ -49,21 +49,21 @@ def legendre_polynomials(progress: Any, count: int) -> list[Any]:
     return [np.sqrt(2 * n + 1) * p for n, p in enumerate(legendre)]
 
 
-def order_names(effect: bc.Effect) -> list[str]:
+def list_order_names(effect: bc.Effect) -> list[str]:
     """Return the names of an effect's polynomial coefficients, such as "environment.shared[order 0]"."""
     return [f"{effect.name}[{c.part}]" for c in effect.coefficients if "order" in c.part]
 
 
-def _shared_basis(r: bc.Frame) -> Any:
-    parts = legendre_polynomials(r.progress, SHARED_ORDERS)
+def _evaluate_shared_basis(r: bc.Frame) -> Any:
+    parts = evaluate_legendre_polynomials(r.progress, SHARED_ORDERS)
     return xp.stack([1.0 + 0.0 * parts[0], *parts], axis=-1)
 
 
-def _departure_basis(r: bc.Frame) -> Any:
-    return xp.stack(legendre_polynomials(r.progress, ORDERS), axis=-1)
+def _evaluate_departure_basis(r: bc.Frame) -> Any:
+    return xp.stack(evaluate_legendre_polynomials(r.progress, ORDERS), axis=-1)
 
 
-def _departure_sds(share: Any, falling: Any) -> Any:
+def _compute_departure_sds(share: Any, falling: Any) -> Any:
     """Return the prior sds of the orders of v relative to the rms of u, (…, 6), from shapes (…, 1) or scalars."""
     powers = falling ** np.arange(ORDERS)
     return share * powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
@@ -72,7 +72,7 @@ def _departure_sds(share: Any, falling: Any) -> Any:
 SHARED = bc.Effect(
     "environment.shared",
     "environment",
-    basis=_shared_basis,
+    basis=_evaluate_shared_basis,
     coefficients=(
         bc.Coefficient(
             "1",
@@ -86,7 +86,7 @@ SHARED = bc.Effect(
             bc.Coefficient(
                 "ug", bc.Normal(0.0, float(sd)), f"order {n}", "departure" * (n >= ORDERS) or None
             )
-            for n, sd in enumerate(order_sds())
+            for n, sd in enumerate(compute_order_sds())
         ),
     ),
     columns=("device", "time"),
@@ -96,7 +96,7 @@ SHARED = bc.Effect(
 DEPARTURE = bc.Effect(
     "departure.device",
     "departure",
-    basis=_departure_basis,
+    basis=_evaluate_departure_basis,
     coefficients=tuple(
         bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE), part=f"order {n}", per="device")
         for n in range(ORDERS)
@@ -104,7 +104,7 @@ DEPARTURE = bc.Effect(
     # They scale the coefficients' priors, not the columns: otherwise the joint density of scale and coefficients would
     # have its maximum at a large scale and small coefficients.
     shapes=(bc.Shape("share", "1", *SHARE_RANGE), bc.Shape("falling", "1", *RATIO_RANGE)),
-    weights=_departure_sds,
+    weights=_compute_departure_sds,
     columns=("device", "time"),
     equation="v[device](t) = Σ c_n[device]·P_n(t),  c_n ~ N(0, share·falling^n, normalised)",
     source="assumed: 5 % of the shared disturbance; size and spectrum estimated",

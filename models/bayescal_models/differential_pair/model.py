@@ -31,56 +31,56 @@ from bayescal_models.catalogue import EffectTable, Factory, effect, one, progres
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, G
 from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
-from bayescal_models.differential_pair.noise import NoiseWhileChanging, end_values, mean_derivative
-from bayescal_models.differential_pair.simulator import simulated_columns
-from bayescal_models.simulated import readings_simulator
+from bayescal_models.differential_pair.noise import NoiseWhileChanging, differentiate, end_values
+from bayescal_models.differential_pair.simulator import simulate_columns
+from bayescal_models.simulated import make_readings_simulator
 
 SOURCE = "source 3; size assumed by us"
 
 
-def side_sign(r: bc.Frame) -> Any:
+def compute_side_sign(r: bc.Frame) -> Any:
     """Return the sign of each reading's input axis: +1 in the outer group, −1 in the inner one, (n,)."""
     return r.has_label("group", "outer") - r.has_label("group", "inner")
 
 
-def tangential_acceleration(r: bc.Frame) -> Any:
+def compute_tangential_acceleration(r: bc.Frame) -> Any:
     """Compute the tangential acceleration r·dΩ/dt, µg, from the commanded acceleration, (n,)."""
     speed = xp.sqrt(xp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
-    return mean_derivative(r, speed)  # speed r·Ω in µg·s
+    return differentiate(r, speed)  # speed r·Ω in µg·s
 
 
-def _response(slots, r):
-    a, sign = r["acceleration"], side_sign(r)
-    input_acceleration = a * (1.0 + slots["input"]) - slots["timing"] * mean_derivative(r, a)
+def _evaluate_response(slots, r):
+    a, sign = r["acceleration"], compute_side_sign(r)
+    input_acceleration = a * (1.0 + slots["input"]) - slots["timing"] * differentiate(r, a)
     return (
         sign * (1.0 + slots["scale"]) * input_acceleration
         + slots["bias"]
-        + slots["misalignment"] * (G + tangential_acceleration(r))
+        + slots["misalignment"] * (G + compute_tangential_acceleration(r))
         + slots["sensitivity"] * slots["environment"]
         + slots["departure"]
     )
 
 
-def _softening_columns(r: bc.Frame) -> Any:
+def _evaluate_softening_columns(r: bc.Frame) -> Any:
     """Return the columns of a softening spring, x/(1 − kx) = x + kx² + k²x³ + …, in the scale factor, (n, 3)."""
-    outward = side_sign(r) * r["acceleration"]
+    outward = compute_side_sign(r) * r["acceleration"]
     # A reading is a mean over its averaging time: k·⟨a²⟩ = k·(⟨a⟩² + var a). A parabola with the end values a₀, a₁ and
     # the mean ⟨a⟩ has the variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180.
     begin, end = end_values(r, r["acceleration"])
     curvature = 3.0 * (begin + end - 2.0 * r["acceleration"])
     variance = (end - begin) ** 2 / 12.0 + curvature**2 / 180.0
-    variance_term = side_sign(r) * variance / xp.maximum(r["acceleration"], 1.0)
+    variance_term = compute_side_sign(r) * variance / xp.maximum(r["acceleration"], 1.0)
     return xp.stack([outward, outward**2, variance_term], axis=-1)
 
 
-def _radius_alias(readings: bc.Measurements) -> str:
+def _explain_radius(readings: bc.Measurements) -> str:
     return (
         "is an exact alias of scale.device: an error of the radius has the effect of a scale factor deviation. "
         "Measure the radii, or swap devices between positions"
     )
 
 
-def _device_effect(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Factory:
+def _make_effect(equation: str, *columns: str, basis: Any = one, **fields: Any) -> Factory:
     """Return a factory that creates a random effect of devices; `acceleration` must vary in the readings."""
     defaults = {"per": "device", "group_sd_prior": bc.HalfNormal, "varies": ("acceleration",)}
     return effect(basis, equation, "device", *columns, **{**defaults, **fields})
@@ -91,7 +91,7 @@ def _device_effect(equation: str, *columns: str, basis: Any = one, **fields: Any
 SECOND_ORDER = bc.Effect(
     "scale.second_order",
     "scale",
-    _softening_columns,
+    _evaluate_softening_columns,
     coefficients=tuple(
         bc.Coefficient(unit, bc.Normal(0.0, size), part, None, "device", bc.HalfNormal(size))
         for part, unit, size in (
@@ -107,10 +107,10 @@ SECOND_ORDER = bc.Effect(
 )
 
 ARM_COLUMNS = ("time", "acceleration")
-MISALIGNMENT = _device_effect("ε[device]·(g + r·dΩ/dt)", *ARM_COLUMNS)
-TIMING_SKEW = _device_effect("−δ[device]·da/dt", *ARM_COLUMNS)
-ARM_RADIUS = _device_effect("a·δr[device]/r", "acceleration", varies=(), untestable=_radius_alias)
-DRIFT = _device_effect("d[device]·(t − t̄)/(tmax − tmin)", "time", basis=progress, varies=())
+MISALIGNMENT = _make_effect("ε[device]·(g + r·dΩ/dt)", *ARM_COLUMNS)
+TIMING_SKEW = _make_effect("−δ[device]·da/dt", *ARM_COLUMNS)
+ARM_RADIUS = _make_effect("a·δr[device]/r", "acceleration", varies=(), untestable=_explain_radius)
+DRIFT = _make_effect("d[device]·(t − t̄)/(tmax − tmin)", "time", basis=progress, varies=())
 
 EFFECTS = EffectTable.from_rows(
     SOURCE,
@@ -144,7 +144,7 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("timing", "s", "delay of the device"),
         bc.Slot("misalignment", "rad", "tilt of the input axis"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(100.0)),
@@ -155,7 +155,7 @@ INSTRUMENT = bc.Instrument(
         ("shared, biases", lambda: INSTRUMENT.baseline() + "bias.device"),
         ("no departures", lambda: INSTRUMENT.baseline() - DEPARTURE),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     source="source 3",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)

@@ -19,7 +19,7 @@ NEIGHBOUR_COUNT = 12  # number of neighbours on either side; the next has the we
 SHARE_NAME = "noise.while_changing"
 
 
-def mean_derivative(r: bc.Frame, values: Any) -> Any:
+def differentiate(r: bc.Frame, values: Any) -> Any:
     """Return the mean time derivative of a column within each reading, unit/s, (n,).
 
     A reading lasts from the midpoint between its time and the previous one to the midpoint to the next one.

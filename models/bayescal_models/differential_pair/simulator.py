@@ -34,9 +34,7 @@ from bayescal_models.simulated import (
 )
 
 SUBSTEPS = 10  # simulation steps per reading
-WARMING_TAU_RECORDS = (
-    0.45  # time constant of the fixture's heating by windage, in durations of the record
-)
+WARMING_TAU_RECORDS = 0.45  # durations of the record, time constant of the heating by windage
 EFFECT_NAMES = (
     *("environment.temperature", "scale.second_order", "misalignment.device"),
     *("input.radius", "timing.skew", "bias.drift", "bias.device", "bias.supply"),
@@ -64,7 +62,7 @@ class Truth:
     acceleration: Array
 
 
-def simulated_columns(
+def simulate_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
     """Simulate a batch with hidden effects; return its columns, by name (see `simulate_batch`)."""
@@ -99,7 +97,7 @@ def simulate_batch(
     v = DEPARTURE_RATIO * DISTURBANCE * simulate_departures(rngs["own"], progress, count)
     if plan.alike:
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
-    temperature = 25.0 + plan.warming * warming_curve(progress)
+    temperature = 25.0 + plan.warming * compute_temperature_rise(progress)
     u = u + sizes.get("environment.temperature", 0.0) * (temperature - temperature.mean())
     env = sensitivity[:, None] * u + v
     sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
@@ -201,6 +199,6 @@ def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Ar
     return np.array(records)
 
 
-def warming_curve(time: Array) -> Array:
+def compute_temperature_rise(time: Array) -> Array:
     """Return the fixture's temperature rise with asymptote 1, plus a slow oscillation of the room."""
     return 1.0 - np.exp(-time / WARMING_TAU_RECORDS) + 0.1 * np.sin(2 * np.pi * time / 0.6)

@@ -4,7 +4,7 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, derived_columns, move_columns, triple
+from bayescal_models.triad.columns import SESSION, declare_move_columns, derived_columns, triple
 
 COLUMNS = (
     *SESSION,
@@ -35,7 +35,7 @@ COLUMNS = (
         "axis of a computed reading",
         "one of the three outputs, or a mean over a move",
     ),
-    *move_columns("deg/s"),
+    *declare_move_columns("deg/s"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

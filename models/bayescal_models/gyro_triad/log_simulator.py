@@ -15,7 +15,7 @@ import numpy as np
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad.campaign import MovesByHand
 from bayescal_models.gyro_triad.simulator import BASELINE, MEMBER_COUNTS
-from bayescal_models.triad.simulator import axis_matrix, member_sizes
+from bayescal_models.triad.simulator import axis_matrix, expand_sizes
 
 EARTH_RATE_DEG_S = 15.041 / 3600  # °/s
 HAND_SHAKE_G = 0.1  # g, amplitude scale of the hand's acceleration during rotations
@@ -44,7 +44,7 @@ def simulate_log(
         ValueError: an effect that the simulator does not have.
     """
     plan, counts = campaign or MovesByHand(), {name: MEMBER_COUNTS[name] for name in EFFECT_NAMES}
-    sizes = member_sizes(effects, counts, BASELINE)
+    sizes = expand_sizes(effects, counts, BASELINE)
     rng = np.random.default_rng(seed)
     rate, force, up = _path(plan, rng)  # °/s, g
     earth_rate = np.zeros(3)

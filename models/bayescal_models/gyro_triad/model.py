@@ -36,9 +36,9 @@ from bayescal import xp
 from bayescal_models.catalogue import EffectTable, family, one
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS
 from bayescal_models.gyro_triad.campaign import Campaign
-from bayescal_models.gyro_triad.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, readings_simulator
-from bayescal_models.triad.columns import EARTH_RATE, MEAN_FORCE, MEAN_RATE, MEAN_SQUARED_RATE
+from bayescal_models.gyro_triad.simulator import simulate_columns
+from bayescal_models.simulated import ReferenceProblem, make_readings_simulator
+from bayescal_models.triad.columns import EARTH_RATES, MEAN_FORCE, MEAN_RATE, SQUARED_RATE_COLUMNS
 from bayescal_models.triad.equation import (
     AXES,
     BIAS,
@@ -47,83 +47,83 @@ from bayescal_models.triad.equation import (
     SCALE,
     SQUARE,
     UPPER,
-    axis_slots,
-    output_function,
+    build_equation,
+    make_slots,
 )
 from bayescal_models.triad.experiments import RATE_EXPERIMENTS
 from bayescal_models.triad.families import constant, drift, run_offset, tempco, thermal_lag
 
 GRAVITY_COLUMNS = tuple(f"gravity_{a}" for a in AXES)
 G_SLOTS = tuple(f"sensitivity_{a}{j}" for a in AXES for j in AXES)
-TURN = tuple(f"turn_{a}" for a in AXES)
+TURN_SLOTS = tuple(f"turn_{a}" for a in AXES)
 DIRECTION_COLUMNS = tuple(f"direction_{a}" for a in AXES)
 EARTH_COLUMNS = tuple(f"earth_{a}" for a in AXES)
-SENSING_AXIS = tuple(f"across_{a}" for a in AXES)
-MISALIGNMENTS = (*UPPER, *LOWER)
+SENSING_AXIS_COLUMNS = tuple(f"across_{a}" for a in AXES)
+MISALIGNMENT_SLOTS = (*UPPER, *LOWER)
 
 
-def _stack(values, names):
+def _stack_all(values, names):
     return xp.stack([values[name] for name in names], axis=-1)
 
 
-def _true_rate(r):
-    rate = r["rate"][..., None] * _stack(r, DIRECTION_COLUMNS)
-    return rate + _stack(r, EARTH_COLUMNS) if EARTH_COLUMNS[0] in r.columns else rate
+def _compute_true_rate(r):
+    rate = r["rate"][..., None] * _stack_all(r, DIRECTION_COLUMNS)
+    return rate + _stack_all(r, EARTH_COLUMNS) if EARTH_COLUMNS[0] in r.columns else rate
 
 
-def _output_function(slots, r):
-    outputs = output_function(slots, r)
+def _build_equation(slots, r):
+    outputs = build_equation(slots, r)
     if GRAVITY_COLUMNS[0] not in r.columns:
         return outputs
-    matrices = _stack(slots, G_SLOTS).reshape(r.size, 3, 3)
-    gravity_drift = xp.sum(matrices * _stack(r, GRAVITY_COLUMNS)[:, None, :], axis=-1)
+    matrices = _stack_all(slots, G_SLOTS).reshape(r.size, 3, 3)
+    gravity_drift = xp.sum(matrices * _stack_all(r, GRAVITY_COLUMNS)[:, None, :], axis=-1)
     return lambda rate: outputs(rate) + gravity_drift
 
 
 VECTOR = bc.Vector(
     outputs=OUTPUTS,
-    equation=_output_function,
-    acting=_true_rate,
+    equation=_build_equation,
+    acting=_compute_true_rate,
     common_scale=0.03,
-    rig=(*TURN, *EARTH_RATE),
+    rig=(*TURN_SLOTS, *EARTH_RATES),
     beside=GRAVITY_COLUMNS,
 )
 
 
-def _mean_over_move(slots, r):
+def _evaluate_move_mean(slots, r):
     """Return outputs averaged over rotations between poses, along directions fixed in space; linear in all slots."""
     identity = xp.eye(3).ravel()
     terms = (
-        (SENSING_AXIS, BIAS),
+        (SENSING_AXIS_COLUMNS, BIAS),
         (MEAN_RATE, FIRST_ORDER),
         (MEAN_FORCE, G_SLOTS),
-        (MEAN_SQUARED_RATE, SQUARE),
-        (EARTH_RATE, EARTH_RATE),
+        (SQUARED_RATE_COLUMNS, SQUARE),
+        (EARTH_RATES, EARTH_RATES),
     )
-    total = xp.sum(_stack(r, MEAN_RATE) * identity, axis=-1)
+    total = xp.sum(_stack_all(r, MEAN_RATE) * identity, axis=-1)
     for columns, slot_names in terms:
-        total = total + xp.sum(_stack(r, columns) * _stack(slots, slot_names), axis=-1)
+        total = total + xp.sum(_stack_all(r, columns) * _stack_all(slots, slot_names), axis=-1)
     return total
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     if MEAN_RATE[0] in r.columns:
-        return _mean_over_move(slots, r)
-    axis_error = xp.cross(_stack(slots, TURN), _stack(r, DIRECTION_COLUMNS))
+        return _evaluate_move_mean(slots, r)
+    axis_error = xp.cross(_stack_all(slots, TURN_SLOTS), _stack_all(r, DIRECTION_COLUMNS))
     error = r["rate"][..., None] * axis_error
-    return VECTOR.response(slots, r) + xp.sum(_stack(r, SENSING_AXIS) * error, axis=-1)
+    return VECTOR.response(slots, r) + xp.sum(_stack_all(r, SENSING_AXIS_COLUMNS) * error, axis=-1)
 
 
-def _mounting_uncertainty(r):
+def _evaluate_mounting_uncertainty(r):
     return r["pose_uncertainty"]
 
 
 SHEETS = "zero offset and (cross-axis) sensitivity in the data sheets of BMI088, ICM-20948 and ADXRS645; size assumed"
 TEMPCO = "change with temperature in the data sheets of BMI088, ICM-20948 and ADXRS645; size assumed by us"
-PACKAGE = "assumed: 1 mrad in 50 °C, for a plastic package"
+PACKAGE_SOURCE = "assumed: 1 mrad in 50 °C, for a plastic package"
 MOUNTING_ERROR = family(
-    TURN,
-    _mounting_uncertainty,
+    TURN_SLOTS,
+    _evaluate_mounting_uncertainty,
     "c[mounting]·u(mounting),  c ~ N(0, 1)",
     *("mounting", "pose_uncertainty"),
     per="mounting",
@@ -131,10 +131,10 @@ MOUNTING_ERROR = family(
 )
 G_SENSITIVITY = family(G_SLOTS, one, "Σ_j c_aj·g_j", *GRAVITY_COLUMNS, along="", varies=())
 EARTH_ROTATION = family(
-    EARTH_RATE,
+    EARTH_RATES,
     one,
     "ω_E along the axes of the body in the first pose of a run",
-    *EARTH_RATE,
+    *EARTH_RATES,
     per="run",
     varies=(),
 )
@@ -150,13 +150,13 @@ EFFECTS = EffectTable.from_rows(
     baseline=(
         ("bias.constant", constant(BIAS), 3.0, "deg/s"),
         ("scale.constant", constant(SCALE), 20000.0, "ppm"),
-        ("misalignment.constant", constant(MISALIGNMENTS), 20.0, "mrad"),
+        ("misalignment.constant", constant(MISALIGNMENT_SLOTS), 20.0, "mrad"),
         ("turn.mounting", MOUNTING_ERROR, 1.0, "1", MOUNTING_SOURCE),
     ),
     candidates=(
         ("bias.temperature", tempco(BIAS), 0.03, "deg/s/degC", TEMPCO),
         ("scale.temperature", tempco(SCALE), 200.0, "ppm/degC", TEMPCO),
-        ("misalignment.temperature", tempco(MISALIGNMENTS), 0.02, "mrad/degC", PACKAGE),
+        ("misalignment.temperature", tempco(MISALIGNMENT_SLOTS), 0.02, "mrad/degC", PACKAGE_SOURCE),
         ("bias.temperature_quadratic", tempco(BIAS, 2), 3e-4, "deg/s/degC^2", TEMPCO),
         ("bias.g_sensitivity", G_SENSITIVITY, 0.1, "deg/s/g", G_SOURCE),
         ("bias.thermal_lag", thermal_lag(BIAS), 0.03, "deg/s/degC", TEMPCO),
@@ -178,29 +178,29 @@ INSTRUMENT = bc.Instrument(
     title="three gyroscopes on a rate table and at rest: bias, scale, misalignment",
     columns=COLUMNS,
     slots=(
-        *axis_slots("deg/s", "rate"),
+        *make_slots("deg/s", "rate"),
         *(bc.Slot(n, "s/deg", f"second-order coefficient of axis {n[-1]}") for n in SQUARE),
-        *(bc.Slot(n, "rad", f"mounting error about axis {n[-1]}") for n in TURN),
+        *(bc.Slot(n, "rad", f"mounting error about axis {n[-1]}") for n in TURN_SLOTS),
         *(
             bc.Slot(n, "deg/s/g", f"g-sensitivity of axis {n[-2]} to force along {n[-1]}")
             for n in G_SLOTS
         ),
         *(
             bc.Slot(n, "deg/s", f"Earth's rotation along axis {n[-1]} of the first pose")
-            for n in EARTH_RATE
+            for n in EARTH_RATES
         ),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.03)),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     structures=(("moves", moved),),
     experiments=RATE_EXPERIMENTS,
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 # Five rates in three mountings; with hidden effects six mountings at three temperatures.
 SMALL_CAMPAIGN = Campaign(mountings=("x", "y", "z"))
 EFFECT_CAMPAIGN = Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal_models.gyro_triad.campaign import Campaign
-from bayescal_models.triad.simulator import REFERENCE, axis_bias, axis_matrix, die_lag, member_sizes
+from bayescal_models.triad.simulator import T0_DEGC, axis_bias, axis_matrix, die_lag, expand_sizes
 
 MOUNTING_SD_RAD = 1e-3  # rad, standard deviation of the mounting's rotation about each axis
 # Default coefficients of the simulated unit: bias °/s, scale ppm, misalignment mrad.
@@ -30,7 +30,7 @@ MEMBER_COUNTS = {
 }
 
 
-def simulated_columns(
+def simulate_columns(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
     """Simulate readings with hidden effects; return columns by name.
@@ -45,7 +45,7 @@ def simulated_columns(
     Raises:
         ValueError: an unknown effect, or a size that is not a finite number.
     """
-    plan, sizes = campaign or Campaign(), member_sizes(effects, MEMBER_COUNTS, BASELINE)
+    plan, sizes = campaign or Campaign(), expand_sizes(effects, MEMBER_COUNTS, BASELINE)
     rng = np.random.default_rng(seed)
     shape = (plan.runs, len(plan.mountings), len(plan.temperatures), len(plan.rates))
     run, mount, soak, dwell = np.indices(shape).reshape(4, -1)
@@ -56,7 +56,7 @@ def simulated_columns(
     errors = MOUNTING_SD_RAD * rng.standard_normal((plan.runs, len(plan.mountings), 3))[run, mount]
     up = np.array([_compute_upward_axis(mounting) for mounting in plan.mountings])[mount]
     true_axes = up + np.cross(errors, up)
-    departure, omega = (temperature - REFERENCE)[:, None], rate[:, None] * true_axes
+    departure, omega = (temperature - T0_DEGC)[:, None], rate[:, None] * true_axes
     progress = (time - time[len(time) // 2]) / max(time[-1] - time[0], 1.0)
     lag = die_lag(temperature, run, interval)
     bias = axis_bias(sizes, temperature, progress, lag, run_deviates[run])

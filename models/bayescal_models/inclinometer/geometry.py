@@ -17,7 +17,7 @@ ARCSEC = 3.14159265358979323846 / 648000  # rad
 DEGREE = 3600.0  # arcsec
 
 
-def exact_placement_angle(tilt: Any, cross: Any, xp: ModuleType) -> Any:
+def compute_placement_angle(tilt: Any, cross: Any, xp: ModuleType) -> Any:
     """Return the placement angle of an accelerometer, rad, from its tilt x and the tilt y of the other axis.
 
     ω = atan2(sin y, √(1 − sin²x − sin²y)); source 4 takes ω = y. At x = y = 30° it is 35.3°.
@@ -38,7 +38,7 @@ def are_compatible_tilts(tilt: Any, cross: Any) -> Any:
     return np.sin(tilt) ** 2 + np.sin(cross) ** 2 <= 1.0
 
 
-def sensed_sine(sine: Any, zero: Any, cosine: Any, electrical: Any, scale: Any, cross: Any) -> Any:
+def compute_sine(sine: Any, zero: Any, cosine: Any, electrical: Any, scale: Any, cross: Any) -> Any:
     """Return the sine of the reading: (1 + κ)·[sin x + cos x·zero + S_e + m·sin y], all angles in rad.
 
     Args:

@@ -59,45 +59,45 @@ from bayescal_models.catalogue import (
 )
 from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.campaign import VERIFICATION, Campaign
-from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle, sensed_sine
-from bayescal_models.inclinometer.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
+from bayescal_models.inclinometer.geometry import ARCSEC, compute_placement_angle, compute_sine
+from bayescal_models.inclinometer.simulator import simulate_columns
+from bayescal_models.simulated import ReferenceProblem, list_experiments, make_readings_simulator
 
 KNOT_ANGLES_RAD = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # knots of the spline table
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     cross_axis = slots["cross_axis"] * xp.sin(r["placement_angle"])
     rig = slots["dividing"] + slots["base_tilt"]
     if "true_angle" not in r.columns:
         return slots["zero"] + cross_axis + rig
     tilt = r["true_angle"] + ARCSEC * rig
     zero = ARCSEC * slots["zero"]
-    sine = sensed_sine(xp.sin(tilt), zero, xp.cos(tilt), 0.0, slots["scale"], ARCSEC * cross_axis)
+    sine = compute_sine(xp.sin(tilt), zero, xp.cos(tilt), 0.0, slots["scale"], ARCSEC * cross_axis)
     return xp.arcsin(xp.clip(sine, -1.0, 1.0)) / ARCSEC
 
 
 # Basis functions.
 
 
-def _angle_power(power: int, r: bc.Frame) -> Any:
+def _evaluate_power(power: int, r: bc.Frame) -> Any:
     return r["placement_angle"] ** power
 
 
-def _sweep_direction(r: bc.Frame) -> Any:
+def _evaluate_sweep_direction(r: bc.Frame) -> Any:
     return r.has_label("direction", "forward") - r.has_label("direction", "backward")
 
 
-def _inverse_cosine(r: bc.Frame) -> Any:
+def _evaluate_inverse_cosine(r: bc.Frame) -> Any:
     return 1 / xp.cos(r["true_angle"])
 
 
-def _inverse_cosine_change(r: bc.Frame) -> Any:
-    return _inverse_cosine(r) - 1
+def _evaluate_inverse_cosine_change(r: bc.Frame) -> Any:
+    return _evaluate_inverse_cosine(r) - 1
 
 
-def _placement_difference(r: bc.Frame) -> Any:
-    return exact_placement_angle(r["true_angle"], r["placement_angle"], xp) - r["placement_angle"]
+def _evaluate_placement_difference(r: bc.Frame) -> Any:
+    return compute_placement_angle(r["true_angle"], r["placement_angle"], xp) - r["placement_angle"]
 
 
 def _fourier(orders: tuple[int, ...], r: bc.Frame) -> Any:
@@ -105,12 +105,12 @@ def _fourier(orders: tuple[int, ...], r: bc.Frame) -> Any:
     return xp.stack([f(m * angle) for m in orders for f in (xp.cos, xp.sin)], axis=-1)
 
 
-def _exact_projections(r: bc.Frame) -> Any:
-    angle = exact_placement_angle(r["true_angle"], r["placement_angle"], xp)
+def _evaluate_exact_projections(r: bc.Frame) -> Any:
+    angle = compute_placement_angle(r["true_angle"], r["placement_angle"], xp)
     return xp.stack([xp.cos(angle), xp.sin(angle)], axis=-1)
 
 
-def _spline_basis(r: bc.Frame) -> Any:
+def _evaluate_spline(r: bc.Frame) -> Any:
     """Return the natural cubic cardinal splines: 1 at one knot, 0 at the others, linear outside the knots."""
     spline = CubicSpline(KNOT_ANGLES_RAD, np.eye(KNOT_ANGLES_RAD.size), bc_type="natural")
     # Truncated power basis: a line from the first knot, plus the jumps of the third derivative at the knots.
@@ -132,46 +132,46 @@ def _explain_missing_direction(readings: bc.Measurements) -> str | None:
 # of accelerometers ("axis"), devices or mountings ("run") with estimated standard deviation.
 
 
-def _per_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory:
+def _by_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory:
     return effect(basis, equation, *columns, **{"per": "axis", **fields})
 
 
-def _deviation(per: str, equation: str = "", basis: Any = one, *columns: str) -> Factory:
+def _make_deviation(per: str, equation: str = "", basis: Any = one, *columns: str) -> Factory:
     """Return a factory that creates random deviations of a group's members; constants unless a basis is given."""
     required, varies = (columns, None) if columns else ((per,), ())
     text = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
     return effect(basis, text, *required, per=per, group_sd_prior=bc.HalfNormal, varies=varies)
 
 
-def _angle_term(power: int) -> tuple[Any, ...]:
-    return partial(_angle_power, power), f"c·ω{('', '²', '³')[power - 1]}", "placement_angle"
+def _make_term(power: int) -> tuple[Any, ...]:
+    return partial(_evaluate_power, power), f"c·ω{('', '²', '³')[power - 1]}", "placement_angle"
 
 
-QUADRATIC = _per_axis(*_angle_term(2), kind="quadratic")
-HYSTERESIS = _per_axis(
-    _sweep_direction,
+QUADRATIC = _by_axis(*_make_term(2), kind="quadratic")
+HYSTERESIS = _by_axis(
+    _evaluate_sweep_direction,
     "+c in forward sweeps, −c in backward ones",
     "direction",
     varies=(),
     untestable=_explain_missing_direction,
     kind="hysteresis",
 )
-PROJECTION = _per_axis(
+PROJECTION = _by_axis(
     partial(_fourier, (1,)), "S_p·cos ω + S_d·sin ω", "placement_angle", parts=("pendulum", "door")
 )
-EXACT_PROJECTION = _per_axis(
-    _exact_projections,
+EXACT_PROJECTION = _by_axis(
+    _evaluate_exact_projections,
     "S_p·cos ω + S_d·sin ω,  ω = atan2(sin y, √(1 − sin²x − sin²y))",
     *("true_angle", "placement_angle"),
     parts=("pendulum", "door"),
 )
-PLACEMENT_DIFFERENCE = _per_axis(
-    _placement_difference,
+PLACEMENT_DIFFERENCE = _by_axis(
+    _evaluate_placement_difference,
     "c·(atan2(sin y, √(1 − sin²x − sin²y)) − y)",
     *("true_angle", "placement_angle"),
 )
-SPLINE = _per_axis(
-    _spline_basis,
+SPLINE = _by_axis(
+    _evaluate_spline,
     "natural cubic spline through deviations from the line at −45°, −30° … 45°",
     "placement_angle",
     parts=tuple(f"{k:g}" for k in np.rad2deg(KNOT_ANGLES_RAD).round()),
@@ -182,25 +182,25 @@ SPINDLE_WOBBLE = effect(
     "placement_angle",
     parts=("cos1", "sin1", "cos2", "sin2"),
 )
-CROSS_AXIS = _per_axis(one, "m·sin ω", "placement_angle", slot="cross_axis")
-ELECTRICAL_TILT = _per_axis(_inverse_cosine_change, "S_e·(1/cos x − 1)", "true_angle")
-ELECTRICAL_ZERO = _per_axis(_inverse_cosine, "S_e/cos x", "true_angle", varies=())
-BASE_DRIFT = _per_axis(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
-TEMPCO = _per_axis(centred, "c·(T − T0)", "temperature", kind="linear")
+CROSS_AXIS = _by_axis(one, "m·sin ω", "placement_angle", slot="cross_axis")
+ELECTRICAL_TILT = _by_axis(_evaluate_inverse_cosine_change, "S_e·(1/cos x − 1)", "true_angle")
+ELECTRICAL_ZERO = _by_axis(_evaluate_inverse_cosine, "S_e/cos x", "true_angle", varies=())
+BASE_DRIFT = _by_axis(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
+TEMPCO = _by_axis(centred, "c·(T − T0)", "temperature", kind="linear")
 AXIS_SLOPE, DEVICE_SLOPE = (
-    _deviation(per, _angle_term(1)[1], _angle_term(1)[0], "placement_angle")
+    _make_deviation(per, _make_term(1)[1], _make_term(1)[0], "placement_angle")
     for per in ("axis", "device")
 )
-ZERO_NOTE = "source 4: 3 to 5 mg of bias"  # 619 to 1031″
-FACE_NOTE = "source 4: face vertical within 2″"
-SLOPE_NOTE = "source 4: its two lines have 0.72 and 0.07″/deg"
+ZERO_SOURCE = "source 4: 3 to 5 mg of bias"  # 619 to 1031″
+FACE_SOURCE = "source 4: face vertical within 2″"
+SLOPE_SOURCE = "source 4: its two lines have 0.72 and 0.07″/deg"
 
 EFFECTS = EffectTable.from_rows(
     "source 4; size assumed by us",
     baseline=(
-        ("zero.constant", _per_axis(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO_NOTE),
-        ("zero.placement", _per_axis(*_angle_term(1)), 2.0, "arcsec/deg", SLOPE_NOTE),
-        ("zero.run", _deviation("run"), 2.0, "arcsec"),
+        ("zero.constant", _by_axis(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO_SOURCE),
+        ("zero.placement", _by_axis(*_make_term(1)), 2.0, "arcsec/deg", SLOPE_SOURCE),
+        ("zero.run", _make_deviation("run"), 2.0, "arcsec"),
     ),
     candidates=(
         ("zero.placement_quadratic", QUADRATIC, 0.005, "arcsec/deg^2"),
@@ -210,9 +210,9 @@ EFFECTS = EffectTable.from_rows(
         ("zero.cross_axis", CROSS_AXIS, 100.0, "arcsec"),
         ("zero.electrical_tilt", ELECTRICAL_TILT, 100.0, "arcsec"),
         ("zero.exact_placement", PLACEMENT_DIFFERENCE, 2.0, "arcsec/deg"),
-        ("scale.constant", _per_axis(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
-        ("dividing.wobble", SPINDLE_WOBBLE, 2.0, "arcsec", FACE_NOTE),
-        ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE_NOTE),
+        ("scale.constant", _by_axis(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
+        ("dividing.wobble", SPINDLE_WOBBLE, 2.0, "arcsec", FACE_SOURCE),
+        ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE_SOURCE),
         ("base_tilt.drift", BASE_DRIFT, 2.0, "arcsec"),
         # A laboratory's temperature varies too little for a cubic and too slowly for a lag, and a
         # drift of the zero is an alias of one of the base.
@@ -226,15 +226,15 @@ EFFECTS = EffectTable.from_rows(
         ),
     ),
     others=(
-        ("zero.placement_cubic", _per_axis(*_angle_term(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
+        ("zero.placement_cubic", _by_axis(*_make_term(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
         ("zero.table", SPLINE, 20.0, "arcsec"),
         ("zero.electrical", ELECTRICAL_ZERO, 1000.0, "arcsec"),
         ("zero.projection_exact", EXACT_PROJECTION, 100.0, "arcsec"),
-        ("zero.mean", effect(one, "c"), 1000.0, "arcsec", ZERO_NOTE),
-        ("zero.placement_mean", effect(*_angle_term(1)), 2.0, "arcsec/deg"),
-        ("zero.axis", _deviation("axis"), 100.0, "arcsec"),
+        ("zero.mean", effect(one, "c"), 1000.0, "arcsec", ZERO_SOURCE),
+        ("zero.placement_mean", effect(*_make_term(1)), 2.0, "arcsec/deg"),
+        ("zero.axis", _make_deviation("axis"), 100.0, "arcsec"),
         ("zero.placement_axis", AXIS_SLOPE, 1.0, "arcsec/deg"),
-        ("zero.device", _deviation("device"), 100.0, "arcsec"),
+        ("zero.device", _make_deviation("device"), 100.0, "arcsec"),
         ("zero.placement_device", DEVICE_SLOPE, 1.0, "arcsec/deg"),
     ),
 )
@@ -264,7 +264,7 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("dividing", "arcsec", "tilt of the dividing table's face"),
         bc.Slot("base_tilt", "arcsec", "tilt of the table's base"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(2.0)),
@@ -281,9 +281,9 @@ INSTRUMENT = bc.Instrument(
         ),
         ("projection, exact geometry", lambda: _model(*EXACT_NAMES, without=LINE_NAMES)),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_experiments(
-        simulated_columns,
+        simulate_columns,
         {
             "the same again": Campaign(),
             "four mountings of each axis": Campaign(runs=4),
@@ -297,7 +297,7 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 
 # ±45° by 15°, forward and backward, two mountings of each axis: 56 rows.
 TILT_EFFECTS = {"zero.electrical_tilt", "zero.exact_placement", "scale.constant"}

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayescal_models import simulated
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
-from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement_angle, sensed_sine
+from bayescal_models.inclinometer.geometry import ARCSEC, compute_placement_angle, compute_sine
 from bayescal_models.simulated import SUPPLY_V
 
 MEAN_TEMPERATURE_DEGC = 20.0  # °C
@@ -66,12 +66,10 @@ class Conditions:
         )
         self.forward, since_reversal, self.time = motion
         phase = 2 * np.pi * self.time / plan.period + PHASES[0]
-        phase_lag = (
-            2 * np.pi * HINGE_TAU_S / plan.period
-        )  # 2πτ/period: tangent of the phase lag of a first-order body
+        tangent = 2 * np.pi * HINGE_TAU_S / plan.period  # of a first-order body's phase lag
         noise = 0.01 * generators["thermometer"].standard_normal(self.time.size)
         self.thermometer = MEAN_TEMPERATURE_DEGC + plan.swing * np.sin(phase) + noise
-        self.hinge = plan.swing * np.sin(phase - np.arctan(phase_lag)) / np.hypot(1.0, phase_lag)
+        self.hinge = plan.swing * np.sin(phase - np.arctan(tangent)) / np.hypot(1.0, tangent)
         self.supply = simulated.simulate_supply(generators["supply"], self.time)
         settlement = 1 - np.exp(-(self.time - self.time.min()) / SETTLING_TAU_S)
         self.settlement = settlement / max(float(settlement.max()), 1e-300) - 0.5
@@ -79,9 +77,9 @@ class Conditions:
         dividing_errors = generators["table"].uniform(-limit, limit, self.time.size)
         self.placement = self.cross = self.placement_set + dividing_errors
         if plan.grid and plan.exact:
-            self.placement = exact_placement_angle(self.tilt, self.cross, np)
+            self.placement = compute_placement_angle(self.tilt, self.cross, np)
         self.sweep_direction = self.forward * (1 - 2 * np.exp(-since_reversal / REVERSAL_DEG))
-        self.accelerometer = self._accelerometers(generators["device"])
+        self.accelerometer = self._draw_accelerometers(generators["device"])
         self.share = self.accelerometer.share
         _, codes = np.unique(self.run, return_inverse=True)
         start_times = np.array([self.time[codes == k].min() for k in range(codes.max() + 1)])
@@ -89,7 +87,7 @@ class Conditions:
         deviates = generators["run"].standard_normal(codes.max() + 1)
         self.mounting_deviation = plan.repeatability * deviates[codes]
 
-    def _accelerometers(self, generator: np.random.Generator) -> Accelerometer:
+    def _draw_accelerometers(self, generator: np.random.Generator) -> Accelerometer:
         by_axis = dict(self.plan.axes)
         parameters = [by_axis[axis] for axis in self.axis]
         fields = {
@@ -139,42 +137,42 @@ class _Terms(NamedTuple):
     rig: Any = 0.0
 
 
-def _zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float], _Terms]:
+def _make_zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, float], _Terms]:
     return lambda test, size: _Terms(zero=test.share * size * law(test))
 
 
-def _electrical_law(test: Conditions, size: float) -> _Terms:
+def _evaluate_electrical_law(test: Conditions, size: float) -> _Terms:
     """Return the contributions of an electrical zero; the mechanical zero is reduced by the same amount."""
     return _Terms(zero=-test.share * size, electrical=test.share * size)
 
 
-def _spindle_wobble(test: Conditions) -> np.ndarray:
+def _evaluate_spindle_wobble(test: Conditions) -> np.ndarray:
     """Return the wobble of the spindle axis: first and second harmonics, sines and cosines of amplitude 1."""
     return np.sqrt(2.0) * (np.cos(test.cross - np.pi / 4) + np.cos(2 * test.cross - np.pi / 4))
 
 
 _LAWS: dict[str, Callable[[Conditions, float], _Terms]] = {
-    "zero.placement_quadratic": _zero_law(lambda test: np.rad2deg(test.placement) ** 2),
-    "zero.projection": _zero_law(lambda test: np.cos(test.placement) + np.sin(test.placement)),
-    "zero.temperature": _zero_law(lambda test: test.hinge),
-    "zero.temperature_quadratic": _zero_law(lambda test: test.hinge**2),
-    "zero.warm_up": _zero_law(lambda test: test.warm_up_deficit),
-    "zero.supply": _zero_law(lambda test: test.supply - SUPPLY_V),
-    "zero.temperature_x_supply": _zero_law(lambda test: test.hinge * (test.supply - SUPPLY_V)),
-    "zero.hysteresis": _zero_law(lambda test: test.sweep_direction),
+    "zero.placement_quadratic": _make_zero_law(lambda test: np.rad2deg(test.placement) ** 2),
+    "zero.projection": _make_zero_law(lambda test: np.cos(test.placement) + np.sin(test.placement)),
+    "zero.temperature": _make_zero_law(lambda test: test.hinge),
+    "zero.temperature_quadratic": _make_zero_law(lambda test: test.hinge**2),
+    "zero.warm_up": _make_zero_law(lambda test: test.warm_up_deficit),
+    "zero.supply": _make_zero_law(lambda test: test.supply - SUPPLY_V),
+    "zero.temperature_x_supply": _make_zero_law(lambda test: test.hinge * (test.supply - SUPPLY_V)),
+    "zero.hysteresis": _make_zero_law(lambda test: test.sweep_direction),
     "zero.cross_axis": lambda test, size: _Terms(cross_axis=test.share * size * np.sin(test.cross)),
-    "zero.electrical_tilt": _electrical_law,
-    "zero.exact_placement": _zero_law(
-        lambda test: np.rad2deg(exact_placement_angle(test.tilt, test.cross, np) - test.cross)
+    "zero.electrical_tilt": _evaluate_electrical_law,
+    "zero.exact_placement": _make_zero_law(
+        lambda test: np.rad2deg(compute_placement_angle(test.tilt, test.cross, np) - test.cross)
     ),
     "scale.constant": lambda test, size: _Terms(scale=test.share * size),
-    "dividing.wobble": lambda test, size: _Terms(rig=size * _spindle_wobble(test)),
+    "dividing.wobble": lambda test, size: _Terms(rig=size * _evaluate_spindle_wobble(test)),
     "dividing.face": lambda test, size: _Terms(rig=size),
     "base_tilt.drift": lambda test, size: _Terms(rig=size * test.settlement),
 }
 
 
-def simulated_columns(
+def simulate_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
     """Simulate a campaign with hidden effects; return columns by name, in the instrument's units.
@@ -222,7 +220,7 @@ def _compute_output(test: Conditions, effects: Mapping[str, float]) -> np.ndarra
         parts = zip(total, _LAWS[name](test, size), strict=True)
         total = _Terms(*(subtotal + term for subtotal, term in parts))
     tilt = test.tilt + ARCSEC * total.rig
-    sine = sensed_sine(
+    sine = compute_sine(
         np.sin(tilt),
         ARCSEC * total.zero,
         np.cos(tilt),

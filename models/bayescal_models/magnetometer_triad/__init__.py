@@ -4,7 +4,7 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, pose_columns, triple
+from bayescal_models.triad.columns import SESSION, declare_pose_columns, triple
 
 COLUMNS = (
     *SESSION,
@@ -17,7 +17,7 @@ COLUMNS = (
         required=False,
     ),
     *triple("direction", "1", "field direction along axis {axis}, if known", required=False),
-    *pose_columns("uT"),
+    *declare_pose_columns("uT"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

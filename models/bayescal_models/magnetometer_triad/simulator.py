@@ -12,4 +12,4 @@ BASELINE = {
 EXCLUDED_EFFECTS = ("square.constant", "cross.constant", "cube.constant", "bias.thermal_lag")
 EFFECTS = tuple(name for name in MEMBER_COUNTS if name not in EXCLUDED_EFFECTS)
 
-simulated_columns = make_pose_simulator(BASELINE, EFFECTS, 1.0, Campaign)
+simulate_columns = make_pose_simulator(BASELINE, EFFECTS, 1.0, Campaign)

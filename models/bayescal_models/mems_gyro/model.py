@@ -29,26 +29,26 @@ from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, EffectTable, centred, effect, one
 from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, THERMOMETER_SD, VOLTAGE_STEP
 from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.resonance import constant_amplitude_change, constant_force_change
-from bayescal_models.mems_gyro.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
+from bayescal_models.mems_gyro.resonance import compute_amplitude_law, compute_force_law
+from bayescal_models.mems_gyro.simulator import simulate_columns
+from bayescal_models.simulated import ReferenceProblem, list_experiments, make_readings_simulator
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     rate = r["rate_input"] if "rate_input" in r.columns else 0.0
     return slots["bias"] + (1 + slots["scale"]) * rate
 
 
-def _board_departure(r):
+def _evaluate_board_departure(r):
     return r.centred("board_temperature")
 
 
-def _constant_amplitude(r, k_drive, k_sense, ratio, quality):
-    return constant_amplitude_change(r.centred(), k_drive, k_sense, ratio, quality)
+def _evaluate_amplitude_law(r, k_drive, k_sense, ratio, quality):
+    return compute_amplitude_law(r.centred(), k_drive, k_sense, ratio, quality)
 
 
-def _constant_force(r, k_drive, k_sense, ratio, quality):
-    return constant_force_change(r.centred(), k_drive, k_sense, ratio, quality)
+def _evaluate_force(r, k_drive, k_sense, ratio, quality):
+    return compute_force_law(r.centred(), k_drive, k_sense, ratio, quality)
 
 
 MODES = (
@@ -58,13 +58,13 @@ MODES = (
     bc.Shape("quality", "1", 300.0, 30000.0),
 )
 AMPLITUDE_EFFECT = effect(
-    _constant_amplitude, "q·(D(T0)/D(T) − 1), drive amplitude held", "temperature", shapes=MODES
+    _evaluate_amplitude_law, "q·(D(T0)/D(T) − 1), drive amplitude held", "temperature", shapes=MODES
 )
 FORCE_EFFECT = effect(
-    _constant_force, "q·((1−ε_d)^−½·D(T0)/D(T) − 1), drive force held", "temperature", shapes=MODES
+    _evaluate_force, "q·((1−ε_d)^−½·D(T0)/D(T) − 1), drive force held", "temperature", shapes=MODES
 )
 LAG = catalogue.thermal_lag(MINUTE, 20 * MINUTE, 0.1, "deg/s", rate=(0.1, "deg/s/(degC/min)"))
-BOARD_EFFECT = effect(_board_departure, "c·(T_board − T_board,0)", "board_temperature")
+BOARD_EFFECT = effect(_evaluate_board_departure, "c·(T_board − T_board,0)", "board_temperature")
 SCALE_CONSTANT = effect(one, "c", "rate_input", kind="constant")
 SCALE_TEMPCO = effect(centred, "c·(T − T0)", "temperature", "rate_input")
 ELECTRONICS = "source 1 names reference voltage and electronics as possible causes; size assumed"
@@ -99,7 +99,7 @@ LINEAR, RESONANCE, RESONANCE_FORCE = (
 THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
 
 
-def _polynomial(*orders: str, with_error: bool = False) -> bc.Model:
+def _add_powers(*orders: str, with_error: bool = False) -> bc.Model:
     """Build a polynomial model of temperature, optionally with thermometer errors (errors in variables)."""
     model = INSTRUMENT.baseline()
     for order in orders:
@@ -107,12 +107,12 @@ def _polynomial(*orders: str, with_error: bool = False) -> bc.Model:
     return model + THERMOMETER if with_error else model
 
 
-def _resonance(law: bc.Effect, with_error: bool = False) -> bc.Model:
+def _build_resonance(law: bc.Effect, with_error: bool = False) -> bc.Model:
     model = INSTRUMENT.baseline() - LINEAR + law
     return model + THERMOMETER if with_error else model
 
 
-def _quantised() -> bc.Model:
+def _build_quantised() -> bc.Model:
     return INSTRUMENT.baseline().with_noise(bc.Quantised(VOLTAGE_STEP, bc.HalfCauchy(0.1)))
 
 
@@ -124,26 +124,26 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("bias", "deg/s", "zero-rate output"),
         bc.Slot("scale", "1", "relative deviation of the scale factor"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.1)),
     nominal_scale=NOMINAL_SCALE,
     structures=(
-        ("line", _polynomial),
-        ("quadratic", lambda: _polynomial("quadratic")),
-        ("cubic", lambda: _polynomial("quadratic", "cubic")),
-        ("resonance", lambda: _resonance(RESONANCE)),
-        ("resonance, force held", lambda: _resonance(RESONANCE_FORCE)),
-        ("line, thermometer error", lambda: _polynomial(with_error=True)),
-        ("quadratic, thermometer error", lambda: _polynomial("quadratic", with_error=True)),
-        ("cubic, thermometer error", lambda: _polynomial("quadratic", "cubic", with_error=True)),
-        ("resonance, thermometer error", lambda: _resonance(RESONANCE, with_error=True)),
-        ("line, voltage rounded", _quantised),
+        ("line", _add_powers),
+        ("quadratic", lambda: _add_powers("quadratic")),
+        ("cubic", lambda: _add_powers("quadratic", "cubic")),
+        ("resonance", lambda: _build_resonance(RESONANCE)),
+        ("resonance, force held", lambda: _build_resonance(RESONANCE_FORCE)),
+        ("line, thermometer error", lambda: _add_powers(with_error=True)),
+        ("quadratic, thermometer error", lambda: _add_powers("quadratic", with_error=True)),
+        ("cubic, thermometer error", lambda: _add_powers("quadratic", "cubic", with_error=True)),
+        ("resonance, thermometer error", lambda: _build_resonance(RESONANCE, with_error=True)),
+        ("line, voltage rounded", _build_quantised),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_experiments(
-        simulated_columns,
+        simulate_columns,
         {
             "the same again": Campaign(),
             "twice as many runs": Campaign(runs=6),
@@ -161,7 +161,7 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 
 
 # Over 30 to 80 °C, one reading a step: 44 rows.

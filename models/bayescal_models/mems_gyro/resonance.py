@@ -14,7 +14,7 @@ from typing import Any
 from bayescal import xp
 
 
-def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, quality: Any) -> Any:
+def compute_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, quality: Any) -> Any:
     """Return the denominator D of the sense amplitude at the drive resonance, in units of ω_d0².
 
     `D = √[(r²(1−ε_s) − (1−ε_d))² + (1−ε_d)/Q²]`, `ε = K_ET·(T−T0)` for each mode.
@@ -29,12 +29,12 @@ def resonance_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, q
     return xp.sqrt((ratio**2 * sense - drive) ** 2 + drive / quality**2)
 
 
-def constant_amplitude_change(change: Any, *modes: Any) -> Any:
+def compute_amplitude_law(change: Any, *modes: Any) -> Any:
     """Return D(T0)/D(T) − 1, the change of the zero-rate output per unit quadrature at constant drive amplitude."""
-    return resonance_denominator(0.0, *modes) / resonance_denominator(change, *modes) - 1
+    return compute_denominator(0.0, *modes) / compute_denominator(change, *modes) - 1
 
 
-def constant_force_change(change: Any, k_drive: Any, *modes: Any) -> Any:
+def compute_force_law(change: Any, k_drive: Any, *modes: Any) -> Any:
     """Return (1−ε_d)^−½·D(T0)/D(T) − 1, the change of the zero-rate output per unit quadrature at constant force."""
-    gain = 1 + constant_amplitude_change(change, k_drive, *modes)
+    gain = 1 + compute_amplitude_law(change, k_drive, *modes)
     return gain / xp.sqrt(1 - k_drive * change) - 1

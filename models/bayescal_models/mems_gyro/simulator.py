@@ -49,7 +49,7 @@ class Conditions(TimeGrid):
         run_time: time since the last power-on, s.
         powered: whether the gyro is powered.
         ambient: air temperature at the ambient thermometer, °C: low-pass of ramp-limited steps.
-        turn_on: standard normal deviate of each run, constant during the run and the pause after it.
+        run_deviates: standard normal deviate of each run, constant during the run and the pause after it.
         supply: supply voltage of the gyro, V.
         humidity: relative humidity in the chamber, %.
         run: run index of each reading, from 0, (n,).
@@ -66,7 +66,7 @@ class Conditions(TimeGrid):
         self.run_time = self.time - starts[self._run]
         self.powered = (self.run_time > 0) & (self.time <= starts[self._run] + plan.run_duration)
         self.ambient = self.low_pass(_compute_chamber_set_point(plan, self.time), plan.chamber_time)
-        self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
+        self.run_deviates = generators["run"].standard_normal(plan.runs)[self._run]
         self.supply = simulated.simulate_supply(generators["supply"], self.time)
         humidity = 45.0 + 5.0 * correlated_noise(generators["humidity"], grid_size, 2400.0, STEP_S)
         self.humidity = np.clip(humidity, 2.0, 98.0)
@@ -115,7 +115,7 @@ def _compute_chamber_set_point(plan: Campaign, time: Array) -> Array:
         if k + 1 < plan.runs and plan.pause > 0:
             starts.append(start + plan.run_duration)
             set_points.append(plan.set_points(k + 1)[0])
-    return simulated.ramp_limited_set_point(time, starts, set_points, plan.chamber_ramp)
+    return simulated.compute_ramped_set_point(time, starts, set_points, plan.chamber_ramp)
 
 
 # Laws: contribution of one unit of an effect to the output, °/s, (m,). They do not use the columns of the model's basis
@@ -165,7 +165,7 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "bias.thermal_lag_slow": lambda test: test.lag(SLOW_TAU_S),
         # stress between package and die by a glue that softens with temperature
         "bias.temperature_x_lag": lambda test: test.departure * test.lag(test.plan.lag_time),
-        "bias.hysteresis": lambda test: simulated.stick_slip_strain(test.ambient),
+        "bias.hysteresis": lambda test: simulated.compute_stick_slip_strain(test.ambient),
         "bias.supply": lambda test: test.supply - SUPPLY_V,
         "bias.temperature_x_supply": lambda test: test.departure * (test.supply - SUPPLY_V),
         # linear tempco of the 1.2 V reference on the board
@@ -173,7 +173,7 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "bias.warm_up": lambda test: 1.0 - test.low_pass(1.0 * test.powered, WARM_UP_S, start=0.0),
         "bias.drift": _evaluate_drift,
         # turn-on repeatability: an offset at each power-on, of standard deviation 1
-        "bias.run": lambda test: test.turn_on,
+        "bias.run": lambda test: test.run_deviates,
         # scale factor that depends on the package temperature: κ(T_package)·Ω, zero at rest
         "scale.temperature": lambda test: 1e-6 * (test.package - test.plan.T0) * test.rate,
         "scale.constant": lambda test: 1e-6 * test.rate,
@@ -247,7 +247,7 @@ def simulate_arrays(
     return SimulatedTest(columns, test, contributions, noise_free)
 
 
-simulated_columns = simulated.column_simulator(simulate_arrays)
+simulate_columns = simulated.column_simulator(simulate_arrays)
 
 
 def _draw_noise(

@@ -56,8 +56,8 @@ from bayescal_models.catalogue import (
 )
 from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE
 from bayescal_models.ng_accelerometer.campaign import Campaign
-from bayescal_models.ng_accelerometer.simulator import simulated_columns
-from bayescal_models.simulated import DEGREE, list_experiments, readings_simulator
+from bayescal_models.ng_accelerometer.simulator import simulate_columns
+from bayescal_models.simulated import DEGREE, list_experiments, make_readings_simulator
 
 G = 1e6  # µg
 HARMONICS = (2, 3)  # orders of rotation harmonics; the first is a base tilt
@@ -103,7 +103,7 @@ def resolve_gravity(
     return Accelerations(G * (xp.cos(fixture_tilt) * in_face + xp.sin(fixture_tilt) * n), n)
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     a, ap = resolve_gravity(
         r["tilt"],
         r["position_angle"] + slots["rotation"],
@@ -132,21 +132,21 @@ def _use_output(a, slots, r):
 # Basis functions.
 
 
-def rotation_harmonics(r: bc.Frame, factor: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
+def evaluate_harmonics(r: bc.Frame, factor: Float[Any, "n"] | float = 1.0) -> Float[Any, "n 4"]:
     """Return cos mθ and sin mθ of the table's rotation angle θ, m = 2 and 3, times `factor`."""
     angle = r["position_angle"]
     waves = [wave(m * angle) for m in HARMONICS for wave in (xp.cos, xp.sin)]
     return xp.stack(waves, axis=-1) * xp.reshape(xp.asarray(factor), (-1, 1))
 
 
-def tidal_waves(r: bc.Frame) -> Float[Any, "n 20"]:
+def evaluate_tidal_waves(r: bc.Frame) -> Float[Any, "n 20"]:
     """Return cosine and sine of every tidal constituent, for each of the two base tilt components in turn."""
     phase = [2 * xp.pi * r["time"] / (period_h * HOUR) for period_h, _ in CONSTITUENTS.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
 
 
-def temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
+def evaluate_temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
     """Return the sign of the last temperature change within the run that exceeded the dead band; 0 before the first.
 
     For readings at soaked temperature points this is the sign of the temperature difference from the previous cell.
@@ -164,15 +164,15 @@ def temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
     return xp.placed(r.order, xp.scan(advance, start, (temperature, is_run_start)))
 
 
-def _laboratory(r: bc.Frame) -> Float[Any, "n"]:
+def _centre_lab(r: bc.Frame) -> Float[Any, "n"]:
     return r.centred("lab_temperature")
 
 
-def _harmonics_times_temperature(r: bc.Frame) -> Float[Any, "n 4"]:
-    return rotation_harmonics(r, r.centred())
+def _evaluate_thermal_harmonics(r: bc.Frame) -> Float[Any, "n 4"]:
+    return evaluate_harmonics(r, r.centred())
 
 
-def _first_harmonic(r: bc.Frame) -> Float[Any, "n 2"]:
+def _evaluate_harmonic(r: bc.Frame) -> Float[Any, "n 2"]:
     return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
@@ -192,7 +192,7 @@ def _build_tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
     return bc.Effect(
         name,
         "base_tilt_parallel",
-        basis=tidal_waves,
+        basis=evaluate_tidal_waves,
         coefficients=tuple(
             bc.Coefficient(
                 unit,
@@ -221,10 +221,10 @@ CELL_EFFECT, BASE_CELL_EFFECT = (
 SETTING = effect(one, "c, added to γ like γ2⊥", "tilt", slot="base_tilt_perp", varies=())
 LAG_EFFECT = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
 HYSTERESIS_EFFECT = effect(
-    temperature_direction,
+    evaluate_temperature_direction,
     f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND_DEGC:g} °C",
     *("time", "temperature"),
-    untestable=partial(catalogue.missing_reversal, "temperature", DEAD_BAND_DEGC),
+    untestable=partial(catalogue.explain_missing_reversal, "temperature", DEAD_BAND_DEGC),
     kind="hysteresis",
 )
 RUN_TEMPCO = effect(
@@ -236,13 +236,13 @@ RUN_TEMPCO = effect(
     varies=("temperature",),
 )
 POSITION_TEMPCO = effect(
-    _harmonics_times_temperature,
+    _evaluate_thermal_harmonics,
     "(T − T0)·Σ(c·cos mθ + s·sin mθ),  m = 2, 3",
     *("position_angle", "temperature"),
     parts=HARMONIC_PARTS,
 )
 BASE_CONSTANT = _base(one, "c, one for each component", kind="constant")
-BASE_LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
+BASE_LABORATORY = _base(_centre_lab, "c·(L − L0), one c for each component", "lab_temperature")
 BASE_TEMPCO = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
 BASE_DRIFT = _base(
     progress,
@@ -254,13 +254,13 @@ BASE_DRIFT = _base(
 K2, K3, KIP = (effect(one, symbol, "position_angle") for symbol in ("K2", "K3", "Kip"))
 KIP_TEMPCO = effect(centred, "c·(T − T0)", "position_angle", "temperature")
 DIVIDING_ERROR = effect(
-    _first_harmonic,
+    _evaluate_harmonic,
     "c·cos θ + s·sin θ, dividing error of the table",
     "position_angle",
     parts=("cos", "sin"),
 )
 WOBBLE = effect(
-    rotation_harmonics,
+    evaluate_harmonics,
     "Σ(c·cos mθ + s·sin mθ),  m = 2, 3, wobble of the spindle",
     "position_angle",
     slot="fixture_tilt",
@@ -344,7 +344,7 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("rotation", "rad", "added to θ"),
         bc.Slot("gravity", "1", "relative deviation of local gravity from the assumed value"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     nuisances=(local_gravity.make_nuisance_effect("gravity"),),
@@ -360,9 +360,9 @@ INSTRUMENT = bc.Instrument(
             lambda: INSTRUMENT.baseline() + "base_tilt.lab_temperature",
         ),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_experiments(
-        simulated_columns,
+        simulate_columns,
         {
             "the same again": Campaign(),
             "twice as many runs": Campaign(runs=6),
@@ -379,4 +379,4 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug", _use_output, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)

@@ -52,15 +52,15 @@ def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
     return tilt[0], tilt[1]
 
 
-def normalised_tide(time: ArrayLike) -> tuple[Array, Array]:
+def compute_tide(time: ArrayLike) -> tuple[Array, Array]:
     """Return east and north tilt of the plumb line relative to their monthly peaks; time in s from the test's start."""
     east, north = plumb_line_tilt(TEST_START_DAY + np.asarray(time, dtype=float) / DAY_S)
-    peak = _monthly_peak()
+    peak = _compute_monthly_peak()
     return east / peak[0], north / peak[1]
 
 
 @cache
-def _monthly_peak() -> tuple[float, float]:
+def _compute_monthly_peak() -> tuple[float, float]:
     east, north = plumb_line_tilt(TEST_START_DAY + np.arange(0.0, PEAK_PERIOD_DAYS, 600.0 / DAY_S))
     return float(np.abs(east).max()), float(np.abs(north).max())
 

@@ -54,18 +54,18 @@ def _change(test: Conditions) -> Array:
     return test.device - test.plan.T0
 
 
-def _quadratic_law(test: Conditions) -> Array:
+def _evaluate_quadratic(test: Conditions) -> Array:
     """Return 2w²(cosh(ΔT/w) − 1), slightly more than ΔT², with w = `SATURATION_SCALE_DEGC`, °C²."""
     return 2 * SATURATION_SCALE_DEGC**2 * (np.cosh(_change(test) / SATURATION_SCALE_DEGC) - 1)
 
 
-def _cubic_law(test: Conditions) -> Array:
+def _evaluate_cubic(test: Conditions) -> Array:
     """Return 6w³(sinh(ΔT/w) − ΔT/w), slightly more than ΔT³, with w = `SATURATION_SCALE_DEGC`, °C³."""
     ratio = _change(test) / SATURATION_SCALE_DEGC
     return 6 * SATURATION_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
 
 
-def _fixture_expansion(test: Conditions) -> Array:
+def _evaluate_expansion(test: Conditions) -> Array:
     """Return the fixture's thermal expansion as an equivalent temperature change, °C; it is slightly nonlinear."""
     change = test.fixture - test.plan.T0
     return change + BENDING_TEMPCO * change**2
@@ -77,12 +77,12 @@ def _harmonics(test: Conditions) -> Array:
     return sum(waves) + HARMONIC_AMPLITUDE * (np.cos(4 * test.angle) + np.sin(5 * test.angle))
 
 
-def _settlement(test: Conditions) -> Array:
+def _evaluate_settlement(test: Conditions) -> Array:
     """Return the settlement of a foundation, exponential in time, from 0 to 1 over the test."""
     return np.expm1(-2 * test.elapsed_fraction) / np.expm1(-2.0)
 
 
-def _eccentricity_error(test: Conditions) -> Array:
+def _evaluate_eccentricity_error(test: Conditions) -> Array:
     """Return the angle error of an eccentrically mounted divided circle, relative to its amplitude."""
     eccentricity = np.sqrt(2) * ARCSEC
     angle = test.angle + np.pi / 4
@@ -98,7 +98,7 @@ def _ones(test: Conditions) -> Array:
     return np.ones_like(test.time)
 
 
-def _random_law(
+def _make_random(
     name: str, group: str, factor: Callable[[Conditions], Array] = _ones
 ) -> Callable[[Conditions], Array]:
     """Return a law with a standard normal deviate for each cell or run, multiplied by `factor`."""
@@ -113,22 +113,22 @@ def _random_law(
 _LAWS = {
     "bias.constant": Law("bias", "ug", _ones),
     "bias.temperature": Law("bias", "ug", _change),
-    "bias.cell": Law("bias", "ug", _random_law("bias", "cell")),
+    "bias.cell": Law("bias", "ug", _make_random("bias", "cell")),
     "scale.constant": Law("scale", "ppm", _ones),
     "scale.temperature": Law("scale", "ppm", _change),
-    "scale.cell": Law("scale", "ppm", _random_law("scale", "cell")),
+    "scale.cell": Law("scale", "ppm", _make_random("scale", "cell")),
     "fixture_tilt.constant": Law("fixture_tilt", "urad", _ones),
-    "fixture_tilt.cell": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "cell")),
+    "fixture_tilt.cell": Law("fixture_tilt", "urad", _make_random("fixture_tilt", "cell")),
     "rotation.constant": Law("rotation", "deg", _ones),
     "tilt.setting": Law("base_tilt_perp", "arcsec", _ones),
-    "bias.temperature_quadratic": Law("bias", "ug", _quadratic_law),
-    "bias.temperature_cubic": Law("bias", "ug", _cubic_law),
-    "scale.temperature_quadratic": Law("scale", "ppm", _quadratic_law),
-    "scale.temperature_cubic": Law("scale", "ppm", _cubic_law),
+    "bias.temperature_quadratic": Law("bias", "ug", _evaluate_quadratic),
+    "bias.temperature_cubic": Law("bias", "ug", _evaluate_cubic),
+    "scale.temperature_quadratic": Law("scale", "ppm", _evaluate_quadratic),
+    "scale.temperature_cubic": Law("scale", "ppm", _evaluate_cubic),
     "bias.drift": Law("bias", "ug", lambda test: np.log2(1 + test.elapsed_fraction)),  # ageing
     "bias.warm_up": Law("bias", "ug", lambda test: test.warm_up_deficit),
-    "bias.run": Law("bias", "ug", _random_law("bias", "run")),
-    "scale.run": Law("scale", "ppm", _random_law("scale", "run")),
+    "bias.run": Law("bias", "ug", _make_random("bias", "run")),
+    "scale.run": Law("scale", "ppm", _make_random("scale", "run")),
     "bias.rate": Law("bias", "ug", lambda test: test.temperature_rate),
     "bias.thermal_lag": Law("bias", "ug", lambda test: test.element - test.device),
     "bias.temperature_x_lag": Law(
@@ -137,10 +137,10 @@ _LAWS = {
     "bias.supply": Law("bias", "ug", _overvoltage),
     "bias.temperature_x_supply": Law("bias", "ug", lambda test: _change(test) * _overvoltage(test)),
     "bias.hysteresis": Law("bias", "ug", lambda test: test.direction),
-    "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture_expansion),
-    "fixture_tilt.run": Law("fixture_tilt", "urad", _random_law("fixture_tilt", "run")),
+    "fixture_tilt.temperature": Law("fixture_tilt", "urad", _evaluate_expansion),
+    "fixture_tilt.run": Law("fixture_tilt", "urad", _make_random("fixture_tilt", "run")),
     "fixture_tilt.run_temperature": Law(
-        "fixture_tilt", "urad", _random_law("fixture_tilt.temperature", "run", _fixture_expansion)
+        "fixture_tilt", "urad", _make_random("fixture_tilt.temperature", "run", _evaluate_expansion)
     ),
     "fixture_tilt.position": Law(
         "fixture_tilt", "urad", lambda test: (test.fixture - test.plan.T0) * _harmonics(test)
@@ -149,7 +149,7 @@ _LAWS = {
     "third_order": Law("third_order", "ug/mg^3", _ones),
     "cross_coupling": Law("cross_coupling", "1/g", _ones),
     "cross_coupling.temperature": Law("cross_coupling", "1/g", _change),
-    "rotation.harmonic": Law("rotation", "arcsec", _eccentricity_error),
+    "rotation.harmonic": Law("rotation", "arcsec", _evaluate_eccentricity_error),
     "rotation.wobble": Law("fixture_tilt", "arcsec", lambda test: _harmonics(test) + 0 * test.time),
 }
 # Unit and laws of the base tilt components parallel and perp.
@@ -161,10 +161,10 @@ _BASE_TILT_LAWS = {
     ),
     "base_tilt.temperature": ("urad", 2 * (lambda test: test.base - test.plan.T0,)),
     "base_tilt.tide": ("nrad", (lambda test: test.tide[0], lambda test: test.tide[1])),
-    "base_tilt.drift": ("urad", (_settlement, _settlement)),
+    "base_tilt.drift": ("urad", (_evaluate_settlement, _evaluate_settlement)),
     "base_tilt.cell": (
         "urad",
-        (_random_law("base_tilt_parallel", "cell"), _random_law("base_tilt_perp", "cell")),
+        (_make_random("base_tilt_parallel", "cell"), _make_random("base_tilt_perp", "cell")),
     ),
 }
 
@@ -228,7 +228,7 @@ def simulate_arrays(
     return SimulatedTest(columns, test, contributions, noise_free)
 
 
-simulated_columns = simulated.column_simulator(simulate_arrays)
+simulate_columns = simulated.column_simulator(simulate_arrays)
 
 
 def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:

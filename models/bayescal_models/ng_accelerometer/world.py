@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import STEP_S, Campaign, SetUp
-from bayescal_models.ng_accelerometer.moon_and_sun import DAY_S, TEST_START_DAY, normalised_tide
+from bayescal_models.ng_accelerometer.moon_and_sun import DAY_S, TEST_START_DAY, compute_tide
 from bayescal_models.simulated import (
     HOUR,
     Array,
+    apply_low_pass,
+    compute_ramped_set_point,
     correlated_noise,
-    first_order_low_pass,
-    ramp_limited_set_point,
     simulate_supply,
 )
 
@@ -70,7 +70,7 @@ class Conditions:
             cell_quantities, run_quantities: names of quantities that vary between cells, or runs.
         """
         self.plan, schedule = plan, _Schedule(plan)
-        low_pass = partial(first_order_low_pass, step=STEP_S)
+        low_pass = partial(apply_low_pass, step=STEP_S)
         grid = np.arange(0.0, schedule.end + STEP_S, STEP_S)
         readings = zip(*schedule.readings, strict=True)
         run, cell, self.point, tilt, angle, start = map(np.array, readings)
@@ -84,7 +84,7 @@ class Conditions:
         self.warm_up_deficit = np.exp(-(self.time - power_on) / WARM_UP_S)
         noise = correlated_noise(generators["chamber"], grid.size, CHAMBER_NOISE_TAU_S, STEP_S)
         starts, goals = zip(*schedule.set_points, strict=True)
-        set_point = ramp_limited_set_point(grid, starts, goals, plan.ramp)
+        set_point = compute_ramped_set_point(grid, starts, goals, plan.ramp)
         mean_air = low_pass(set_point, CHAMBER_TAU_S)
         air = mean_air + plan.chamber_wander * noise
         device = low_pass(air, DEVICE_TAU_S)
@@ -93,14 +93,14 @@ class Conditions:
         self.fixture = low_pass(air, FIXTURE_TAU_S)[index]
         self.base = low_pass(air, BASE_TAU_S)[index]
         self.temperature_rate = (np.gradient(device) * HOUR / STEP_S)[index]
-        self.direction = _hysteresis(grid, low_pass(mean_air, DEVICE_TAU_S), schedule.power)[index]
+        self.direction = _integrate(grid, low_pass(mean_air, DEVICE_TAU_S), schedule.power)[index]
         noise = correlated_noise(generators["laboratory"], grid.size, LAB_NOISE_TAU_S, STEP_S)
         daily_course = plan.laboratory_daily * np.cos(2 * np.pi * (TEST_START_DAY + grid / DAY_S))
         laboratory = plan.laboratory + plan.laboratory_wander * noise - daily_course
         self.laboratory = laboratory[index]
         self.foundation = low_pass(laboratory, LABORATORY_TAU_S)[index]
         self.supply = simulate_supply(generators["supply"], self.time)
-        self.tide = normalised_tide(self.time)
+        self.tide = compute_tide(self.time)
         draw = generators["groups"].standard_normal
         self.cell_deviates = {name: draw(cell.max() + 1)[cell][:, None] for name in cell_quantities}
         self.run_deviates = {name: draw(run.max() + 1)[run][:, None] for name in run_quantities}
@@ -142,7 +142,7 @@ class _Schedule:
         self.end = self.readings[-1][-1] + 2 * READING_S
 
 
-def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
+def _integrate(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
     """Integrate the hysteresis of a joint with friction: dh = (sign(dT) − h)·|dT|/`REVERSAL_DEGC`.
 
     It decays while the power is off. `temperature` has no chamber noise, which is too small to move a joint.

@@ -38,15 +38,15 @@ from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, POWERS, EffectTable, Factory, effect, one
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
-from bayescal_models.simulated import ReferenceProblem, list_experiments, readings_simulator
+from bayescal_models.quartz_beam_accelerometer.simulator import simulate_columns
+from bayescal_models.simulated import ReferenceProblem, list_experiments, make_readings_simulator
 
 FREQUENCY_SUM_HZ = 80_000.0  # Hz at 15 °C, nominal; assumed
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal, assumed: converts the sum to a temperature
 PLAY_DEGC = 1.0  # °C, half width of the backlash
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     a = r["acceleration"]
     return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * (PER_G * a) ** 2
 
@@ -69,7 +69,7 @@ def gradient(r: bc.Frame) -> Any:
     return r["temperature_circuit"] - r["temperature_head"]
 
 
-def _indicated_temperature(r: bc.Frame) -> Any:
+def _evaluate_indicated_temperature(r: bc.Frame) -> Any:
     """Return the temperature change that the frequency sum indicates, °C."""
     return (r["frequency_sum"] - FREQUENCY_SUM_HZ) / FREQUENCY_TEMPCO
 
@@ -78,19 +78,19 @@ def _power(quantity: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
     return quantity(r) ** order
 
 
-def _temperature_rate(column: str, r: bc.Frame) -> Any:
+def _evaluate_rate(column: str, r: bc.Frame) -> Any:
     return r.rate(column)
 
 
-def _rate_basis(quantity: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
+def _evaluate_rate_product(quantity: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
     return quantity(r) * r.rate(column)
 
 
-def _gradient_basis(quantity: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
+def _multiply_gradient(quantity: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
     return quantity(r) * gradient(r)
 
 
-def _backlash(r: bc.Frame) -> Any:
+def _evaluate_backlash(r: bc.Frame) -> Any:
     """Return the play (backlash) operator (t2 − centre)/`PLAY_DEGC`, −1 … 1, reset at the start of each run."""
     temperature = r["temperature_head"][r.order]
     is_run_start = r.step < 0
@@ -110,36 +110,36 @@ T1, T2 = T1_T2 = ("temperature_circuit", "temperature_head")
 Factories = dict[str, Factory]
 
 
-def _factories(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> Factories:
+def _make_pair(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> Factories:
     """Return the factories of one effect on bias and scale factor, by slot; the latter needs an acceleration."""
     required = {"bias": columns, "scale": (*columns, "acceleration")}
     return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in required.items()}
 
 
-def _circuit_power(n: int) -> Factories:
-    return _factories(
+def _make_circuit_power(n: int) -> Factories:
+    return _make_pair(
         partial(_power, circuit, n), f"c·(t1 − T0){POWERS[n - 1]}", *T1_T2, along=T1, kind=KINDS[n]
     )
 
 
-def _head_power(n: int) -> Factories:
-    return _factories(
+def _make_head_power(n: int) -> Factories:
+    return _make_pair(
         partial(_power, head, n), f"c·(t2 − T0){POWERS[n - 1]}", T2, along=T2, kind=KINDS[n]
     )
 
 
-def _gradient_power(n: int) -> Factories:
+def _make_gradient_power(n: int) -> Factories:
     kind = KINDS[n] if n > 1 else ""  # for n = 1 the term is linear in δt
-    return _factories(
+    return _make_pair(
         partial(_power, gradient, n), f"c·(t1 − t2){POWERS[n - 1]}", *T1_T2, kind=kind
     )
 
 
-def _sum_power(n: int) -> Factories:
+def _make_sum_power(n: int) -> Factories:
     nominal_text = f"F0 = {FREQUENCY_SUM_HZ:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
     equation = f"c·((F − F0)/F'){POWERS[n - 1]},  {nominal_text}"
-    return _factories(
-        partial(_power, _indicated_temperature, n),
+    return _make_pair(
+        partial(_power, _evaluate_indicated_temperature, n),
         equation,
         "frequency_sum",
         along=None,
@@ -147,79 +147,79 @@ def _sum_power(n: int) -> Factories:
     )
 
 
-def _rate_effect(column: str, symbol: str) -> Factories:
-    basis, along = partial(_temperature_rate, column), f"{column} rate"
-    return _factories(basis, f"c·d{symbol}/dt", "time", column, along=along, kind="rate")
+def _make_rate_effect(column: str, symbol: str) -> Factories:
+    basis, along = partial(_evaluate_rate, column), f"{column} rate"
+    return _make_pair(basis, f"c·d{symbol}/dt", "time", column, along=along, kind="rate")
 
 
-def _rate_product(quantity: Callable[[bc.Frame], Any], column: str, symbol: str) -> Factories:
-    basis = partial(_rate_basis, quantity, column)
-    return _factories(basis, f"c·({symbol} − T0)·d{symbol}/dt", "time", *T1_T2)
+def _make_rate_product(quantity: Callable[[bc.Frame], Any], column: str, symbol: str) -> Factories:
+    basis = partial(_evaluate_rate_product, quantity, column)
+    return _make_pair(basis, f"c·({symbol} − T0)·d{symbol}/dt", "time", *T1_T2)
 
 
-def _gradient_product(quantity: Callable[[bc.Frame], Any], symbol: str) -> Factories:
-    return _factories(partial(_gradient_basis, quantity), f"c·({symbol} − T0)·(t1 − t2)", *T1_T2)
+def _make_gradient_product(quantity: Callable[[bc.Frame], Any], symbol: str) -> Factories:
+    return _make_pair(partial(_multiply_gradient, quantity), f"c·({symbol} − T0)·(t1 − t2)", *T1_T2)
 
 
-def _lag_effect(start: float, unit: str, **fields: Any) -> Factory:
+def _make_lag(start: float, unit: str, **fields: Any) -> Factory:
     return catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit, column=T2, **fields)
 
 
-CONSTANT = _factories(one, "c", along=None)
-BACKLASH = _factories(
-    _backlash,
+CONSTANT = _make_pair(one, "c", along=None)
+BACKLASH = _make_pair(
+    _evaluate_backlash,
     f"c·(t2 − s)/w,  s(t2) a play operator with |t2 − s| ≤ w = {PLAY_DEGC:g} °C",
     *("time", T2),
-    untestable=partial(catalogue.missing_reversal, T2, PLAY_DEGC),
+    untestable=partial(catalogue.explain_missing_reversal, T2, PLAY_DEGC),
     along=None,
     kind="hysteresis",
 )
 
 # Rows for both slots: name, factory, size for the bias in µg, divisor of the unit, source. Sizes for the scale factor,
 # in ppm, are a tenth of these, except the constants.
-SCALE_RATIO, ASSUMED = 0.1, "assumed by us"
-CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
+SCALE_RATIO, ASSUMED_SOURCE = 0.1, "assumed by us"
+CONSTANT_SIZES = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
 # The body of the head is common to both slots, and a form of the bias's lag.
-LAGS = {"bias": _lag_effect(20.0, "ug"), "scale": _lag_effect(20.0 * SCALE_RATIO, "ppm", bodies={})}
+LAGS = {"bias": _make_lag(20.0, "ug"), "scale": _make_lag(20.0 * SCALE_RATIO, "ppm", bodies={})}
 CIRCUIT_ROWS = (
-    ("temperature_circuit", _circuit_power(1), 50.0, "/degC"),
-    ("temperature_circuit_quadratic", _circuit_power(2), 0.5, "/degC^2"),
-    ("temperature_circuit_cubic", _circuit_power(3), 0.005, "/degC^3"),
-    ("temperature_circuit_quartic", _circuit_power(4), 5e-5, "/degC^4"),
-    ("temperature_circuit_quintic", _circuit_power(5), 5e-7, "/degC^5"),
+    ("temperature_circuit", _make_circuit_power(1), 50.0, "/degC"),
+    ("temperature_circuit_quadratic", _make_circuit_power(2), 0.5, "/degC^2"),
+    ("temperature_circuit_cubic", _make_circuit_power(3), 0.005, "/degC^3"),
+    ("temperature_circuit_quartic", _make_circuit_power(4), 5e-5, "/degC^4"),
+    ("temperature_circuit_quintic", _make_circuit_power(5), 5e-7, "/degC^5"),
 )
 HEAD_ROWS = (
-    ("temperature_head", _head_power(1), 50.0, "/degC"),
-    ("temperature_head_quadratic", _head_power(2), 0.5, "/degC^2"),
-    ("temperature_head_cubic", _head_power(3), 0.005, "/degC^3"),
+    ("temperature_head", _make_head_power(1), 50.0, "/degC"),
+    ("temperature_head_quadratic", _make_head_power(2), 0.5, "/degC^2"),
+    ("temperature_head_cubic", _make_head_power(3), 0.005, "/degC^3"),
 )
 GRADIENT_ROWS = (
-    ("gradient", _gradient_power(1), 20.0, "/degC"),
-    ("gradient_quadratic", _gradient_power(2), 1.0, "/degC^2"),
-    ("gradient_cubic", _gradient_power(3), 0.1, "/degC^3"),
-    ("rate_circuit", _rate_effect(T1, "t1"), 10.0, "/(degC/min)"),
-    ("rate_head", _rate_effect(T2, "t2"), 10.0, "/(degC/min)"),
+    ("gradient", _make_gradient_power(1), 20.0, "/degC"),
+    ("gradient_quadratic", _make_gradient_power(2), 1.0, "/degC^2"),
+    ("gradient_cubic", _make_gradient_power(3), 0.1, "/degC^3"),
+    ("rate_circuit", _make_rate_effect(T1, "t1"), 10.0, "/(degC/min)"),
+    ("rate_head", _make_rate_effect(T2, "t2"), 10.0, "/(degC/min)"),
 )
 PRODUCT_ROWS = (
-    ("temperature_x_rate", _rate_product(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
-    ("temperature_x_gradient", _gradient_product(head, "t2"), 0.5, "/degC^2"),
+    ("temperature_x_rate", _make_rate_product(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient", _make_gradient_product(head, "t2"), 0.5, "/degC^2"),
 )
 CIRCUIT_PRODUCTS = (  # source 2 does not say which thermometer t is
-    ("temperature_x_rate_circuit", _rate_product(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
-    ("temperature_x_gradient_circuit", _gradient_product(circuit, "t1"), 0.5, "/degC^2"),
+    ("temperature_x_rate_circuit", _make_rate_product(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient_circuit", _make_gradient_product(circuit, "t1"), 0.5, "/degC^2"),
 )
 OTHER_ROWS = (
-    ("thermal_lag", LAGS, 20.0, "/degC", ASSUMED),
-    ("hysteresis", BACKLASH, 20.0, "", ASSUMED),
-    ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", ASSUMED),
-    ("drift", catalogue.drift, 10.0, "", ASSUMED),
-    ("run", catalogue.deviation, 20.0, "", ASSUMED),
-    ("cell", catalogue.deviation, 5.0, "", ASSUMED),
+    ("thermal_lag", LAGS, 20.0, "/degC", ASSUMED_SOURCE),
+    ("hysteresis", BACKLASH, 20.0, "", ASSUMED_SOURCE),
+    ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", ASSUMED_SOURCE),
+    ("drift", catalogue.drift, 10.0, "", ASSUMED_SOURCE),
+    ("run", catalogue.deviation, 20.0, "", ASSUMED_SOURCE),
+    ("cell", catalogue.deviation, 5.0, "", ASSUMED_SOURCE),
 )
 SUM_ROWS = (
-    ("frequency_sum", _sum_power(1), 50.0, "/degC"),
-    ("frequency_sum_quadratic", _sum_power(2), 0.5, "/degC^2"),
-    ("frequency_sum_cubic", _sum_power(3), 0.005, "/degC^3"),
+    ("frequency_sum", _make_sum_power(1), 50.0, "/degC"),
+    ("frequency_sum_quadratic", _make_sum_power(2), 0.5, "/degC^2"),
+    ("frequency_sum_cubic", _make_sum_power(3), 0.005, "/degC^3"),
 )
 K2 = effect(one, "K2·a²", "acceleration")
 
@@ -234,7 +234,7 @@ def _expand_to_slots(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
 
 EFFECTS = EffectTable.from_rows(
     "source 2; size assumed by us",
-    baseline=_expand_to_slots(("constant_head", CONSTANT, CONSTANTS, ""), *HEAD_ROWS),
+    baseline=_expand_to_slots(("constant_head", CONSTANT, CONSTANT_SIZES, ""), *HEAD_ROWS),
     candidates=(
         *_expand_to_slots(*CIRCUIT_ROWS[:3], *GRADIENT_ROWS, *PRODUCT_ROWS, *OTHER_ROWS),
         ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size assumed by us"),
@@ -249,7 +249,7 @@ EFFECTS = EffectTable.from_rows(
         ),
     ),
     others=_expand_to_slots(
-        ("constant_circuit", CONSTANT, CONSTANTS, ""),
+        ("constant_circuit", CONSTANT, CONSTANT_SIZES, ""),
         *(*CIRCUIT_ROWS[3:], *CIRCUIT_PRODUCTS, *SUM_ROWS),
     ),
 )
@@ -302,7 +302,7 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("scale", "1", "relative deviation of the scale factor from nominal"),
         bc.Slot("second_order", "ug/g^2", "K2"),
     ),
-    response=_response,
+    response=_evaluate_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(20.0)),
@@ -317,9 +317,9 @@ INSTRUMENT = bc.Instrument(
         ("two thermometers", two_thermometers),
         ("two thermometers, t1 in the products", lambda: two_thermometers("circuit")),
     ),
-    simulator=simulated_columns,
+    simulator=simulate_columns,
     experiments=list_experiments(
-        simulated_columns,
+        simulate_columns,
         {
             "the same again": Campaign(),
             "ramps of 0.5 and 4 °C/min": Campaign(
@@ -336,7 +336,7 @@ INSTRUMENT = bc.Instrument(
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
-simulate = readings_simulator(INSTRUMENT)
+simulate = make_readings_simulator(INSTRUMENT)
 # Two tumbles over five temperatures and a ramp at each of three attitudes, a reading every ten minutes.
 reference_problem = ReferenceProblem(
     INSTRUMENT,

@@ -33,11 +33,9 @@ POWER_NAMES = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadrat
 BEAM_TAU_S = 90.0  # s, lag of the beams behind the head's thermometer
 LAG_MISMATCH = 0.005  # relative difference of the two beams' lags
 KELVIN_OFFSET = 273.15
-EINSTEIN_TEMPERATURE_K = (
-    400.0  # K, of the Einstein oscillators in the quadratic law of the circuit; assumed
-)
+EINSTEIN_TEMPERATURE_K = 400.0  # K, of the oscillators in the circuit's quadratic law; assumed
 LEAKAGE_SCALE_DEGC = 80.0  # °C, temperature rise that multiplies leakage currents by e; assumed
-BOW = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
+STIFFENING_DEGC = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
 NOISE_TAU_S, LAG_TAU_S = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 RANDOM_STREAMS = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
@@ -65,7 +63,7 @@ class Truth:
     frequency_sum: Array
 
 
-def device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
+def compute_device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
     """Return the true bias, scale factor and frequency sum of the device in a test.
 
     Args:
@@ -83,14 +81,14 @@ def device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
     return Truth(test.average(bias), test.average(scale), test.average(frequency_sum))
 
 
-def _relative_frequency(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
+def _compute_frequency(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
     """Return the relative frequency change of a beam for a temperature change, °C."""
     return change * (tempco + change * (curvature + change * cubic))
 
 
 def _sum_frequencies(first: Array, second: Array) -> Array:
     curvature = -0.02e-6  # 1/°C², typical of quartz
-    low, high = (_relative_frequency(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
+    low, high = (_compute_frequency(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
     return BEAM_FREQUENCY_HZ * (2.0 + (low + high))
 
 
@@ -101,8 +99,8 @@ def _compute_beam_truth(test: Conditions) -> Truth:
     # Differences of the beams' coefficients, 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³.
     differences = (1.375e-7, 0.9e-9, 0.8e-11)
     terms = (BEAM_TEMPCO, -0.02e-6, 0.0)
-    f_pulled = _relative_frequency(first, *(c + u for c, u in zip(terms, differences, strict=True)))
-    f_pushed = _relative_frequency(second, *terms)
+    f_pulled = _compute_frequency(first, *(c + u for c, u in zip(terms, differences, strict=True)))
+    f_pushed = _compute_frequency(second, *terms)
     delta = test.delta
     stress = 10.0 * delta * (1 + 0.01 * (test.head - test.plan.T0))
     phase = 4.0 * (test.circuit - test.plan.T0)
@@ -118,7 +116,7 @@ def _compute_beam_truth(test: Conditions) -> Truth:
     return Truth(test.average(bias), test.average(scale), test.average(frequencies))
 
 
-def _einstein(test: Conditions) -> Array:
+def _evaluate_einstein_energy(test: Conditions) -> Array:
     """Return the energy of an Einstein oscillator minus its tangent at T0, scaled to ΔT² at small ΔT, °C²."""
 
     def energy(kelvin):
@@ -130,7 +128,7 @@ def _einstein(test: Conditions) -> Array:
     return 2.0 * (energy(at + change) - energy(at) - slope * change) / curvature
 
 
-def _leakage_difference(test: Conditions) -> Array:
+def _evaluate_leakage_difference(test: Conditions) -> Array:
     """Return the difference of two leakage currents, 6w³(sinh(ΔT/w) − ΔT/w) ≈ ΔT³, °C³, w = `LEAKAGE_SCALE_DEGC`."""
     ratio = (test.circuit - test.plan.T0) / LEAKAGE_SCALE_DEGC
     return 6.0 * LEAKAGE_SCALE_DEGC**3 * (np.sinh(ratio) - ratio)
@@ -139,15 +137,15 @@ def _leakage_difference(test: Conditions) -> Array:
 LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
     {
         "temperature_circuit": lambda test: test.circuit - test.plan.T0,
-        "temperature_circuit_quadratic": _einstein,
-        "temperature_circuit_cubic": _leakage_difference,
+        "temperature_circuit_quadratic": _evaluate_einstein_energy,
+        "temperature_circuit_cubic": _evaluate_leakage_difference,
         # strain of the mount by heat flow from circuit to head
         "gradient": lambda test: test.delta,
         # bowing of a plate with a temperature gradient of either sign, which stiffens
         "gradient_quadratic": lambda test: (
-            2.0 * BOW**2 * (np.sqrt(1.0 + (test.delta / BOW) ** 2) - 1.0)
+            2.0 * STIFFENING_DEGC**2 * (np.sqrt(1.0 + (test.delta / STIFFENING_DEGC) ** 2) - 1.0)
         ),
-        "gradient_cubic": lambda test: test.delta**3 / (1.0 + (test.delta / BOW) ** 2),
+        "gradient_cubic": lambda test: test.delta**3 / (1.0 + (test.delta / STIFFENING_DEGC) ** 2),
         # strain of the circuit board by the heat flow into it: true temperature rate, °C/min
         "rate_circuit": lambda test: test.circuit_rate,
         "rate_head": lambda test: test.head_rate,
@@ -155,7 +153,7 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "temperature_x_rate": lambda test: (test.head - test.plan.T0) * test.head_rate,
         "temperature_x_gradient": lambda test: (test.head - test.plan.T0) * test.delta,
         "thermal_lag": lambda test: test.low_pass(test.head, LAG_TAU_S) - test.head,
-        "hysteresis": lambda test: simulated.stick_slip_strain(test.head),
+        "hysteresis": lambda test: simulated.compute_stick_slip_strain(test.head),
         "warm_up": lambda test: 1.0 - test.warm_up_fraction,
         # ageing, logarithmic in time, 0 to 1 over the whole test
         "drift": lambda test: np.log2(1.0 + test.time / test.time[-1]),
@@ -186,7 +184,7 @@ RANDOM: Mapping[str, Callable[[Conditions, Mapping[str, Array]], Array]] = Mappi
 """Laws of random effects: standard normal deviate of each reading's run or cell, by name without the slot."""
 
 
-def simulated_columns(
+def simulate_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
     """Simulate a campaign with hidden effects; return columns by name, in the instrument's units.
@@ -240,7 +238,7 @@ def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[C
     simulated.validate_effects(effects, names, f"a {test.plan.device!r} device")
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     test.supply = simulated.simulate_supply(generators["supply"], test.time)
-    device = device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
+    device = compute_device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
     values = {"bias": device.bias, "scale": device.scale}
     slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in values}
     for name, size in effects.items():

@@ -33,13 +33,13 @@ import bayescal as bc
 from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE
 from bayescal_models.still_sensor import COLUMNS
-from bayescal_models.still_sensor.simulator import simulated_columns
+from bayescal_models.still_sensor.simulator import simulate_columns
 
 SETTING_NAMES = {"unit", "size", "constant", "span", "pace"}
 MIN_TEMPERATURE_RANGE_DEGC = 0.1  # stability of a good chamber; less identifies no effect
 
 
-def _response(slots, r):
+def _evaluate_response(slots, r):
     return slots["bias"]
 
 
@@ -86,7 +86,7 @@ def instrument(
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
-        response=_response,
+        response=_evaluate_response,
         effects=(constant_effect, line) if span else (constant_effect,),
         candidates=(*([] if span else [line]), *candidates),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
@@ -95,7 +95,7 @@ def instrument(
             ("quadratic", lambda: sensor.baseline() + candidates[:1]),
             ("cubic", lambda: sensor.baseline() + candidates[:2]),
         ),
-        simulator=simulated_columns,
+        simulator=simulate_columns,
         use=bc.Use("input", unit, equation=_use_output),
         source="no published source",
         settings=(("unit", unit), *settings.items()),
@@ -130,12 +130,12 @@ def tailor_to_readings(readings: bc.Measurements, **settings: Any) -> bc.Instrum
         "size": size,
         "constant": float(np.hypot(median, 10 * size)),
         "span": span if span >= 0.5 * MIN_TEMPERATURE_RANGE_DEGC else 0.0,
-        "pace": _mean_temperature_rate(readings) if span else 1.0,
+        "pace": _compute_mean_temperature_rate(readings) if span else 1.0,
     }
     return instrument(**{**sizes, **settings})
 
 
-def _mean_temperature_rate(readings: bc.Measurements) -> float:
+def _compute_mean_temperature_rate(readings: bc.Measurements) -> float:
     """Return the mean absolute temperature change from minute to minute within runs, °C/min."""
     _, codes = readings.groups("run")
     total_change, minutes = 0.0, 0
@@ -150,6 +150,6 @@ def _mean_temperature_rate(readings: bc.Measurements) -> float:
 INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailor_to_readings, settings=())
 
 
-@wraps(simulated_columns)
+@wraps(simulate_columns)
 def simulate(*args: Any, unit: str = "ug", **options: Any) -> bc.Measurements:
     return instrument(unit).simulate(*args, unit=unit, **options)

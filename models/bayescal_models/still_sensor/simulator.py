@@ -13,8 +13,8 @@ import numpy as np
 
 from bayescal_models.simulated import (
     SUPPLY_V,
+    apply_low_pass,
     correlated_noise,
-    first_order_low_pass,
     needs_supply_column,
     raise_if,
     simulate_supply,
@@ -39,21 +39,21 @@ class Conditions:
         ambient: air temperature T, °C, (m,), the same in every run.
         departure: T − T0, °C, (m,), with T0 the mean of T rounded to 1 °C.
         start: start time of each run, s, (runs, 1).
-        turn_on: standard normal deviate of each run, (runs, 1).
+        run_deviates: standard normal deviate of each run, (runs, 1).
         supply: supply voltage, V, (runs, m).
     """
 
-    def __init__(self, turn_on: np.ndarray, seed: int) -> None:
+    def __init__(self, run_deviates: np.ndarray, seed: int) -> None:
         minutes, targets = np.array(RAMPS).T
         self.run_time = np.arange(60.0 * minutes[-1] + 1)
         self.ambient = self.low_pass(np.interp(self.run_time, 60 * minutes, targets), CHAMBER_TAU_S)
         self.departure = self.ambient - round(float(self.ambient.mean()))
-        self.start = np.arange(len(turn_on))[:, None] * (self.run_time[-1] + PAUSE_S)
-        self.turn_on = turn_on[:, None]
+        self.start = np.arange(len(run_deviates))[:, None] * (self.run_time[-1] + PAUSE_S)
+        self.run_deviates = run_deviates[:, None]
         self.supply = simulate_supply(np.random.default_rng([seed, 1]), self.start + self.run_time)
 
     def low_pass(self, drive: np.ndarray, time_constant: float) -> np.ndarray:
-        return first_order_low_pass(drive, time_constant, 1.0)
+        return apply_low_pass(drive, time_constant, 1.0)
 
     @property
     def rate(self) -> np.ndarray:
@@ -85,13 +85,13 @@ _LAWS: dict[str, Callable[[Conditions], np.ndarray]] = {
     "bias.hysteresis": lambda test: test.low_pass(np.sign(test.rate), REVERSAL_TAU_S),
     "bias.warm_up": lambda test: np.exp(-test.run_time / WARM_UP_S),
     "bias.drift": lambda test: test.progress,
-    "bias.run": lambda test: test.turn_on,
+    "bias.run": lambda test: test.run_deviates,
     "bias.supply": lambda test: test.supply - SUPPLY_V,
     "bias.temperature_x_supply": lambda test: test.departure * (test.supply - SUPPLY_V),
 }
 
 
-def simulated_columns(
+def simulate_columns(
     effects: Mapping[str, float] | None = None,
     *,
     seed: int,

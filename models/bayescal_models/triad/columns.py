@@ -10,8 +10,8 @@ AXES = "xyz"
 OUTPUTS = tuple(f"output_{a}" for a in AXES)
 MEAN_RATE = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
 MEAN_FORCE = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
-MEAN_SQUARED_RATE = tuple(f"squared_{a}" for a in AXES)
-EARTH_RATE = tuple(f"around_{k}" for k in "123")
+SQUARED_RATE_COLUMNS = tuple(f"squared_{a}" for a in AXES)
+EARTH_RATES = tuple(f"around_{k}" for k in "123")
 SESSION = (
     bc.Column("run", None, "label of the session", required=False),
     bc.Column("time", "s", "one origin over all runs", required=False),
@@ -52,7 +52,7 @@ def derived_columns(unit: str, across: str, axis: str, output: str) -> tuple[bc.
     )
 
 
-def move_columns(unit: str) -> tuple[bc.Column, ...]:
+def declare_move_columns(unit: str) -> tuple[bc.Column, ...]:
     """Declare basis columns for outputs averaged over a rotation between poses, along a direction fixed in space."""
     return (
         *(
@@ -65,13 +65,13 @@ def move_columns(unit: str) -> tuple[bc.Column, ...]:
         ),
         *(
             bc.Column(n, f"({unit})^2", f"rate squared times component {n[-1]}", required=False)
-            for n in MEAN_SQUARED_RATE
+            for n in SQUARED_RATE_COLUMNS
         ),
-        *(bc.Column(n, "1", "weight of Earth's rotation", required=False) for n in EARTH_RATE),
+        *(bc.Column(n, "1", "weight of Earth's rotation", required=False) for n in EARTH_RATES),
     )
 
 
-def pose_columns(unit: str) -> tuple[bc.Column, ...]:
+def declare_pose_columns(unit: str) -> tuple[bc.Column, ...]:
     """Declare the columns of poses: direction uncertainty, and magnitude or projections of the outputs."""
     return (
         bc.Column(

@@ -26,7 +26,7 @@ CUBE = tuple(f"cube_{a}" for a in AXES)
 CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
-def axis_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
+def make_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
     """Return the bias, scale factor and misalignment slots of three axes; `unit` is that of the outputs."""
     return (
         *(bc.Slot(name, unit, f"output of axis {name[-1]} at zero {input_name}") for name in BIAS),
@@ -38,7 +38,7 @@ def axis_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
+def make_higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
     """Return the slots of second- and third-order terms; `unit` is that of the input and outputs."""
     return (
         *(
@@ -56,7 +56,7 @@ def higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def output_function(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
+def build_equation(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
     """Return the function from inputs (n, 3) to outputs (n, 3), in the output unit, at given values of the slots."""
 
     def stack_slots(names: Sequence[str]) -> Any:

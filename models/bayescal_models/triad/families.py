@@ -22,7 +22,7 @@ def constant(slots: Sequence[str], equation: str = "c") -> Factory:
 def tempco(slots: Sequence[str], order: int = 1) -> Factory:
     """Return a factory that creates a temperature effect with one term c·(T − T0)^order for each slot."""
     exponent, kind = ("", "²", "³")[order - 1], ("linear", "quadratic", "cubic")[order - 1]
-    basis = partial(_departure_power, order)
+    basis = partial(_evaluate_departure_power, order)
     return family(slots, basis, f"c·(T − T0){exponent}", "temperature", kind=kind)
 
 
@@ -40,7 +40,7 @@ def run_offset(slots: Sequence[str]) -> Factory:
 def thermal_lag(slots: Sequence[str]) -> Factory:
     """Return a factory that creates a thermal lag c·(T̃ − T) of each slot, with a common time constant τ."""
     return effect(
-        partial(_lag_columns, len(slots)),
+        partial(_evaluate_lag_columns, len(slots)),
         "c·(T̃ − T),  τ·dT̃/dt = T − T̃",
         *("time", "temperature"),
         parts=[slot.partition("_")[2] for slot in slots],
@@ -50,11 +50,11 @@ def thermal_lag(slots: Sequence[str]) -> Factory:
     )
 
 
-def _departure_power(order: int, r: bc.Frame) -> Any:
+def _evaluate_departure_power(order: int, r: bc.Frame) -> Any:
     return r.centred("temperature") ** order
 
 
-def _lag_columns(count: int, r: bc.Frame, tau: Any) -> Any:
+def _evaluate_lag_columns(count: int, r: bc.Frame, tau: Any) -> Any:
     return xp.broadcast_to(r.lag(tau)[..., None], (r.size, count))
 
 

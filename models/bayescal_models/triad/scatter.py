@@ -14,21 +14,20 @@ import numpy as np
 import bayescal as bc
 
 # Column names: uncertainty of a pose's reading, and kind of reading.
-UNCERTAINTY_COLUMN, KIND = "output_uncertainty", "axis"
-NOISE_LOG_SD = (
-    1.0  # standard deviation of the logarithm: 95 % within a factor of 7; few readings outweigh it
-)
+UNCERTAINTY_COLUMN, KIND_COLUMN = "output_uncertainty", "axis"
+NOISE_LOG_SD = 1.0  # sd of the logarithm: 95 % within a factor of 7; few readings outweigh it
 
 
 def set_noise_prior(
     instrument: bc.Instrument, readings: bc.Measurements | None, scatter: float | None = None
 ) -> bc.Instrument:
-    """Return the instrument with a noise prior centred on the poses' stated uncertainties; unchanged if one is missing.
+    """Return the instrument with a noise prior centred on `scatter`; unchanged if that is None and cannot be computed.
 
     Args:
         instrument: three-axis instrument.
         readings: readings of poses.
-        scatter: prior median, in the outputs' unit; None: root mean square of the poses' stated uncertainties.
+        scatter: prior median, in the outputs' unit; None: root mean square of the poses' stated uncertainties, if all
+            poses state a positive one.
     """
     if scatter is None:
         uncertainties = _collect_stated_uncertainties(readings)
@@ -40,8 +39,10 @@ def set_noise_prior(
 
 
 def _collect_stated_uncertainties(readings: bc.Measurements | None) -> np.ndarray:
-    """Return the stated uncertainties of the magnitude readings, (n,); none if the readings have no uncertainties."""
+    """Return the stated uncertainties of the magnitude readings, (n,); empty if the readings state none."""
     if readings is None or not readings.has(UNCERTAINTY_COLUMN):
         return np.zeros(0)
-    is_magnitude = readings[KIND] == "magnitude" if readings.has(KIND) else slice(None)
-    return readings[UNCERTAINTY_COLUMN][is_magnitude]
+    selection = slice(None)
+    if readings.has(KIND_COLUMN):
+        selection = readings[KIND_COLUMN] == "magnitude"
+    return readings[UNCERTAINTY_COLUMN][selection]

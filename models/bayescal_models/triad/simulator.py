@@ -15,11 +15,11 @@ from bayescal_models.simulated import raise_if
 from bayescal_models.triad.campaign import Campaign
 
 DIE_TAU_S = 200.0  # s, time constant of the dies
-REFERENCE = 25.0  # °C, reference temperature of bias, scale and misalignment
+T0_DEGC = 25.0  # °C, reference temperature of bias, scale and misalignment
 # Factors that multiply a hidden effect's size for the effect's coefficients.
 FACTORS = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
 AXIS_PAIRS = ((0, 1), (0, 2), (1, 2))
-OFF_DIAGONAL = (*AXIS_PAIRS, (1, 0), (2, 0), (2, 1))
+OFF_DIAGONAL_INDICES = (*AXIS_PAIRS, (1, 0), (2, 0), (2, 1))
 # Effect name → number of coefficients.
 MEMBER_COUNTS = {
     **dict.fromkeys(("bias.constant", "bias.temperature", "bias.temperature_quadratic"), 3),
@@ -31,7 +31,7 @@ MEMBER_COUNTS = {
 }
 
 
-def member_sizes(
+def expand_sizes(
     effects: Mapping[str, Any] | None,
     counts: Mapping[str, int],
     baseline: Mapping[str, Any],
@@ -63,7 +63,7 @@ def axis_matrix(scale: Any, angles: Any) -> np.ndarray:
     """Return sensor matrices (…, 3, 3) from scale factor deviations (…, 3) and three or six angles (…, k), rad."""
     matrix = np.eye(3) * (1 + np.asarray(scale)[..., None])
     for k in range(np.shape(angles)[-1]):
-        matrix[..., *OFF_DIAGONAL[k]] = np.asarray(angles)[..., k]
+        matrix[..., *OFF_DIAGONAL_INDICES[k]] = np.asarray(angles)[..., k]
     return matrix
 
 
@@ -82,7 +82,7 @@ def axis_bias(
         progress: (t − t̄)/duration of the test, (n,).
         run_deviates: standard normal deviates (n, 3), constant within a run.
     """
-    departure = (temperature - REFERENCE)[:, None]
+    departure = (temperature - T0_DEGC)[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * departure
     bias = bias + sizes["bias.temperature_quadratic"] * departure**2
     bias = bias + sizes["bias.thermal_lag"] * lag[:, None]
@@ -101,7 +101,7 @@ def make_pose_simulator(
         plan: class of campaigns; an instance without options is the default campaign.
     """
 
-    def simulated_columns(
+    def simulate_columns(
         effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
     ) -> dict[str, Any]:
         """Simulate poses with hidden effects; return columns by name.
@@ -115,10 +115,10 @@ def make_pose_simulator(
         Raises:
             ValueError: an unknown effect, or a size that is not a finite number.
         """
-        sizes = member_sizes(effects, MEMBER_COUNTS, baseline, names)
+        sizes = expand_sizes(effects, MEMBER_COUNTS, baseline, names)
         return _simulate_poses(sizes, bias_unit, seed, campaign or plan())
 
-    return simulated_columns
+    return simulate_columns
 
 
 def _simulate_poses(
@@ -130,12 +130,12 @@ def _simulate_poses(
     kind, sets = campaign.kind, range(campaign.runs * len(campaign.temperatures))
     nominal = np.concatenate([draw_directions(kind, campaign.poses, rng) for _ in sets])
     angle = campaign.pose_uncertainty or 0.0
-    force = campaign.magnitude * perturb(nominal, angle, rng)
+    force = campaign.magnitude * perturb_directions(nominal, angle, rng)
     temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)
     run = np.repeat(np.arange(campaign.runs), rows_per_run)
     time = campaign.interval * np.arange(count) + 3600.0 * run
     run_deviates, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
-    departure = (temperature - REFERENCE)[:, None]
+    departure = (temperature - T0_DEGC)[:, None]
     progress = (time - time.mean()) / max(float(np.ptp(time)), 1.0)
     lag = die_lag(temperature, run, np.full(count, campaign.interval))
     bias = axis_bias(sizes, temperature, progress, lag, run_deviates[run])
@@ -204,7 +204,7 @@ def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarr
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
-def perturb(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
+def perturb_directions(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
     """Rotate directions (n, 3) by random angles with standard deviation `angle`, rad, about each cross axis."""
     perturbed = direction + angle * rng.standard_normal(direction.shape)
     return perturbed / np.linalg.norm(perturbed, axis=1)[:, None]

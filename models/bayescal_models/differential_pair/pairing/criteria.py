@@ -38,7 +38,7 @@ def ratio_variance(coefficients: Array, n_outer: int) -> Array:
     return np.where(np.isfinite(variance), variance, np.inf)
 
 
-def residual_rms(environment: Array, scale: Array, ratio: Array) -> Array:
+def compute_residual_rms(environment: Array, scale: Array, ratio: Array) -> Array:
     """Return the rms over the record of the environment left by differencing, µg, of every pair, (…, outer, inner).
 
     Args:
@@ -55,7 +55,7 @@ def residual_rms(environment: Array, scale: Array, ratio: Array) -> Array:
     return np.sqrt(np.maximum(square, 0.0)) / np.abs(divisor)
 
 
-def document_ratio(environment: Array, n_outer: int) -> Array:
+def compute_ratio_of_sums(environment: Array, n_outer: int) -> Array:
     """Return the environment ratio Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) of every pair (source 3, step 2).
 
     It is unreliable if Σu is near zero, and attributes any offset of the records to the environment.

@@ -18,8 +18,8 @@ from bayescal_models.differential_pair.environment import (
     SENSITIVITY_NAME,
     SHARED,
     SHARED_ORDERS,
-    legendre_polynomials,
-    order_names,
+    evaluate_legendre_polynomials,
+    list_order_names,
 )
 
 Array = NDArray[np.float64]
@@ -100,8 +100,8 @@ def devices_of(calibration: bc.Calibration) -> Devices:
     records = _arrange_records(readings)
     sensitivity = np.asarray(samples[SENSITIVITY_NAME])[:, records.order]
     progress = (records.time - reference["time_mean"]) / reference["time_span"]
-    basis = np.stack(legendre_polynomials(progress, SHARED_ORDERS))
-    terms = np.stack([samples[n] for n in order_names(SHARED)], axis=1)[:, :, None] * basis
+    basis = np.stack(evaluate_legendre_polynomials(progress, SHARED_ORDERS))
+    terms = np.stack([samples[n] for n in list_order_names(SHARED)], axis=1)[:, :, None] * basis
     u, higher = terms[:, :ORDERS].sum(axis=1)[:, None], terms[:, ORDERS:].sum(axis=1)[:, None]
     if "environment.temperature" in samples:
         temperature_change = readings["temperature"][records.rows] - reference["T0"]
@@ -134,7 +134,7 @@ def _draw_v(samples: Mapping[str, Array], records: _Records, basis: Array) -> tu
         zero = np.zeros(len(samples[SENSITIVITY_NAME]))
         return zero[:, None, None], zero
     share = np.asarray(samples[DEPARTURE_SHARE_NAME])
-    orders = np.stack([samples[n][:, records.order] for n in order_names(DEPARTURE)], axis=-1)
+    orders = np.stack([samples[n][:, records.order] for n in list_order_names(DEPARTURE)], axis=-1)
     return orders @ basis[:ORDERS], share * DISTURBANCE
 
 

@@ -18,9 +18,7 @@ Array = NDArray[np.float64]
 UNIT = "ug"
 WIDTH = 110  # characters per line of a remark
 PRINTED_PAIRS = 12  # pairs in the printed table
-MIN_RELATIVE_VARIATION = (
-    0.01  # relative change above which the commanded acceleration is not constant
-)
+MIN_RELATIVE_VARIATION = 0.01  # smallest relative range of a varying commanded acceleration
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,7 @@ from bayescal_models.differential_pair.pairing.pair_table import Pair, PairTable
 
 CRITERIA = ("residual", "ratio-variance", "ratio-variance-raw")
 Array = NDArray[np.float64]
-NEAR_ZERO_SDS = (
-    3.0  # standard deviations from zero below which a ratio's denominator counts as near zero
-)
+NEAR_ZERO_SDS = 3.0  # sds from zero, below which a ratio's denominator counts as near zero
 
 
 def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> PairTable:
@@ -45,7 +43,9 @@ def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> P
     devices = batch if isinstance(batch, Devices) else devices_of(batch)
     scores = evaluate_pairs(devices)
     indices = np.ndindex(scores.residual.shape[1:])
-    ranked = sorted((_pair(devices, scores, *at) for at in indices), key=partial(_rank, criterion))
+    ranked = sorted(
+        (_build_pair(devices, scores, *at) for at in indices), key=partial(_rank, criterion)
+    )
     return PairTable(
         tuple(ranked),
         ranked[0].names,
@@ -69,7 +69,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
     outer, time = devices.outer, devices.time
     ratios = devices.sensitivity[:, :outer, None] / devices.sensitivity[:, None, outer:]
     median = np.median(ratios, axis=0)
-    residual = criteria.residual_rms(devices.environment, devices.scale, median)
+    residual = criteria.compute_residual_rms(devices.environment, devices.scale, median)
     env = criteria.fit_polynomial(time, devices.environment)
     scale_deviation = devices.scale - devices.scale.mean(axis=0)  # between draws
     known = criteria.fit_polynomial(time, devices.known)
@@ -77,7 +77,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
     raw = known + (devices.sign * scale_deviation)[..., None] * commanded + env
     env_records = devices.records - devices.known
     pair_fields = {
-        "probability_residual": _count_best(residual),
+        "probability_residual": _find_fraction(residual),
         "expected_residual": residual.mean(axis=0),
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
@@ -85,7 +85,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
         ("ratio_variance", env, env_records),
         ("ratio_variance_raw", raw, devices.records),
     ):
-        pair_fields[f"probability_{name}"] = _count_best(criteria.ratio_variance(draws, outer))
+        pair_fields[f"probability_{name}"] = _find_fraction(criteria.ratio_variance(draws, outer))
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
     low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
     near_zero_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
@@ -94,7 +94,7 @@ def evaluate_pairs(devices: Devices) -> Scores:
         "low": low,
         "high": high,
         "sd": 0.5 * (upper - lower),
-        "document": criteria.document_ratio(env_records, outer),
+        "document": criteria.compute_ratio_of_sums(env_records, outer),
         "document_reliable": np.broadcast_to(np.logical_not(near_zero_sum), median.shape),
     }
     return Scores(pair_fields, ratio_fields, residual, near_zero=_is_near_zero(env[:, outer:]))
@@ -105,7 +105,7 @@ def _is_near_zero(draws: Array) -> Array:
     return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
 
-def _count_best(values: Array) -> Array:
+def _find_fraction(values: Array) -> Array:
     """Return the fraction of draws in which each pair has the smallest value, (outer, inner)."""
     count, *shape = values.shape
     best_index = np.argmin(values.reshape(count, -1), axis=1)
@@ -119,7 +119,7 @@ def _rank(criterion: str, pair: Pair) -> tuple[float, float]:
     return (-getattr(pair, f"probability_{name}"), getattr(pair, name))
 
 
-def _pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
+def _build_pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
     return Pair(
         devices.names[i],
         devices.names[devices.outer + j],
