@@ -10,7 +10,7 @@ from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
 
-class Power(Protocol):  # signature of the factories below
+class PowerFactory(Protocol):  # signature of `linear` to `quartic`
     def __call__(
         self,
         slot: str,
@@ -23,11 +23,11 @@ class Power(Protocol):  # signature of the factories below
     ) -> Effect: ...
 
 
-def _evaluate_power(column: str, order: int, r: Frame) -> Any:
-    return r.centred(column) ** order
+def _evaluate_power(column: str, order: int, frame: Frame) -> Any:
+    return frame.centred(column) ** order
 
 
-def _make_power(kind: Kind, order: int, meaning: str) -> Power:
+def _make_factory(kind: Kind, order: int, description: str) -> PowerFactory:
     suffix, exponent = ("", "") if order == 1 else (f"_{kind}", "²³⁴"[order - 2])
     divisor = "degC" if order == 1 else f"degC^{order}"
 
@@ -46,13 +46,13 @@ def _make_power(kind: Kind, order: int, meaning: str) -> Power:
         )
 
     make_effect.__name__ = make_effect.__qualname__ = kind
-    make_effect.__doc__ = f"""c·(T − T0){exponent}: {meaning}.
+    make_effect.__doc__ = f"""Return the effect c·(T − T0){exponent}: {description}.
 
     Args:
-        slot: slot that it adds to, such as "bias".
+        slot: slot that the effect adds to, such as "bias".
         size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: unit of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit over that power of the
-            column's.
+        unit: unit of c, such as "deg/s/{divisor}" or "ppm/{divisor}": the slot's unit divided by that power
+            of the column's unit.
         source: source of the size: a document, or the person who estimated it.
         column: the temperature, °C, or another numeric column in its own unit, such as "pressure". The reference value
             is the rounded mean of the temperature in the fit, or the middle of the other column's range; it is printed
@@ -64,7 +64,7 @@ def _make_power(kind: Kind, order: int, meaning: str) -> Power:
     return make_effect
 
 
-linear: Power = _make_power("linear", 1, "a straight line, in practice the tempco")
-quadratic: Power = _make_power("quadratic", 2, "curvature, symmetric about T0")
-cubic: Power = _make_power("cubic", 3, "curvature, antisymmetric about T0")
-quartic: Power = _make_power("quartic", 4, "curvature that grows towards both ends")
+linear: PowerFactory = _make_factory("linear", 1, "a straight line (temperature coefficient)")
+quadratic: PowerFactory = _make_factory("quadratic", 2, "curvature, symmetric about T0")
+cubic: PowerFactory = _make_factory("cubic", 3, "curvature, antisymmetric about T0")
+quartic: PowerFactory = _make_factory("quartic", 4, "curvature that grows towards both ends")

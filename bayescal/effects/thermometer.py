@@ -9,21 +9,21 @@ from typing import Any
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
-from bayescal.effects.constant import deviation, one
+from bayescal.effects.constant import deviation, evaluate_one
 
 
-def _evaluate_rate(column: str, r: Frame) -> Any:
-    return r.rate(column)
+def _evaluate_rate(column: str, frame: Frame) -> Any:
+    return frame.rate(column)
 
 
-def _evaluate_column(name: str, r: Frame) -> Any:
-    return r[name]
+def _evaluate_column(column: str, frame: Frame) -> Any:
+    return frame[column]
 
 
 def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: str) -> Effect:
-    """Return a correction of a column by an independent error of each reading, of known standard deviation.
+    """Return an effect that corrects a column by an independent error of each reading, of known standard deviation.
 
-    The column is corrected before any other effect uses it: the variance of each reading grows by
+    The column is corrected before any other effect uses it: the variance of each output grows by
     (∂output/∂column)²·sd². An error common to all readings is part of a constant or a scale factor.
 
     Args:
@@ -32,13 +32,13 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
         unit: unit of `sd`, "delta_degC" for a temperature; omit it for a column of standard deviations.
         source: source of the standard deviation.
 
-    Source: JCGM 100:2008, 5.1.2; of a straight line ISO/TS 28037:2010, 7.
+    Source: JCGM 100:2008, 5.1.2; for a straight line, ISO/TS 28037:2010, 7.
     """
     is_column = isinstance(sd, str)
     return Effect(
         f"{column}.reading",
         column,
-        basis=partial(_evaluate_column, sd) if is_column else one,
+        basis=partial(_evaluate_column, sd) if is_column else evaluate_one,
         coefficients=(Coefficient(unit, Normal(0.0, 1.0 if is_column else sd), per="reading"),),
         columns=(column, sd) if is_column else (column,),
         equation=f"{column}_true = {column} + e,  e ~ N(0, s²)",
@@ -47,7 +47,7 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
 
 
 def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:
-    """Return a correction of a temperature by an independent error of each reading, of known deviation `sd`, °C."""
+    """Return an effect that corrects a temperature by independent errors of known standard deviation `sd`, °C."""
     return uncertain_input(column, sd, "delta_degC", source=source)
 
 
@@ -59,13 +59,13 @@ def thermometer_offset(
     per: str = "run",
     unit: str = "delta_degC",
 ) -> Effect:
-    """Return an effect of a thermometer's offset in each run, as after re-seating; its standard deviation is estimated.
+    """Return an effect of a thermometer's offset, one per run (it is re-seated); their standard deviation is estimated.
 
     It corrects the column before any other effect uses it. If the output is linear in temperature it is collinear with
-    a deviation of the bias in each run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.
+    a deviation of the bias per run, `deviation("bias", "run")`; a nonlinearity or a second slot identifies both.
 
     Args:
-        size: scale of the half-normal prior of the standard deviation between members, in `unit`.
+        size: scale of the half-normal prior of the offsets' standard deviation, in `unit`.
         column: corrected column, of a thermometer or another instrument.
         per: group with one offset per member.
         unit: unit of the offset, that of a difference of the column.
