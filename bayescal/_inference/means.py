@@ -33,7 +33,7 @@ class Means:
     @classmethod
     def from_record(cls, record: Record, count: int) -> Means:
         """Average blocks of `count` successive readings; a block ends earlier where a run ends or a label changes."""
-        frame = record.frame.in_time()
+        frame = record.frame.sort_by_time()
         is_first = frame.step < 0
         for labels in (*frame.codes.values(), *frame.labels.values()):
             is_first[1:] |= np.diff(labels) != 0

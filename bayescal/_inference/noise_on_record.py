@@ -260,7 +260,7 @@ def normal_scores(
     law: Noise, values: Values, record: Record, residual: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
     """Transform residuals to scores that are independent standard normal under the law."""
-    frame = record.frame if law.independent else record.frame.in_time()
+    frame = record.frame if law.independent else record.frame.sort_by_time()
     variance = _sort_by_time(law, record, np.asarray(extra), 0) if np.ndim(extra) else None
     frame = add_variance(frame, variance)
     scores = law.normal_scores(_sort_by_time(law, record, residual, 0), values, frame)

@@ -75,7 +75,7 @@ class Record:
         """Return the noise law without priors and its sorted, padded columns, as arguments of compiled programs."""
         if law not in self._frames:
             frame = self.frame.select_columns(law.needs)
-            frame = programs.pad_frame(frame if law.independent else frame.in_time())
+            frame = programs.pad_frame(frame if law.independent else frame.sort_by_time())
             self._frames[law] = law.plain, frame
         return self._frames[law]
 

@@ -39,7 +39,7 @@ READING = "reading"  # the group in which each reading is a member of its own
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
 FUNCTION_FIELDS = ("basis", "weights", "untestable")  # fields of an effect that are callables
-OPEN = (0.0, math.inf)  # low, high of a shape with a plausible range estimated from the readings
+OPEN = (0.0, math.inf)  # low, high of a shape whose plausible range is estimated from the readings
 
 
 @static
@@ -52,7 +52,7 @@ class Coefficient:
         part: name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: slot that it adds to, if not the effect's slot.
         per: group with one coefficient per member: "run", "cell", "device", "axis", or a declared label column such as
-            "station"; None for a single one; "reading" for noise on an input, of known standard deviation.
+            "station"; None for a single coefficient; "reading" for noise on an input, of known standard deviation.
         group_sd: prior of the standard deviation between members, if it is estimated; None: it is the sd of `prior`.
         initial: whether it is the contribution of the initial state of a run.
     """
@@ -69,19 +69,19 @@ class Coefficient:
         set_fields(self, prior=priors.convert(self.prior), group_sd=priors.convert(self.group_sd))
         if not isinstance(self.prior, Normal | Flat | Known):
             raise ModelError(
-                f"a coefficient's prior is Normal, Flat or Known, not {_name_type(self.prior)}, since coefficients are "
-                "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); a positive "
+                f"a coefficient's prior must be Normal, Flat or Known, not {_name_type(self.prior)}, as coefficients "
+                "are integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); a positive "
                 'quantity is a shape, bayescal.Shape(…, scale="log")'
             )
         if not isinstance(self.group_sd, HalfNormal | HalfCauchy | Flat | None):
             raise ModelError(
-                f"the prior of a standard deviation between groups is HalfNormal, HalfCauchy or Flat, not "
+                f"the prior of a standard deviation between groups must be HalfNormal, HalfCauchy or Flat, not "
                 f"{_name_type(self.group_sd)}: give group_sd=HalfNormal(0.05)"
             )
         if self.group_sd is not None and self.per is None:
-            raise ValueError("a `group_sd` between groups needs a group: give `per`")
+            raise ValueError("a `group_sd` needs a group of coefficients: give `per`")
         if self.per == READING and self.group_sd is not None:
-            raise ValueError("a `group_sd` of single readings is noise: give it to the noise law")
+            raise ValueError("a `group_sd` between readings is noise: give it to the noise law")
         if self.per == READING and not isinstance(self.prior, Normal):
             message = "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
             raise ValueError(message)
@@ -92,7 +92,7 @@ class Coefficient:
 
     @property
     def known(self) -> bool:
-        """Return whether the coefficient is a constant by definition, and not estimated."""
+        """Return whether the coefficient is a constant by definition in every structure, and not estimated."""
         return isinstance(self.prior, Known) and not self.prior.averaged
 
     @property
@@ -111,15 +111,15 @@ class Coefficient:
 class Shape:
     """Nonlinear parameter of an effect, such as a lag time, a period or a ratio of frequencies.
 
-    Its prior has 95 % (or, "bounded", 100 %) of its probability between `low` and `high`.
+    Its prior has 95 % of its probability between `low` and `high` (100 % if `scale` is "bounded").
 
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
         unit: unit in which the basis receives it and in which it is reported.
-        low, high: plausible range, in `unit`; `OPEN`: estimated from the readings.
+        low, high: plausible range, in `unit`; `OPEN`: to be estimated from the readings.
         scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one, "bounded" for a
             log-uniform one: `low` and `high` are then limits by definition, outside which it is another effect.
-        ragged: whether the evidence has many local maxima, as for a period: the search starts from more points.
+        ragged: whether the evidence has many local maxima, as for a period: its maximum is sought from more points.
         shared: whether all channels of a device share its value, as for the time constant of a common body.
         own_prior: prior in place of a range: LogNormal, Normal, or a NumPyro distribution such as TruncatedNormal.
     """
@@ -141,7 +141,7 @@ class Shape:
             set_fields(self, own_prior=prior, low=low, high=high, scale=scale)
         is_positive = self.low > 0 or self.open
         if not self.low < self.high or (self.scale != "linear" and not is_positive):
-            raise ValueError(f"shape {self.name!r} needs low < high, and low > 0 unless linear")
+            raise ValueError(f"shape {self.name!r}: give low < high, and low > 0 unless linear")
 
     @property
     def open(self) -> bool:
@@ -183,7 +183,7 @@ class Effect:
 
     Attributes:
         name: canonical name, `slot.cause`.
-        slot: quantity that it adds to. A slot named after a column corrects that column first (errors in variables).
+        slot: quantity that it adds to; if the slot is a column, the effect corrects that column (errors in variables).
         basis: function of a `Frame` and, as keywords, of the shapes; one column (n,) or several (n, p),
             one for each coefficient. It gets columns in the units that the instrument declares, others in base
             units; coefficient × basis is in the slot's unit, converted between the units declared.
@@ -192,15 +192,15 @@ class Effect:
         columns: columns that the readings must have.
         equation, source: text for reports; the source is a document, data sheet, standard or script.
         varies: columns that must take more than one value for the effect to be testable.
-        weights: function of the shapes that the basis does not take, as keywords: prior sd of each coefficient ÷ size.
-        measure: shape that is the amplitude, of coefficients with standard normal priors; None: the first coefficient.
+        weights: prior standard deviations over sizes of the coefficients, a function of the shapes not in the basis.
+        measure: name of the shape that is the amplitude; None: the first coefficient is the amplitude.
         untestable: function of readings with these columns that returns why they cannot test the effect, or None.
         along: covariate, if not the first of `columns`: a column, "elapsed", or a rate ("temperature rate").
-        forms: alternative forms of the effect, which a search evaluates in its place, one at a time.
+        forms: alternative forms of the effect; a search replaces the effect by each of them in turn.
         family: name of the effect of which this is a form; empty if none.
-        general: form of which this is a special case, at one value of a shape; where that was evaluated, this is not.
-        kind: dependence on the covariate, one of `Kind`, for reports; empty if none of them.
-        frees: name of the effect of which this is a copy with a wide prior, in case its stated value is wrong.
+        general: name of the form of which this is a special case; a search does not evaluate both.
+        kind: type of dependence on the covariate, for reports; empty if it is none of `Kind`.
+        frees: name of the effect of which this is a copy with a wide prior, since its stated value may be wrong.
     """
 
     name: str
@@ -228,7 +228,7 @@ class Effect:
             coefficients=tuple(self.coefficients),
             shapes=tuple(self.shapes),
             forms=tuple(replace(form, family=self.name) for form in self.forms),
-            **{role: to_value_partial(getattr(self, role)) for role in FUNCTION_FIELDS},
+            **{name: to_value_partial(getattr(self, name)) for name in FUNCTION_FIELDS},
         )
         if not self.coefficients:
             raise ModelError(f"effect {self.name!r} has no coefficient: give at least one")
@@ -263,17 +263,17 @@ class Effect:
 
     @property
     def is_placeholder(self) -> bool:
-        """Return whether the effect is a generic dependence without a physical cause (with an amplitude shape)."""
+        """Return whether the effect is a placeholder: a generic dependence on a covariate, of unknown cause."""
         return self.measure is not None
 
     @property
     def is_reference_error(self) -> bool:
-        """Return whether the effect is the reference standard's error by its certificate, which is zero in use."""
+        """Return whether the effect is the error of the reference standard stated in its certificate; zero in use."""
         return self.name == f"{self.slot}.certificate"
 
     @property
     def unnamed(self) -> bool:
-        """Return whether the form has no physical interpretation: a curve, step or fourth power, not a line."""
+        """Return whether the form has no physical interpretation: a fourth power, or any placeholder but a line."""
         return self.kind == "quartic" or (self.is_placeholder and self.kind != "line")
 
     @property
@@ -293,14 +293,14 @@ class Effect:
 
     @property
     def averaged(self) -> Effect:
-        """Return the effect for a model average, with its known coefficients marked as zero in models without it."""
-        parts = list(self.coefficients)
+        """Return the effect for a model average: its known coefficients are zero in structures without the effect."""
+        copies = list(self.coefficients)
         for i in self.constant_indices:
-            parts[i] = replace(parts[i], prior=Known(parts[i].mean, averaged=True))
-        return replace(self, coefficients=tuple(parts)) if self.constant_indices else self
+            copies[i] = replace(copies[i], prior=Known(copies[i].mean, averaged=True))
+        return replace(self, coefficients=tuple(copies)) if self.constant_indices else self
 
     def with_open_ranges(self, low: float, high: float) -> Effect:
-        """Return the effect with (low, high) as the plausible range of shapes that have none."""
+        """Return the effect with (low, high) as the plausible range of its shapes that have none."""
         return self.with_ranges({s.name: (low, high) for s in self.shapes if s.open})
 
     @cached_property
@@ -336,18 +336,18 @@ class Effect:
 
     @property
     def measure_name(self) -> str:
-        """Return the full name of the amplitude parameter; "" if the first coefficient is the amplitude."""
+        """Return the name of the shape that is the amplitude, "effect.shape"; "" if the first coefficient is."""
         return f"{self.name}.{self.measure}" if self.measure else ""
 
     @property
     def group_sd_names(self) -> tuple[str, ...]:
-        """Return the names of the learned standard deviations between group members."""
+        """Return the names of the standard deviations between group members that are estimated."""
         learned_indices = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
         return tuple(map(self.group_sd_name, learned_indices))
 
     @property
     def unknown_names(self) -> tuple[str, ...]:
-        """Return the names of the effect's coefficients, learned standard deviations and shapes."""
+        """Return the names of the effect's coefficients, estimated group standard deviations and shapes."""
         names = (self.coefficient_name(i) for i in range(len(self.coefficients)))
         return (*names, *self.group_sd_names, *map(self.shape_name, self.shapes))
 
@@ -362,7 +362,7 @@ def _name_type(prior: Any) -> str:
 
 
 def effects_table(effects: Iterable[Effect]) -> ResultTable:
-    """Tabulate effects: coefficients, plausible size of the first, equation."""
+    """Tabulate effects: number of coefficients, plausible size of the first, equation."""
     rows = []
     for effect in effects:
         first, count = effect.coefficients[0], len(effect.coefficients)
@@ -388,16 +388,16 @@ class Basis(NamedTuple):
     effect: str
 
     def evaluate(
-        self, frame: Frame, shapes: Mapping[str, Any], batch: tuple[int, ...] = ()
+        self, frame: Frame, shapes: Mapping[str, Any], batch_shape: tuple[int, ...] = ()
     ) -> Float[Array, "*s n p"]:
-        """Evaluate the basis as a matrix of `count` columns (*batch, n, p); raise ModelError for another number.
+        """Evaluate the basis as a matrix of `count` columns (*b, n, p); raise ModelError for another number.
 
-        With NumPy, shapes may be arrays (*batch, 1): leading axes of the result.
+        With NumPy, shapes may be arrays (*b, 1), `batch_shape` being *b: the leading axes of the result.
         """
         columns = xp.asarray(self.function(frame, **shapes), dtype=float)
-        if columns.ndim < 2 + len(batch):
-            columns = xp.broadcast_to(columns, (*batch, frame.size))[..., None]
-        if columns.shape != (*batch, frame.size, self.count):
+        if columns.ndim < 2 + len(batch_shape):
+            columns = xp.broadcast_to(columns, (*batch_shape, frame.size))[..., None]
+        if columns.shape != (*batch_shape, frame.size, self.count):
             raise ModelError(
                 f"effect {self.effect!r}: its basis returned shape {columns.shape}; with {self.count} coefficient(s) "
                 f"and {frame.size} readings it must return {(frame.size, self.count)}"

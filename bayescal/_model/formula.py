@@ -29,19 +29,19 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Known, Normal
 
-MAX_CHARACTERS = 500  # of a formula: it cannot nest deeper than Python's recursion limit
+MAX_FORMULA_LENGTH = 500  # characters: it cannot nest deeper than Python's recursion limit
 MIN_NORMAL = float(np.finfo(float).tiny)  # smallest normal number
 RANGE_FACTOR = 10.0  # plausible range of a shape given by one value: value/10 to 10·value
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # units without readings
-_TOKEN = re.compile(
+_TOKEN_REGEX = re.compile(
     r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<function>[^\W\d]\w*(?=\s*\())|(?P<name>[^\W\d]\w*)"
     r"|`(?P<quoted>[^`]+)`|(?P<sign>\*\*|[-+*/^(),])|(?P<other>\S)"
 )
-_ASSIGNMENT = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
-_VALUE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_SIZE = re.compile(rf"({_VALUE})(?:\s*(?:±|\+-|\+/-)\s*({_VALUE}))?\s*(\D.*)?")
-_RANGE = re.compile(rf"({_VALUE})\s*(?:…|\.\.\.?|to|-)\s*({_VALUE})\s*(\D.*)?")
+_ASSIGNMENT_REGEX = re.compile(r"\s*([^\W\d]\w*|`[^`]+`)\s*=\s*(.*\S)\s*")
+_NUMBER_REGEX = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_SIZE_REGEX = re.compile(rf"({_NUMBER_REGEX})(?:\s*(?:±|\+-|\+/-)\s*({_NUMBER_REGEX}))?\s*(\D.*)?")
+_RANGE_REGEX = re.compile(rf"({_NUMBER_REGEX})\s*(?:…|\.\.\.?|to|-)\s*({_NUMBER_REGEX})\s*(\D.*)?")
 
 
 def _raise_to_power(base: Any, exponent: Any) -> Any:
@@ -83,7 +83,7 @@ class FormulaPart(NamedTuple):
         return self._replace(tree=("*", self.tree, other.unit.factor))
 
 
-Linear = dict[str, FormulaPart]  # linear form: coefficient → factor; "" → term without coefficient
+LinearForm = dict[str, FormulaPart]  # coefficient → factor; "" → term without coefficient
 
 
 @dataclass(frozen=True)
@@ -97,19 +97,19 @@ class Formula:
 
     @property
     def __signature__(self) -> inspect.Signature:
-        kinds = inspect.Parameter
-        keywords = [kinds(n, kinds.KEYWORD_ONLY) for n in self.shapes]
-        return inspect.Signature([kinds("r", kinds.POSITIONAL_OR_KEYWORD), *keywords])
+        parameter = inspect.Parameter
+        keywords = [parameter(n, parameter.KEYWORD_ONLY) for n in self.shapes]
+        return inspect.Signature([parameter("frame", parameter.POSITIONAL_OR_KEYWORD), *keywords])
 
-    def __call__(self, r: Frame, **shapes: Any) -> Any:
+    def __call__(self, frame: Frame, **shapes: Any) -> Any:
         values = {
-            name: factor * (r.elapsed if column == "elapsed" else r[column])
+            name: factor * (frame.elapsed if column == "elapsed" else frame[column])
             for name, column, factor in self.columns
         }
-        columns = [self._evaluate_tree(tree, r, {**values, **shapes}) for tree in self.parts]
-        return xp.stack([xp.broadcast_to(v, (r.size,)) for v in columns], axis=-1)
+        columns = [self._evaluate_tree(tree, frame, {**values, **shapes}) for tree in self.parts]
+        return xp.stack([xp.broadcast_to(v, (frame.size,)) for v in columns], axis=-1)
 
-    def _evaluate_tree(self, tree: Any, r: Frame, values: Mapping[str, Any]) -> Any:
+    def _evaluate_tree(self, tree: Any, frame: Frame, values: Mapping[str, Any]) -> Any:
         if not isinstance(tree, tuple):
             return values[tree] if isinstance(tree, str) else tree
         function, *arguments = tree
@@ -117,10 +117,10 @@ class Formula:
             name, *tau = arguments
             column, factor = next((c, f) for n, c, f in self.columns if n == name)
             if function == "rate":
-                return r.rate(column)
-            lag = factor * r.lag(values[tau[0]], column)
+                return frame.rate(column)
+            lag = factor * frame.lag(values[tau[0]], column)
             return lag if function == "lag_difference" else values[name] + lag
-        operands = [self._evaluate_tree(argument, r, values) for argument in arguments]
+        operands = [self._evaluate_tree(argument, frame, values) for argument in arguments]
         return _IMPLEMENTATIONS[function](*operands)
 
 
@@ -140,7 +140,7 @@ def effect(
 
     Names are columns of the readings, in their fixed units; any other name is an unknown. An unknown in which the
     formula is linear is a coefficient with the prior zero ± its size; any other is a shape with a plausible range.
-    Numbers added to a column are in its unit. Operators and functions: + - * / ^, brackets, exp, log, sqrt, abs, sign,
+    A number added to a column is in its unit. Operators and functions: + - * / ^, brackets, exp, log, sqrt, abs, sign,
     sin, cos, tan, tanh, min, max, step (1 above zero); `elapsed` is the time in the run. Functions of a column's
     history: rate(T) = dT/dt; body(T, tau) = T̃, the temperature of a body that follows T with τ·dT̃/dt = T − T̃, from T
     at a run's first reading; and lag_difference(T, tau) = T̃ − T.
@@ -157,32 +157,32 @@ def effect(
             each shape ("100 to 2000 s"; one value means a tenth to ten times it); column of other names.
 
     Raises:
-        InputError: the formula cannot be parsed, its units disagree, or a size is missing; with the position.
+        InputError: the formula cannot be parsed, its units disagree, or a size is missing; the message states where.
     """
-    return _TypedLine(name, formula, definitions, readings, instrument).build(source)
+    return _EffectParser(name, formula, definitions, readings, instrument).build(source)
 
 
 def _split(name: str, formula: str, values: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
-    """Split a line into effect name, formula and definitions of names; raise InputError if it has another form."""
+    """Split a line into effect name, formula and definitions by name; raise InputError if it has another form."""
     values = {n: str(v).strip() for n, v in values.items()}
     if not formula:
         name, colon, tail = name.partition(":")
         formula, *assignments = tail.split(";") if colon else ("",)
         for assignment in filter(str.strip, assignments):
-            if not (match := _ASSIGNMENT.fullmatch(assignment)):
+            if not (match := _ASSIGNMENT_REGEX.fullmatch(assignment)):
                 reason = f"effect {name!r}: {assignment.strip()!r} is not of the form s = 0.1 mV/V"
                 raise InputError(reason)
             values[match[1].strip("`")] = match[2]
     name, formula = name.strip(), formula.strip()
     if not formula or not re.fullmatch(r"[^\W\d]\w*(?:\.\w+)?", name):
         raise InputError(
-            f"effect {name[:60]!r} has no name and formula: write it as 'supply: s * (supply_voltage - 5); s = 1 mV/V'"
+            f"effect {name[:60]!r} needs a name and a formula: write 'supply: s * (supply_voltage - 5); s = 1 mV/V'"
         )
     return name, formula, values
 
 
-class _TypedLine:
-    """Parser of an effect in one line: a formula and definitions of its names; readings or instrument give units."""
+class _EffectParser:
+    """Parser of an effect: a formula, and definitions of its names; readings or instrument give the columns' units."""
 
     def __init__(
         self,
@@ -216,16 +216,16 @@ class _TypedLine:
             raise self.make_error(self.coefficients[""].start, reason)
 
     def make_error(self, start: int, reason: str) -> InputError:
-        place = f", at {self.text[start:]!r}" * (0 < start < len(self.text))
-        return InputError(f"effect {self.text!r}{place}: {reason}")
+        position_text = f", at {self.text[start:]!r}" * (0 < start < len(self.text))
+        return InputError(f"effect {self.text!r}{position_text}: {reason}")
 
     def parse_tree(self) -> ast.expr:
-        """Parse the formula to an AST whose names are keys of `names`; raise InputError at the position of a fault."""
-        if len(self.text) > MAX_CHARACTERS:
-            raise InputError(f"formula of {len(self.text)} characters; limit: {MAX_CHARACTERS}")
+        """Parse the formula to an AST whose names are keys of `names`; raise InputError with an error's position."""
+        if len(self.text) > MAX_FORMULA_LENGTH:
+            raise InputError(f"formula of {len(self.text)} characters; limit: {MAX_FORMULA_LENGTH}")
         # Names are replaced by n0, n1, …, so that Python's keywords can be column names.
         self.names, self.positions, source = dict[str, str](), list[int](), ""
-        for token in _TOKEN.finditer(self.text):
+        for token in _TOKEN_REGEX.finditer(self.text):
             kind = str(token.lastgroup)
             word, start = token[kind], token.start(kind)
             if kind == "other":
@@ -282,8 +282,8 @@ class _TypedLine:
             raise self.make_error(start, f"undefined: {reason}") from None
         return FormulaPart(value, None, start)
 
-    def to_linear(self, node: ast.expr) -> Linear:
-        """Convert an AST (syntax tree) node to a linear form Σ coefficient × factor."""
+    def to_linear(self, node: ast.expr) -> LinearForm:
+        """Convert an AST (syntax tree) node to a linear form; raise InputError if units disagree."""
         start = self.locate(node)
         match node:
             case ast.Constant():
@@ -310,8 +310,8 @@ class _TypedLine:
     def _negate(self, part: FormulaPart) -> FormulaPart:
         return self.apply("neg", part.unit, part)
 
-    def _combine(self, sign: str, a: Linear, b: Linear) -> Linear:
-        """Combine two linear forms by an arithmetic operator."""
+    def _combine(self, sign: str, a: LinearForm, b: LinearForm) -> LinearForm:
+        """Combine two linear forms by an arithmetic operator; raise InputError if coefficients multiply."""
         if sign in "+-":
             for name, part in b.items():
                 if name in a:
@@ -328,7 +328,7 @@ class _TypedLine:
         start = next(iter(a.values())).start
         if self.readings is not None and len(undefined_names) == 1 < len(coefficients):
             raise self.make_error(start, self._format_missing_column(undefined_names[0]))
-        reason = f"{' and '.join(coefficients)} are multiplied: only their product is identified"
+        reason = f"{' and '.join(coefficients)} are multiplied: only their product is identifiable"
         if self.readings is not None and undefined_names:
             reason += f". {' and '.join(map(self._format_missing_column, undefined_names))}"
         raise self.make_error(start, reason)
@@ -359,9 +359,9 @@ class _TypedLine:
     def _parse_call(self, name: str, arguments: list[ast.expr]) -> FormulaPart:
         if name in _HISTORY:
             return self._parse_history(name, *arguments)
-        a, *others = (self.to_linear(argument)[""] for argument in arguments)
-        if others:
-            return self._add_or_compare(name, a, *others)
+        a, *other_operands = (self.to_linear(argument)[""] for argument in arguments)
+        if other_operands:
+            return self._add_or_compare(name, a, *other_operands)
         unit = a.unit
         if name not in ("abs", "sqrt"):
             powers = {} if unit is None or name in ("step", "sign") else unit.powers
@@ -374,7 +374,7 @@ class _TypedLine:
         return self.apply(name, unit, a)
 
     def _parse_history(self, function: str, column_node: ast.expr, *tau: ast.expr) -> FormulaPart:
-        column, *times = (self.names.get(getattr(n, "id", "")) for n in (column_node, *tau))
+        column, *tau_names = (self.names.get(getattr(n, "id", "")) for n in (column_node, *tau))
         if column not in self.columns:
             raise self.make_error(self.locate(column_node), f"{function} takes a column name")
         unit = self.units[column] or parse("degC")
@@ -382,10 +382,10 @@ class _TypedLine:
             if unit.powers != {"K": 1.0}:
                 raise self.make_error(self.locate(column_node), "rate takes a temperature column")
             unit = unit.times(parse("s"), -1.0)
-        elif times[0] not in self.shapes or self.units[times[0]].powers != {"s": 1.0}:
+        elif tau_names[0] not in self.shapes or self.units[tau_names[0]].powers != {"s": 1.0}:
             reason = f"the second argument of {function} must be a time constant (a shape in s), such as tau"
             raise self.make_error(self.locate(tau[0]), reason)
-        return FormulaPart((function, column, *times), unit, self.locate(column_node))
+        return FormulaPart((function, column, *tau_names), unit, self.locate(column_node))
 
     def _format_missing_column(self, name: str) -> str:
         """Format the message that the readings have no numeric column of this name."""
@@ -394,7 +394,7 @@ class _TypedLine:
         return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {available})"
 
     def _match_columns(self) -> dict[str, tuple[str, str]]:
-        """Return name → (column, unit) of the names that are columns; raise InputError if absent or in another unit."""
+        """Return (column, unit) by name; raise InputError if a column is absent or its unit disagrees."""
         readings, texts = self.readings, self.definitions
         columns = self.instrument.columns if self.instrument else ()
         defaults = {c.name: c.unit for c in columns if c.name != "output"}
@@ -435,9 +435,9 @@ class _TypedLine:
             reason = f"{name!r} has no plausible range: give one, as {name} = 100 to 2000 s"
             prefix = "" if self.readings is None else f"{self._format_missing_column(name)}, and "
             raise self.make_error(self.first_positions[name], prefix + reason)
-        if match := _RANGE.fullmatch(text):
+        if match := _RANGE_REGEX.fullmatch(text):
             low, high, unit = _to_float(match[1]), _to_float(match[2]), match[3]
-        elif (match := _SIZE.fullmatch(text)) and match[2] is None and float(match[1]) > 0:
+        elif (match := _SIZE_REGEX.fullmatch(text)) and match[2] is None and float(match[1]) > 0:
             value, unit = _to_float(match[1]), match[3]
             low, high = value / RANGE_FACTOR, value * RANGE_FACTOR
         else:
@@ -449,13 +449,13 @@ class _TypedLine:
         if not (low < high and (low > 0 or is_location)):
             reason = f"{name} = {text!r}: a range needs positive, increasing limits"
             raise InputError(reason)
-        base = "1"
+        shape_unit = "1"
         if unit != "1":
-            fixed = base_unit(unit)
-            in_fixed_unit = partial(convert, difference=not is_location)
-            low, high = (float(in_fixed_unit(v, unit, fixed)) for v in (low, high))
-            base = re.sub(r"(?<!delta_)degC", "delta_degC", fixed)
-        return Shape(name, base, low, high, "log" if low > 0 else "linear")
+            fixed_unit = base_unit(unit)
+            to_fixed_unit = partial(convert, difference=not is_location)
+            low, high = (float(to_fixed_unit(v, unit, fixed_unit)) for v in (low, high))
+            shape_unit = re.sub(r"(?<!delta_)degC", "delta_degC", fixed_unit)
+        return Shape(name, shape_unit, low, high, "log" if low > 0 else "linear")
 
     def build(self, source: str) -> Effect:
         """Build the effect; prior standard deviations that are not given are estimated from the readings."""
@@ -492,7 +492,7 @@ class _TypedLine:
             return slot, self.instrument.slot(slot).unit, cause
         chosen_slot = self.instrument.slots[0]
         for name, part in self.coefficients.items():
-            size = _SIZE.fullmatch(self.definitions.get(name, ""))
+            size = _SIZE_REGEX.fullmatch(self.definitions.get(name, ""))
             if size and size[3]:
                 product = parse(size[3].strip()).times(part.unit or UNITY).powers
                 candidates = (s for s in self.instrument.slots if parse(s.unit).powers == product)
@@ -504,9 +504,9 @@ class _TypedLine:
     def _make_coefficient(
         self, name: str, unit: ParsedUnit | None, slot_unit: str | None, size: float | None
     ) -> Coefficient:
-        """Build a coefficient with its prior, in the slot's unit divided by the basis function's."""
+        """Build a coefficient with its prior; an undefined one is in the slot's unit divided by that of its factor."""
         basis_unit, definition = unit or UNITY, self.definitions.get(name)
-        suffix = name if len(self.coefficients) > 1 else ""
+        part = name if len(self.coefficients) > 1 else ""
         if definition is None:
             if size is None or slot_unit is None:
                 raise InputError(
@@ -516,9 +516,9 @@ class _TypedLine:
             divisors = (("degC" if n == "K" else n, p) for n, p in powers)
             divisors = (n if p == 1 else f"({n}^{p:g})" for n, p in divisors)
             text = "/".join([slot_unit, *divisors])
-            rounded = _to_float(f"{size / uc.coefficient_factor(text, slot_unit):.2g}")
-            return Coefficient(text, Normal(0.0, rounded), suffix)
-        if not (match := _SIZE.fullmatch(definition)):
+            rounded_size = _to_float(f"{size / uc.coefficient_factor(text, slot_unit):.2g}")
+            return Coefficient(text, Normal(0.0, rounded_size), part)
+        if not (match := _SIZE_REGEX.fullmatch(definition)):
             raise InputError(
                 f"{name} = {definition!r} is not a size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
@@ -528,12 +528,12 @@ class _TypedLine:
         if not (sd > 0 or mean):
             raise InputError(f"{name} = {definition!r}: a size must not be zero")
         product = parse(text).times(basis_unit)
-        if slot_unit is not None and product.powers != (target := parse(slot_unit)).powers:
+        if slot_unit is not None and product.powers != (required := parse(slot_unit)).powers:
             raise InputError(
-                f"effect {self.text!r}: with {name} in {text} the effect is in {product}, but its slot is in {target}: "
-                f"correct the unit of {name}"
+                f"effect {self.text!r}: with {name} in {text} the effect is in {product}, but its slot is in "
+                f"{required}: correct the unit of {name}"
             )
-        return Coefficient(text, prior, suffix)
+        return Coefficient(text, prior, part)
 
     def _format_canonical(self, name: str, coefficients: tuple[Coefficient, ...]) -> str:
         """Format the effect as one line with all sizes and units, which can be parsed without readings."""
@@ -588,15 +588,15 @@ def _find_sizes(basis: Formula, readings: Measurements, shapes: Mapping[str, Sha
     midpoints = {n: float(s.prior.value(np.float64(0.0))) for n, s in shapes.items()}
     with np.errstate(all="ignore"):  # non-finite columns are refused by `Record.require_finite`
         columns = np.asarray(basis(frame, **midpoints))
-        sizes = np.std(columns, axis=0)
+        spreads = np.std(columns, axis=0)
     output_sd = float(np.std(readings[readings.output]))
-    sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
-    return [output_sd / s if s > 0 and math.isfinite(s) else output_sd for s in sizes.tolist()]
+    spreads = np.where(spreads > 0, spreads, np.abs(columns).max(axis=0))
+    return [output_sd / s if s > 0 and math.isfinite(s) else output_sd for s in spreads.tolist()]
 
 
-def require_units(typed_effect: Effect, readings: Measurements, instrument: Instrument) -> None:
+def require_units(parsed_effect: Effect, readings: Measurements, instrument: Instrument) -> None:
     """Raise ModelError if an effect's formula was parsed for other units than those of the readings or the slot."""
-    basis = typed_effect.basis
+    basis = parsed_effect.basis
     if not isinstance(basis, Formula):
         return
     try:
@@ -606,6 +606,6 @@ def require_units(typed_effect: Effect, readings: Measurements, instrument: Inst
     assert isinstance(reparsed.basis, Formula)
     if (reparsed.basis.parts, reparsed.basis.columns) != (basis.parts, basis.columns):
         raise ModelError(
-            f"Effect {typed_effect.name!r} was defined for columns in other units than these readings have: define it "
-            f"with readings=, or state the units ({basis.text})"
+            f"Effect {parsed_effect.name!r} was defined for columns in other units than those readings have: define "
+            f"it with readings=…, or state the units ({basis.text})"
         )

@@ -26,12 +26,13 @@ from bayescal._data.records import solve_recursion
 # groups of every data set; label columns of an instrument are further groups
 GROUPS = ("run", "cell", "axis", "device")
 NEVER_STEPPED = ("output", UNCERTAINTY, "time", "temperature_point")  # not set in steps
-ROW_FIELDS = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of (n,)
+ROW_FIELDS = ("columns", "labels", "rates", "codes", "record", "path")  # dictionaries of arrays
 PATH = " path"  # suffix of a column replaced as a whole time series, as temperature by that of a lagging body
 Reference = dict[str, float | dict[str, float]]
 
 
 @renamed(only="select_columns", moved="shift_columns", reordered="reorder", silence="max_gap")
+@renamed(behind="recorded_lag", in_time="sort_by_time")
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Readings as the argument of basis functions, with all columns in the instrument's fixed units.
@@ -41,9 +42,9 @@ class Frame:
     Attributes:
         columns: measured columns, (n,) each; outputs are relative to their origin.
         labels: indicator (n,) of each label of a text column that is not a group, by "column=label": 1 or 0.
-        rates: causal slope of each column that has one, unit per second, (n,) each.
-        codes: index of each reading's group member, −1 where it belongs to none.
-        reference: scalars such as T0.
+        rates: causal slope of each temperature column, °C/s, (n,) each.
+        codes: index of each reading's member of a group (n,), by group; −1 where it belongs to none.
+        reference: reference constants of basis functions, such as T0, by name.
         order: permutation that sorts the readings by run and time.
         step: time since the previous reading of the same run, in sorted order, s; −1 at the first of a run.
         record: the columns as measured, without corrections.
@@ -70,7 +71,7 @@ class Frame:
         return self.columns[name]
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
-        """Return a column minus its reference (T − T0, or the middle of its range); ModelError if not numeric."""
+        """Return a column minus its reference value (T0, or the middle of its range); raise ModelError without one."""
         constant, low, high = reference_name(name), f"{name}_low", f"{name}_high"
         if constant in self.reference:
             return self.columns[name] - self.reference[constant]
@@ -93,14 +94,14 @@ class Frame:
         return self.labels.get(f"{name}={label}", np.zeros(self.size))
 
     def position(self, name: str) -> Float[Array, "n"]:
-        """Scale a covariate, a column or a rate such as "temperature rate", to 0 … 1 over its range at the fit."""
+        """Return a covariate (a column, or "temperature rate") scaled to 0 … 1 over its range at the fit (n,)."""
         values = self.columns[name] if name in self.columns else self.rates[strip_rate(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
-        return (values - low) / (span + (span <= 0))  # one, where it does not vary
+        return (values - low) / (span + (span <= 0))  # span 1 where it does not vary
 
     def rate(self, name: str = "temperature") -> Float[Array, "n"]:
-        """Return dT/dt, the causal least-squares slope within the run, °C/s; ModelError if not in °C."""
+        """Return dT/dt, the causal least-squares slope within the run, °C/s; raise ModelError if it has none."""
         if name not in self.rates:
             raise ModelError(
                 f"the column {name!r} has no rate: columns in [degC] have one if there is a time column (here: "
@@ -126,9 +127,9 @@ class Frame:
         to change at the gap's start; after a ramp over the gap, T̃ would lag by the rate times τ instead. T̃ is computed
         from the recorded column: a correction (the thermometer's error) changes T at its reading only.
         """
-        return self.behind(tau, name) + (self.record[name] - self.columns[name])
+        return self.recorded_lag(tau, name) + (self.record[name] - self.columns[name])
 
-    def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
+    def recorded_lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """Return the lag T̃ − T, °C, of the recorded column without corrections; equation as in `lag`."""
         values = self.record[name][self.order]
         change = xp.diff(values, prepend=values[:1])
@@ -145,7 +146,7 @@ class Frame:
 
     @cached_property
     def _distinct_steps(self) -> tuple[Float[np.ndarray, "u"], Any]:
-        """Return the distinct time steps and each reading's index among them, to evaluate exp once for each."""
+        """Return the distinct time steps and each reading's index among them, or all steps and None if most differ."""
         steps, index = np.unique(self.step, return_inverse=True)
         return (steps, index) if 2 * len(steps) < self.size else (self.step, None)
 
@@ -166,61 +167,61 @@ class Frame:
         return xp.placed(self.order, direction), xp.placed(self.order, initial_state_decay)
 
     def select_columns(self, names: Sequence[str]) -> Frame:
-        """Select columns, with their rates and reference constants; "time" implies "elapsed"; uncertainty is kept."""
+        """Return a frame of named columns and known uncertainty, with rates and constants; "time" adds "elapsed"."""
         columns = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
-        parts = {
+        arrays = {
             field: {n: values for n, values in getattr(self, field).items() if n in columns}
             for field in ("columns", "rates", "record")
         }
         prefixes = (*columns, *map(reference_name, columns))
         reference = {n: value for n, value in self.reference.items() if n.startswith(prefixes)}
-        return replace(self, **parts, labels={}, codes={}, reference=reference)
+        return replace(self, **arrays, labels={}, codes={}, reference=reference)
 
     def reorder(self, rows: Any, order: Any, step: Any) -> Frame:
         """Return a frame of selected rows; `order` and `step` are those of the frame returned."""
         sorted_arrays = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in ROW_FIELDS}
         return replace(self, **sorted_arrays, order=order, step=step)
 
-    def in_time(self) -> Frame:
+    def sort_by_time(self) -> Frame:
         """Return a frame with the readings sorted by time within runs."""
         order = self.order
         identity = xp.arange(self.size, dtype=order.dtype)
         return self.reorder(order, identity, self.step)
 
-    def shift_columns(self, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
-        """Return a frame with corrections added to measured columns; rates remain those of the record."""
+    def shift_columns(self, shifts: Mapping[str, Float[Array, "n"]]) -> Frame:
+        """Return a frame with corrections added to columns; a name with suffix `PATH` also replaces the time series."""
         columns, path = dict(self.columns), dict(self.path)
-        for name, shift in moves.items():
+        for name, shift in shifts.items():
             column = name.removesuffix(PATH)
             columns[column] = columns[column] + shift
             if column != name:
                 path[column] = self.record[column] + shift
-        return replace(self, columns=columns, path=path) if moves else self
+        return replace(self, columns=columns, path=path) if shifts else self
 
 
 when_imported(lambda: jax.tree_util.register_dataclass(Frame, [f.name for f in fields(Frame)], []))
 
 
-def run_recursion(decay: Float[Any, "*s n"], drive: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
-    """Return the states x of the linear recursion x ← decay·x + drive over the readings, from x = 0 (*s, n)."""
-    if is_traced((decay, drive)):
+def run_recursion(decay: Float[Any, "*s n"], forcing: Float[Any, "*s n"]) -> Float[Any, "*s n"]:
+    """Return the states x of the linear recursion x ← decay·x + forcing over the readings, from x = 0 (*s, n)."""
+    if is_traced((decay, forcing)):
 
         def advance(state, row):
             state = row[0] * state + row[1]
             return state, state
 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
-        return xp.scan(advance, xp.zeros_like(decay[0]), (decay, drive))
-    return solve_recursion(decay, drive)
+        return xp.scan(advance, xp.zeros_like(decay[0]), (decay, forcing))
+    return solve_recursion(decay, forcing)
 
 
-def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dict[str, np.ndarray]:
+def list_covariates(readings: Measurements, include_all: bool = False) -> dict[str, np.ndarray]:
     """Return possible covariates by name: numeric columns except the output, time in the run, temperature rates.
 
-    Columns that are declared not to be causes are omitted unless `with_no_causes`.
+    Columns that are declared not to be causes are omitted unless `include_all`.
     """
     omitted = {"output", "output_uncertainty", "temperature_point"}
-    omitted |= set() if with_no_causes else readings.no_causes
+    omitted |= set() if include_all else readings.no_causes
     columns = {n: readings[n] for n in readings.columns if readings.unit(n) and n not in omitted}
     if readings.has("time"):
         columns |= {f"{n} rate": rate for n, rate in readings.rates.items() if n not in omitted}
@@ -230,7 +231,7 @@ def list_covariates(readings: Measurements, with_no_causes: bool = False) -> dic
 
 
 def strip_rate(covariate: str) -> str:
-    """Return the column of a covariate that may be a rate: "temperature" for "temperature rate"."""
+    """Return the column of a covariate: "temperature" for "temperature rate", otherwise the covariate itself."""
     return covariate.removesuffix(" rate")
 
 
@@ -257,14 +258,14 @@ def reference_of(readings: Measurements) -> Reference:
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
             scalars[reference_name(name)] = _round_mean(readings[name])
-    for name, values in list_covariates(readings, with_no_causes=True).items():
+    for name, values in list_covariates(readings, include_all=True).items():
         scalars[f"{name}_low"], scalars[f"{name}_high"] = float(values.min()), float(values.max())
     if readings.has("time"):
         time = readings["time"]
         scalars["time_mean"] = float(np.mean(time))
         scalars["time_span"] = float(np.ptp(time)) or 1.0
         for name in (n for n in readings.columns if readings.unit(n) and n not in NEVER_STEPPED):
-            is_temperature = readings.unit(name) == "degC"  # which varies between readings
+            is_temperature = readings.unit(name) == "degC"  # a temperature varies between readings
             is_held = not is_temperature and readings.records.is_set_in_steps(readings[name])
             scalars[hold_flag_name(name)] = float(is_held)
     return scalars
@@ -277,7 +278,7 @@ def constant_names(readings: Measurements) -> set[str]:
 
 
 def _round_mean(values: np.ndarray) -> float:
-    """Round a mean to the fewest decimal places that keep it among the values and within 0.1 of their sd."""
+    """Return the mean, rounded to the fewest decimal places with an error below 0.1 standard deviations."""
     low, high, limit = values.min(), values.max(), 0.1 * values.std()
     mean = np.clip(values.mean(), low, high)
     candidates = (np.round(mean, places) for places in range(16))
@@ -292,8 +293,8 @@ def build_frame(
 ) -> Frame:
     """Build the frame of readings with the reference constants of the fit.
 
-    Group members that are not in `levels` get the code −1; `levels` None numbers the members of these readings.
-    `record`: the fitted readings, whose runs these readings may continue.
+    levels: members of each group at the fit, others get the code −1; None: the members in these readings.
+    record: the fitted readings, whose runs these readings may continue.
     """
     units = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in units if units[name] is not None}
@@ -318,21 +319,21 @@ def build_frame(
 
 
 def origins_of(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the offsets subtracted from outputs, output unit, by reference constant and coefficient."""
+    """Return the origins subtracted from outputs, output unit: reference constant → coefficient → origin."""
     return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 
 def _subtract_origins(
     columns: Mapping[str, np.ndarray], reference: Reference
 ) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
-    """Subtract origins from output columns and their ranges, and from a scalar output composed of three axes."""
+    """Subtract origins from output columns and their ranges, and from an output computed from three axes."""
     names = {reference_name(n): n for n in columns}
     offsets = {names[n]: sum(parts.values()) for n, parts in origins_of(reference).items()}
     outputs = {n: columns[n] - origin for n, origin in offsets.items()}
     scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
     for name, origin in offsets.items():
-        ends = (n for n in (f"{name}_low", f"{name}_high") if n in scalars)
-        scalars |= {n: scalars[n] - origin for n in ends}
+        range_names = (n for n in (f"{name}_low", f"{name}_high") if n in scalars)
+        scalars |= {n: scalars[n] - origin for n in range_names}
     if outputs and "output" not in outputs:
         length = np.linalg.norm(np.array([*outputs.values()]), axis=0)
         projections = np.array([columns.get(n, 0 * length) for n in ACROSS])

@@ -58,7 +58,7 @@ class Model(Printed):
         return format_model(self)
 
     def _columns(self) -> dict[str, list[Any]]:
-        """Return the columns of a table with one row per coefficient; plausible size in the coefficient's unit."""
+        """Return the columns of a table, one row per coefficient; the plausible size is in the coefficient's unit."""
         rows = [(e, i, c) for e in self.effects for i, c in enumerate(e.coefficients)]
         return {
             "coefficient": [e.coefficient_name(i) for e, i, _ in rows],
@@ -72,7 +72,7 @@ class Model(Printed):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the groups that have one coefficient per member, except "reading"."""
+        """Return the groups of the model's coefficients that have one per member, except "reading"."""
         group_names = (c.per for effect in self.effects for c in effect.coefficients if c.per)
         return tuple(dict.fromkeys(per for per in group_names if per != READING))
 
@@ -81,7 +81,7 @@ class Model(Printed):
         return tuple(effect.name for effect in self.effects)
 
     def form_note(self, name: str) -> str:
-        """Return the suffix " (basic form)" of an effect's name if the model has other forms of the effect, else ""."""
+        """Return the suffix " (basic form)" for an effect's name if the model has another form too, otherwise ""."""
         return " (basic form)" * any(effect.family == name for effect in self.effects)
 
     @property
@@ -126,7 +126,7 @@ class Model(Printed):
         return replace(self, noise=noise)
 
     def fix(self, values: Mapping[str, float]) -> Model:
-        """Fix some unknowns at a value, in the unit in which each is reported.
+        """Return the model with unknowns fixed at values: name → value, in the unit in which it is reported.
 
         To check a published calibration, fix all its coefficients and inspect the residuals. With noise.white at 0
         the only noise is each reading's known uncertainty, in the column `output_uncertainty`.
@@ -135,35 +135,35 @@ class Model(Printed):
             ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
         """
         self._require_unknowns(values)
-        scales = {n for n, p in self.noise.parameters().items() if not isinstance(p, Normal)}
+        positives = {n for n, p in self.noise.parameters().items() if not isinstance(p, Normal)}
         for e in self.effects:
-            scales.update(e.group_sd_names)
-            scales |= {e.shape_name(s) for s in e.shapes if s.scale != "linear"}
+            positives.update(e.group_sd_names)
+            positives |= {e.shape_name(s) for s in e.shapes if s.scale != "linear"}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
             if name == WHITE and value == 0:
                 continue  # the known uncertainties of the readings are the only noise
-            if name in scales and value <= 0:
+            if name in positives and value <= 0:
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
         return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
 
     def free(self, *names: str) -> Model:
-        """Free these unknowns (all, if none is named) for estimation; raise ModelError if no unknown has that name."""
+        """Return the model with fixed unknowns estimated again, by name (default: all); raise ModelError for others."""
         self._require_unknowns(names)
         return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
-        """Return the model with another plausible size of an effect's first coefficient, in its unit; scale the others.
+        """Return the model with `size` as plausible size of an effect's first coefficient; others scale.
 
         Raises:
             ModelError: the effect is not in the model, states no plausible size, or this one is not positive.
         """
         effect, first = self.effect(name), self.effect(name).coefficients[0]
         if effect.is_placeholder or first.flat or not 0 < size < math.inf:
-            reason = "; it is estimated from the readings, or the prior is flat" * (size > 0)
-            raise ModelError(f"{name!r} cannot be given the plausible size {size}{reason}")
-        # rounded, so that a saved size makes the same priors again
+            reason = "a size must be positive and finite; a placeholder or a flat prior has none"
+            raise ModelError(f"the plausible size of {name!r} cannot be set to {size}: {reason}")
+        # Rounded, so that a saved size gives the same priors again.
         ratios = ((c, float(f"{c.size / first.size:.12g}")) for c in effect.coefficients)
         new_effect = replace(effect, coefficients=tuple(_resize(c, r * size) for c, r in ratios))
         return replace(self, effects=tuple(new_effect if e is effect else e for e in self.effects))
@@ -185,7 +185,7 @@ class Model(Printed):
                 raise ModelError(message)
 
     def require(self, readings: Measurements) -> None:
-        """Raise ModelError if the readings are in another unit than the model's, or lack a column that it needs."""
+        """Raise ModelError if the model cannot be fitted to the readings: unit, columns, uncertainties, noise."""
         model_unit, unit = self.instrument.unit, readings.unit(readings.output)
         if model_unit == ANY:
             raise ModelError(
@@ -194,8 +194,8 @@ class Model(Printed):
             )
         if unit != model_unit:
             raise ModelError(
-                f"The output of {readings.file} is in [{unit}], the model's in [{model_unit}]: read the file with the "
-                "model's own instrument, or tailor the instrument to these readings"
+                f"The output of {readings.file} is in [{unit}], the model's is in [{model_unit}]: read the file with "
+                "the model's own instrument, or tailor the instrument to these readings"
             )
         for effect in self.effects:
             require_units(effect, readings, self.instrument)
@@ -221,7 +221,7 @@ class Model(Printed):
                 f"{self.noise.name} noise cannot be used with {readings.file}: {reason}. Give the rounding step in "
                 f"[{model_unit}], or use White() noise"
             )
-        covariates = list_covariates(readings, with_no_causes=True) if self.noise.covariates else {}
+        covariates = list_covariates(readings, include_all=True) if self.noise.covariates else {}
         for name in self.noise.covariates:
             if name not in covariates:
                 raise ModelError(

@@ -312,7 +312,7 @@ def sort_by_time(
     """Sort a frame and arrays of its readings by time within runs if the law is correlated."""
     if law.independent:
         return frame, *arrays
-    return frame.in_time(), *(a[frame.order] for a in arrays)
+    return frame.sort_by_time(), *(a[frame.order] for a in arrays)
 
 
 @cache

@@ -43,19 +43,19 @@ class CoefficientBlock:
     """One coefficient of the model with all its group members, and its indices in x."""
 
     effect: Effect
-    index: int
+    index: int  # among the coefficients of the effect
     name: str
     slot: str
-    size: int
-    factor: float
+    size: int  # number of group members, 1 without a group
+    factor: float  # coefficient × basis column × factor is in the slot's unit
     place: Place
-    start: int
-    value: float
+    start: int  # index of its first entry in x
+    value: float  # fixed value, or prior mean, minus the origin
     origin: float  # subtracted from its values in x and φ, in its unit
 
     @property
     def mean(self) -> float:
-        """Return the prior mean minus the origin."""
+        """Return the prior mean minus the origin, coefficient's unit."""
         return self.coefficient.mean - self.origin
 
     @property
@@ -73,7 +73,7 @@ class CoefficientBlock:
 
     @property
     def group_sd_name(self) -> str | None:
-        """Return the name of the learned standard deviation between members; None if it is not learned."""
+        """Return the name of the standard deviation between members; None if it is not estimated."""
         is_learned = self.coefficient.group_sd is not None
         return self.effect.group_sd_name(self.index) if is_learned else None
 
@@ -83,7 +83,7 @@ class CoefficientBlock:
         return slice(self.start, self.start + self.size)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
-        """Return one name per group member, by its label; by its number without `levels`, as in φ."""
+        """Return one name per group member, with its label in `levels`, or with its number if None, as in φ."""
         per = self.coefficient.per
         if per is None:
             return [self.name]
@@ -93,14 +93,13 @@ class CoefficientBlock:
 
 @dataclass(frozen=True)
 class Unknown:
-    """One scalar unknown."""
+    """One scalar unknown of a model: an entry of x or of φ."""
 
     name: str  # full name with group member, such as "bias.run(3)"
     key: str  # common to all members of its group, "bias.run"
     unit: str  # unit of reported values
     effect: str  # name of the effect, or "noise"
-    # an amplitude or length scale of a Gaussian process counts as "group_sd"
-    kind: UnknownKind
+    kind: UnknownKind  # "group_sd" also for an amplitude or a length scale of a Gaussian process
     prior: Positive | Normal | FlatLine | None = None  # prior of an entry of φ
     x: int | None = None  # index in x; None if it is in φ
     v: int | None = None  # index in φ; None if it is in x
@@ -109,7 +108,7 @@ class Unknown:
 
     @property
     def group(self) -> str | None:
-        """Return the group; None if there is a single value."""
+        """Return the group to whose members the unknown belongs; None if there is a single value."""
         return None if self.block is None else self.block.coefficient.per
 
     @property
@@ -119,7 +118,7 @@ class Unknown:
 
     @property
     def prior_sd(self) -> float | None:
-        """Return the prior standard deviation, `unit`; None where the prior is flat, learned, or has no variance."""
+        """Return the prior standard deviation, `unit`; None if the prior is flat, has no variance, or is estimated."""
         if self.block is None:
             return standard_deviation(self.prior)
         c = self.block.coefficient
@@ -129,11 +128,11 @@ class Unknown:
 
 @static
 class Layout:
-    """A model bound to group sizes. It has no arrays: equal layouts share one compiled program."""
+    """Layout of a model's unknowns for given group sizes; without arrays, so that equal layouts share a program."""
 
     model: Model
     counts: tuple[tuple[str, int], ...]  # (group, number of members)
-    promoted: tuple[str, ...] = ()  # names of coefficients that stand in φ
+    promoted: tuple[str, ...] = ()  # names of coefficients that are entries of φ
     # (coefficient, origin subtracted from outputs in the frame, output unit): the coefficient includes it
     origin: tuple[tuple[str, float], ...] = ()
 
@@ -176,7 +175,7 @@ class Layout:
 
     @cached_property
     def mean_of_x(self) -> Float[np.ndarray, "p"]:
-        """Return the prior means of x minus its origins (p,)."""
+        """Return the prior means of the entries of x minus their origins (p,)."""
         return self.repeat_over_x([b.mean for b in self.x_blocks])
 
     @cached_property
@@ -197,33 +196,33 @@ class Layout:
     @cached_property
     def hypers(self) -> tuple[Unknown, ...]:
         """Return the entries of φ in order: noise, group deviations, shapes, promoted coefficients."""
-        noise, fixed, rows = self.model.noise, dict(self.model.fixed), list[Unknown]()
+        noise, fixed, unknowns = self.model.noise, dict(self.model.fixed), list[Unknown]()
         for name, prior in noise.parameters().items():
             unit = noise.unit(name, self.model.instrument.unit)
-            rows.append(Unknown(name, name, unit, "noise", "noise", prior))
+            unknowns.append(Unknown(name, name, unit, "noise", "noise", prior))
         for b in self.blocks:
             if (name := b.group_sd_name) is not None and b.place != "fixed":
                 fields = b.coefficient.unit, b.effect.name, "group_sd", b.coefficient.group_sd
-                rows.append(Unknown(name, name, *fields))
+                unknowns.append(Unknown(name, name, *fields))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
                 name = effect.shape_name(shape)
-                rows.append(Unknown(name, name, shape.unit, effect.name, kind, shape.prior))
+                unknowns.append(Unknown(name, name, shape.unit, effect.name, kind, shape.prior))
         for b in self.blocks:
             if b.place == "phi":
                 fields = b.coefficient.unit, b.effect.name, "promoted", _promote_prior(b)
-                rows += [Unknown(name, name, *fields) for name in b.member_names()]
-        free_rows = (row for row in rows if row.name not in fixed)
-        return tuple(replace(row, v=i) for i, row in enumerate(free_rows))
+                unknowns += [Unknown(name, name, *fields) for name in b.member_names()]
+        free_unknowns = (unknown for unknown in unknowns if unknown.name not in fixed)
+        return tuple(replace(unknown, v=i) for i, unknown in enumerate(free_unknowns))
 
     def hyper(self, v: Float[Any, "d *b"]) -> dict[str, Float[Any, "*b"]]:
-        """Return hyper-parameters and fixed unknowns by name, at coordinates v of φ, in reported units."""
+        """Return the values of hyper-parameters and fixed unknowns by name, reported units, at coordinates v of φ."""
         pairs = zip(self.hypers, v, strict=True)
         return dict(self.model.fixed) | {h.name: h.prior.value(c) for h, c in pairs}
 
     def log_prior(self, v: Float[Any, "d *b"]) -> Float[Any, "*b"]:
-        """Return the log prior density of φ in its coordinates."""
+        """Return the log prior density of φ in its coordinates v, one number per set of coordinates."""
         pairs = zip(self.hypers, v, strict=True)
         return sum((h.prior.log_density(c) for h, c in pairs), np.zeros(v.shape[1:]))
 
@@ -233,7 +232,7 @@ class Layout:
         return {h.name: i for i, h in enumerate(self.hypers)}
 
     def shared_indices(self, other: Layout) -> tuple[list[int], list[int]]:
-        """Return the indices in x and in φ of the unknowns that another layout has as well."""
+        """Return the indices in this layout's x and φ of the unknowns that another layout also has."""
         shared = {b.name for b in other.x_blocks}
         shared_blocks = (b for b in self.x_blocks if b.name in shared)
         in_x = [i for b in shared_blocks for i in range(b.start, b.start + b.size)]
@@ -253,14 +252,14 @@ class Layout:
 
     @property
     def is_improper(self) -> bool:
-        """Return whether any prior is flat (improper): the evidence is then undefined."""
+        """Return whether any prior is flat, hence improper: the evidence is then undefined."""
         is_flat = any(b.flat for b in self.blocks if b.place in ("x", "phi"))
         return is_flat or any(isinstance(h.prior, (Flat, FlatLine)) for h in self.hypers)
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """All unknowns of a model bound to readings: coefficients, noise parameters, between-group deviations, shapes."""
+    """All unknowns of a model for readings: coefficients, noise parameters, group standard deviations, shapes."""
 
     layout: Layout
     rows: tuple[Unknown, ...]
@@ -270,12 +269,12 @@ class Unknowns:
         """List the unknowns of a layout; group members are named by their labels in `levels`, otherwise by number."""
         rows = list[Unknown]()
         for b in (b for b in layout.blocks if b.place in ("x", "phi")):
-            names, in_phi = b.member_names(levels), b.member_names()
+            names, keys, in_x = b.member_names(levels), b.member_names(), b.place == "x"
             labels = (levels or {}).get(str(b.coefficient.per), range(b.size))
             for i, name in enumerate(names):
-                at = {"x": b.start + i} if b.place == "x" else {"v": layout.index_in_phi[in_phi[i]]}
+                index = {"x": b.start + i} if in_x else {"v": layout.index_in_phi[keys[i]]}
                 fields = name, b.name, b.coefficient.unit, b.effect.name, "coefficient"
-                rows.append(Unknown(*fields, **at, block=b, member=labels[i]))
+                rows.append(Unknown(*fields, **index, block=b, member=labels[i]))
         rows += [h for h in layout.hypers if h.kind != "promoted"]
         return cls(layout, tuple(rows))
 
@@ -295,12 +294,12 @@ class Unknowns:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Return name → index in the table."""
+        """Return the index of each unknown in the table, by name."""
         return {u.name: i for i, u in enumerate(self.rows)}
 
     @cached_property
     def by_key(self) -> dict[str, slice]:
-        """Return the slice of the table with the group members of each key, by key."""
+        """Return the slice of the table with all group members of a key, such as "bias.run", by key."""
         slices: dict[str, slice] = {}
         for i, u in enumerate(self.rows):
             slices[u.key] = slice(slices[u.key].start if u.key in slices else i, i + 1)
@@ -338,18 +337,18 @@ def _promote_prior(block: CoefficientBlock) -> Normal | FlatLine:
 def bind(
     model: Model,
     readings: Measurements,
-    more: Iterable[Effect] = (),
+    extras: Iterable[Effect] = (),
     reference: Mapping[str, Any] = NO_REFERENCE,
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """Return the layout of the model's unknowns for these readings, and the members of each group.
 
-    more: effects that may be added later, whose groups are counted too. reference: the frame's reference constants.
+    extras: effects that may be added later, whose groups are included. reference: reference constants.
 
     Raises:
         ModelError: too few readings for the flat priors, a group without members, or the noise law does not apply.
     """
     extra_groups = (
-        c.per for effect in more for c in effect.coefficients if c.per not in (None, READING)
+        c.per for effect in extras for c in effect.coefficients if c.per not in (None, READING)
     )
     groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, extra_groups)))
     available = {group for group in groups if group in GROUPS or readings.has(group)}

@@ -122,5 +122,5 @@ def _choose_initial_values(law: Noise, record: Record) -> list[dict[str, float]]
     # Slow noise hardly changes between neighbouring readings: their differences are mainly those of the white part.
     sorted_residuals = residuals[record.time_order[0]]
     white_sd = float(np.median(np.abs(np.diff(sorted_residuals)))) or scale
-    starts = law.starts(record.frame.in_time(), sorted_residuals) if white_sd > 0 else []
+    starts = law.starts(record.frame.sort_by_time(), sorted_residuals) if white_sd > 0 else []
     return [{WHITE: white_sd, **values} for values in starts]

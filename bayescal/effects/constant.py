@@ -7,7 +7,7 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfNormal, Normal
 
 
-def evaluate_one(frame: Frame) -> float:
+def one(frame: Frame) -> float:
     """Return the constant basis function: 1, for every reading."""
     return 1.0
 
@@ -18,7 +18,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
     return Effect(
         f"{slot}.constant",
         slot,
-        basis=evaluate_one,
+        basis=one,
         coefficients=(Coefficient(unit, prior),),
         equation="c",
         source=source,
@@ -32,7 +32,7 @@ def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> 
     return Effect(
         f"{slot}.{per}",
         slot,
-        basis=evaluate_one,
+        basis=one,
         coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
         columns=columns,
         equation=f"d[{per}],  d ~ N(0, s²)",

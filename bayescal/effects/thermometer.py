@@ -9,7 +9,7 @@ from typing import Any
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
-from bayescal.effects.constant import deviation, evaluate_one
+from bayescal.effects.constant import deviation, one
 
 
 def _evaluate_rate(column: str, frame: Frame) -> Any:
@@ -38,7 +38,7 @@ def uncertain_input(column: str, sd: float | str, unit: str = "1", *, source: st
     return Effect(
         f"{column}.reading",
         column,
-        basis=partial(_evaluate_column, sd) if is_column else evaluate_one,
+        basis=partial(_evaluate_column, sd) if is_column else one,
         coefficients=(Coefficient(unit, Normal(0.0, 1.0 if is_column else sd), per="reading"),),
         columns=(column, sd) if is_column else (column,),
         equation=f"{column}_true = {column} + e,  e ~ N(0, s²)",

@@ -54,7 +54,7 @@ def gain(readings: bc.Measurements) -> float:
 
 def test_readings_are_whitened_by_the_dense_covariance(rng) -> None:
     readings = recorded(1, SLOPE, n=60)
-    frame = frame_of(readings).in_time()
+    frame = frame_of(readings).sort_by_time()
     values: dict[str, Any] = {n: jnp.asarray(v) for n, v in TRUTH.items()}
     values["noise.curvature"] = jnp.asarray(-0.4)
     time, t = np.asarray(frame["time"]), readings["temperature"]

@@ -104,7 +104,7 @@ def two_runs(seed: int = 3) -> tuple[bc.Frame, np.ndarray, np.ndarray]:
     data = bc.Measurements.from_arrays(
         SENSOR, run=labels, time=time, temperature=np.linspace(10.0, 50.0, 60), output=np.zeros(60)
     )
-    return frame_of(data).in_time(), time, labels
+    return frame_of(data).sort_by_time(), time, labels
 
 
 def in_jax(law: bc.Noise) -> dict[str, Any]:

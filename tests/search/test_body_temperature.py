@@ -107,7 +107,7 @@ def test_two_stages_are_one_body_behind_another() -> None:
     )
     frame, tau = frame_of(readings), 300.0
     modes = BODIES["two_stages"].modes()
-    found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in modes) + air
+    found = sum(w * frame.recorded_lag(jnp.asarray(m * tau)) for m, w in modes) + air
     fine, steps = 0.02, int(10 / 0.02)
     first = second = air[0]
     expected = [second]
