@@ -65,7 +65,7 @@ class OneReading(Frame):
 
     lagged: Callable[[str, Any], Any] | None = None
 
-    def behind(self, tau: Any, name: str = "temperature") -> Any:
+    def recorded_lag(self, tau: Any, name: str = "temperature") -> Any:
         return np.zeros(self.size) if self.lagged is None else self.lagged(name, tau)
 
     def direction(self, width: Any, name: str = "temperature") -> tuple[Any, Any]:
