@@ -71,7 +71,7 @@ def looks(instrument: bc.Instrument, effect: str, size: float) -> dict[str, Any]
     return {
         "size": size,
         "leans_on": [
-            [e.against, e.log_bayes_factor] for e in checked.entries[:2] if e.log_bayes_factor > 3
+            [e.covariate, e.log_bayes_factor] for e in checked.entries[:2] if e.log_bayes_factor > 3
         ],
         "autocorrelation": checked.autocorrelation[0],
         "rms": [checked.rms, checked.unit],

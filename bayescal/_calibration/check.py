@@ -23,6 +23,7 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._core.formatting import folded, number
 from bayescal._core.parallel import run_on_one_thread
+from bayescal._core.renamed import renamed
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
@@ -47,27 +48,29 @@ class Region:
     covariate_unit: str
 
 
+@renamed(against="covariate", data="to_json_data")
 @dataclass(frozen=True)
 class Entry:
     """Log Bayes factor and worst region of a dependence on a covariate, or (`by_group`) a run, cell, axis or device."""
 
-    against: str  # name of the covariate or group
+    covariate: str  # name of the covariate or group
     log_bayes_factor: float
     worst: Region  # region with the largest |z|
     by_group: bool = False
 
     def to_json_data(self, unit: str) -> dict[str, Any]:
         """Return the entry as in result.json: means in `unit`, that of the output, ranges in the covariate's unit."""
-        worst = dict(vars(self.worst))
+        entry, worst = dict(vars(self)), dict(vars(self.worst))
         place = {"from": worst.pop("low"), "to": worst.pop("high"), "unit": unit}
-        return {**vars(self), "worst": {**place, **worst}}
+        return {"against": entry.pop("covariate"), **entry, "worst": {**place, **worst}}
 
 
+@renamed(against="covariates")
 @dataclass(frozen=True)
 class Pair:
     """Log Bayes factor of a residual interaction of two covariates."""
 
-    against: tuple[str, str]  # names of the covariates
+    covariates: tuple[str, str]  # their names
     log_bayes_factor: float
 
 
@@ -120,9 +123,8 @@ class Check(Printed):
     def _format_summary(self) -> str:
         unit = unit_label(self.unit)
         text = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
-        for entry in self.entries[:1]:
-            log_factor = f"{entry.log_bayes_factor:z.1f}"
-            text += f"; most against {entry.against}, log Bayes factor {log_factor}"
+        for e in self.entries[:1]:
+            text += f"; most against {e.covariate}, log Bayes factor {e.log_bayes_factor:z.1f}"
         return text
 
     def _columns(self) -> dict[str, list[Any]]:
@@ -170,12 +172,12 @@ def format_check(check: Check, max_rows: int | None = None) -> list[str | Result
         ]
     lines += [tabulate_check(rows), Z_NOTE] if rows else ["no covariate varies"]
     strong = settings().strong_evidence
-    names = ", ".join(e.against for e in check.entries if e.log_bayes_factor > strong) or "none"
+    names = ", ".join(e.covariate for e in check.entries if e.log_bayes_factor > strong) or "none"
     number_tested = f", of all {len(check.entries)}" * (len(rows) < len(check.entries))
     lines.append(folded(f"log Bayes factor (natural log) above {strong:g}{number_tested}: {names}"))
     max_factor = max(strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
-        f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
+        f"{' and '.join(p.covariates)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
         if p.log_bayes_factor > max_factor

@@ -1,7 +1,6 @@
 """Acceptance checks of a fit: implausible values, and misfit in its own readings.
 
-Each check is a function of a `Subject`; thresholds and messages: `claims.toml`. Residual checks detect that an effect
-is missing; a search identifies which.
+Each check is a function of a `Subject`; thresholds and messages: `claims.toml`. A search identifies missing effects.
 """
 
 from __future__ import annotations
@@ -411,8 +410,8 @@ def depends_on_covariate(subject: Subject) -> bool:
 def find_dependence(subject: Subject) -> list[Claim]:
     """Return a claim on the covariate on which residuals depend most, or one that there are too few readings."""
     check = subject.check
-    rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
-    rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
+    rows = [(e.log_bayes_factor, (e.covariate,)) for e in check.entries]
+    rows += [(p.log_bayes_factor, p.covariates) for p in check.pairs]
     factor, covariates = max(rows, default=(0.0, ()))
     claims = [*check_reading_count(subject)]
     if not claims and factor > limit("residuals.depend", "nats"):

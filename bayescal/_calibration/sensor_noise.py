@@ -226,9 +226,8 @@ def noise(readings: Measurements, *, seed: Any = 0, time_limit: float | None = N
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
 
-    Sums of white noise (or white noise averaged by the sensor), quantisation noise, a random walk, flicker noise and
-    one or two Ornstein–Uhlenbeck processes are weighted by their evidence; run levels and a cubic over a column
-    `temperature` are integrated out.
+    Sums of white noise (or of noise that the sensor averages), quantisation, a random walk, flicker noise and one or
+    two Ornstein–Uhlenbeck processes are weighted by evidence; run levels and a cubic in temperature are integrated out.
 
     Args:
         readings: readings of one channel, evenly spaced in time within runs.

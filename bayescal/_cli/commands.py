@@ -64,7 +64,7 @@ from bayescal._report.whole_folder import (
 )
 
 PAIR_SELECTIONS = "bayescal.pair_selections"
-"""Group of entry points `select(calibration, criterion=…)`: each returns a printable table of pairs with `data()`."""
+"""Group of entry points `select(calibration, criterion=…)`: each returns a printable table with `to_json_data()`."""
 SIMULATED = (
     "simulated: bias.constant 21.5 °/s, bias.temperature 0.0535 °/s/°C, noise.white 0.05 °/s, bias.thermal_lag 0.05 "
     "°/s/°C with tau 300 s: the bias is 0.05·300/0.0535 = 280 s late, which is tau in forms where the sensor lags"

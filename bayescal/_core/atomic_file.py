@@ -127,9 +127,8 @@ def read_sealed(path: Path, kind: str, advice: str) -> memoryview:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"{path.name} cannot be read: {error.strerror or error}. {advice}"
-        ) from None
+        fault = f"cannot be read: {error.strerror or error}"
+        raise InputError(f"{path.name} {fault}. {advice}") from None
     content = memoryview(data)[: max(0, len(data) - TRAILER_BYTES)]
     # At the very end: HDF5 ignores bytes after its own end, so that both read the same bytes.
     trailer = TRAILER.fullmatch(data[len(content) :])

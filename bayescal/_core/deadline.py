@@ -27,8 +27,7 @@ class TimeIsUp(Exception):
 class Interrupt:
     """State of the handler of Ctrl-C, during a command or a call from Python."""
 
-    # whether Ctrl-C was pressed while deferred, or another thread requested an end
-    requested: bool = False
+    requested: bool = False  # whether Ctrl-C was pressed and deferred, or a thread requested an end
     deferred: bool = False  # whether a first Ctrl-C is deferred to the next check, because a partial result exists
 
     def handle(self, _: int, frame: FrameType | None) -> None:

@@ -50,6 +50,5 @@ class NotDrawn(BayescalError):
     def __init__(self, subject: str, cause: BaseException) -> None:
         first_line = next(iter(str(cause).splitlines()), "")
         reason = f"{type(cause).__name__}: {first_line}".removesuffix(": ")
-        super().__init__(
-            f"{subject} could not be drawn ({reason}); the result is kept, and is not affected"
-        )
+        text = f"{subject} could not be drawn ({reason}); the result is kept, and is not affected"
+        super().__init__(text)

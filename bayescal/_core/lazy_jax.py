@@ -32,9 +32,8 @@ def cache_folder() -> Path | None:
     user_folder = os.environ.get("BAYESCAL_CACHE")
     if user_folder == "":
         return None
-    xdg = os.environ.get("XDG_CACHE_HOME", "")
+    xdg = os.environ.get("XDG_CACHE_HOME", "")  # ignored if relative, as its specification requires
     try:
-        # XDG Base Directory Specification: relative folders are ignored
         caches = Path(xdg) if os.path.isabs(xdg) else Path.home() / ".cache"
         return Path(user_folder).expanduser() if user_folder else caches / "bayescal"
     except RuntimeError:  # no home folder, as in some containers

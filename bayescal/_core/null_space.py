@@ -50,9 +50,8 @@ def _drop_negligible_entries(columns: np.ndarray, row: np.ndarray) -> np.ndarray
 def weak_rows(columns: np.ndarray, null_rows: np.ndarray, limit: float, share: float) -> np.ndarray:
     """Return directions z (m, p) with information |columns·z|² below `limit`, other than the null directions.
 
-    Columns (n, p) are whitened, per prior standard deviation; `null_rows` (k, p) are their null directions. A
-    coefficient is a direction by itself if the directions span more than `share` of its unit vector's squared length;
-    such unit vectors come first.
+    `columns` (n, p) are whitened, per prior standard deviation, with null directions `null_rows` (k, p). If the
+    directions span more than `share` of a coefficient's squared unit vector, it is one of them; these come first.
     """
     count = columns.shape[1]
     # Squared singular values of whitened columns are the information along each direction, in units of the prior's.

@@ -74,11 +74,9 @@ def stage(operation: str, delay: float = FIRST_SECONDS) -> Iterator[None]:
         while not end_event.wait(pause):
             now = time.monotonic()
             idle_seconds = now - max(_last_line, start)
-            if _open_stages[-1:] == [end_event] and (
-                idle_seconds >= INTERVAL_SECONDS or not has_printed
-            ):
-                so_far = f", {now - start:.0f} s so far" if has_printed else ""
-                tell(f"{operation}{so_far}")
+            is_due = not has_printed or idle_seconds >= INTERVAL_SECONDS
+            if is_due and _open_stages[-1:] == [end_event]:
+                tell(operation + f", {now - start:.0f} s so far" * has_printed)
                 idle_seconds, has_printed = 0.0, True
             pause = max(INTERVAL_SECONDS - idle_seconds, 0.5)
 

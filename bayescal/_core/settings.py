@@ -18,22 +18,17 @@ class Settings:
     """Thresholds of searches, acceptance checks and sampling.
 
     Attributes:
-        found_probability: probability from which an effect, or one of a set, is reported as missing: odds of 19, the
-            coverage of all intervals.
+        found_probability: probability from which an effect, or one of a set, is reported as missing: odds of 19.
         prior_complete: prior probability that the model is complete; one half is neutral (docs/mathematics.md).
-        strong_evidence: log Bayes factor, nats, of strong evidence: odds of twenty (Kass and Raftery, J. Am. Stat.
-            Assoc. 90 (1995) 773).
+        strong_evidence: log Bayes factor, nats, of strong evidence: odds of 20 (Kass and Raftery, JASA 90 (1995) 773).
         power: share of repeated campaigns in which an effect of the minimum detectable size would be found; the usual
             0.8 of the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
-        averaged_probability: probability from which a structure is included in the model average; the others change a
-            standard uncertainty by less than the printed digits.
+        averaged_probability: probability from which a structure is averaged; others change no printed uncertainty.
         finer_noise: whether sums of noise terms are evaluated if correlated noise is probable. Results may then pass
             acceptance checks that fail with one Ornstein–Uhlenbeck process; searches of thousands of readings take
             three to five times as long, those of hundreds no longer.
-        outlier_sd: leave-one-out residual, standard deviations, from which a reading is reported as an outlier; rarely
-            exceeded among a thousand normally distributed readings.
-        holdout_p: p-value below which hold-out data contradict a result; with two or three tests, a few valid results
-            in a hundred are rejected.
+        outlier_sd: leave-one-out residual, standard deviations, of an outlier; 1 normal reading in 16,000 exceeds 4.
+        holdout_p: p-value below which hold-out data contradict a result; a few valid results in a hundred are rejected.
         temperature_span: range, °C, below which the temperature of a record is constant; stability of a good chamber.
         effective_draws: minimum effective sample size, from which a standard deviation is estimated to 3.5 %.
     """

@@ -1,8 +1,7 @@
 """`xp`: array functions common to NumPy and JAX, dispatched by the type of their arguments.
 
-A basis or response written with `xp` is evaluated by NumPy on concrete arrays and traced by JAX in a program. A search
-evaluates it by NumPy, in microseconds, since tracing a program takes milliseconds; NUTS, nonlinear least squares and
-exports trace it.
+A basis or response written with `xp` is evaluated by NumPy on concrete arrays and traced by JAX in a program. Searches
+evaluate it by NumPy, in microseconds (tracing takes milliseconds); NUTS, nonlinear least squares and exports trace it.
 """
 
 from __future__ import annotations

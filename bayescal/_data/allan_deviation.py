@@ -131,8 +131,7 @@ def allan_deviation(
     over two runs; runs are weighted by their numbers of differences. `runs`: time grids, by default from `even_runs`.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, time steps that differ by more than 5 %, or constant
-            values.
+        InputError: no column `time`, no run of 30 readings, time steps that differ by over 5 %, or constant values.
     """
     values = np.asarray(readings["output"] if values is None else values, float)
     runs = even_runs(readings) if runs is None else runs

@@ -232,6 +232,7 @@ class Measurements(Printed):
         self[name]
         return self.units[name]
 
+    @renamed(others="keep_excluded")
     def without_causes(self, names: Collection[str], keep_excluded: bool = True) -> Measurements:
         """Exclude existing columns as covariates; if not `keep_excluded`, allow all other columns again."""
         for name in names:

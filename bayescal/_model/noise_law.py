@@ -2,8 +2,7 @@
 
 A noise law defines its parameters with priors and units and, in JAX, differentiable by all parameters: the variance of
 each reading, its log density, draws of readings and, if Gaussian given its parameters, the whitening L⁻¹ of residuals
-to independent unit variance (`whiten`). Other code uses this interface only, so that a user-defined law works in
-fits, searches, files and batches.
+to independent unit variance (`whiten`). Other code uses this interface only, so that user-defined laws work anywhere.
 
 A law that is not Gaussian (Student-t, rounding) defines its density only; derivatives with respect to the expected
 output, for the Laplace approximation about the conditional mode of the coefficients, are computed numerically.

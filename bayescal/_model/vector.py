@@ -33,6 +33,7 @@ from jaxtyping import Float
 
 from bayescal._core.inverse import iterate_newton
 from bayescal._core.lazy_jax import Array, jax, jnp
+from bayescal._core.renamed import renamed
 from bayescal._data.pose_rows import ACROSS, DIRECTION, fit_ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
@@ -43,6 +44,7 @@ NEWTON_STEPS = 1  # before the differentiated step: error 1e-7 for 10 % nonlinea
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
 
 
+@renamed(beside="secondary_columns")
 @static
 class Vector:
     """Definition of an instrument of three axes.
@@ -52,10 +54,9 @@ class Vector:
         equation: function of slots and frame that returns h, from the stimulus (n, 3), output unit, to the three
             expected outputs; JAX must differentiate it backward too (no loop of unknown length), and it must be finite.
         acting: function of a frame, the known measurand (n, 3), output unit; None if only its magnitude is known.
-        common_scale: prior standard deviation of a factor common to the three scale factors, as a wrong magnitude of
-            the stimulus causes; 0 if unspecified.
+        common_scale: prior standard deviation of a common scale factor, from an error of the stimulus; 0: unspecified.
         rig: slots of the test rig's errors, which are not in the equation and do not act in use.
-        beside: three columns of a further stimulus with linear response, such as gravity on gyroscopes.
+        secondary_columns: three columns of a second stimulus with linear response, such as gravity on gyroscopes.
     """
 
     outputs: tuple[str, str, str]
@@ -63,7 +64,7 @@ class Vector:
     acting: Callable[[Frame], Float[Array, "n 3"]] | None = None
     common_scale: float = 0.0
     rig: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
+    secondary_columns: tuple[str, ...] = ()
 
     def response(self, slots: Mapping[str, Float[Array, "n"]], frame: Frame) -> Float[Array, "n"]:
         """Return the expected output of each reading, magnitude or projection, output unit."""

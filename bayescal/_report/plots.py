@@ -106,7 +106,7 @@ def residuals(
     found = check(calibration) if found is None else found
     entries = [e for e in found.entries if not e.by_group][:MAX_PANELS]
     if against is not None:
-        entries = [e for e in found.entries if e.against == against]
+        entries = [e for e in found.entries if e.covariate == against]
     columns, rows = min(3, max(1, len(entries))), -(-len(entries) // 3) or 1
     figure = new_figure(4.2 * columns, 3.0 * rows)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -121,8 +121,8 @@ def plot_residual_panel(
     ax: Any, calibration: Calibration, check: Check, entry: Entry, title: str = ""
 ) -> None:
     """Plot residuals against the covariate of a check's `entry` in axes `ax`."""
-    values = next(b.values for b in collect_covariates(calibration) if b.name == entry.against)
-    body_temperatures = compute_body_temperature(calibration, entry.against)
+    values = next(b.values for b in collect_covariates(calibration) if b.name == entry.covariate)
+    body_temperatures = compute_body_temperature(calibration, entry.covariate)
     values = values if body_temperatures is None else body_temperatures
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
@@ -142,9 +142,9 @@ def plot_residual_panel(
     ax.axhline(0, color=GREY, lw=0.8)
     if entry.log_bayes_factor > 0 and body_temperatures is None:
         ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
-    unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.against, "")
-    against = entry.against if body_temperatures is None else f"lagged {entry.against}"
-    ax.set_xlabel(f"{against} [{unit}]" if unit == "row" else axis_label(against, unit))
+    unit = entry.worst.covariate_unit or DERIVED_UNITS.get(entry.covariate, "")
+    name = "lagged " * (body_temperatures is not None) + entry.covariate
+    ax.set_xlabel(f"{name} [{unit}]" if unit == "row" else axis_label(name, unit))
     ax.set_ylabel(axis_label("residual", check.unit))
     factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
     ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
@@ -278,7 +278,8 @@ def loop(found: SearchPath) -> Figure:
     if first_entry is not None:
         title = "1  residuals of the first model"
         plot_residual_panel(first_ax, first_step.calibration, first_step.check, first_entry, title)
-        last_entry = next(e for e in last_step.check.entries if e.against == first_entry.against)
+        covariate, entries = first_entry.covariate, last_step.check.entries
+        last_entry = next(e for e in entries if e.covariate == covariate)
         title = "3  residuals of the last model"
         plot_residual_panel(last_ax, last_step.calibration, last_step.check, last_entry, title)
         label = f"residual{' (another scale)' * (last_step is not first_step)}"

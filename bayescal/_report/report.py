@@ -76,7 +76,7 @@ class Pictures:
             figure.set_size_inches(4.6, 2.9)
             return figure
 
-        names = [e.against for e in checks.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
+        names = [e.covariate for e in checks.entries if not e.by_group][:MAX_RESIDUAL_PANELS]
         body, text = plots.compute_body_temperature, "Residuals of the last model against "
         lags = {n: "lagged " * (body(calibration, n) is not None) for n in names}
         return [self.draw(partial(panel, n), f"{text}{lag}{n}") for n, lag in lags.items()]

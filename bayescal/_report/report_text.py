@@ -47,7 +47,7 @@ def tabulate_ranges(calibration: Calibration) -> ResultTable:
     used_columns |= find_response_columns(model.instrument, calibration.frame)
     meanings, rows = {c.name: c.meaning for c in model.instrument.columns}, []
     vector = model.instrument.vector
-    in_use = ("temperature", *vector.outputs, *vector.beside) if vector else ()
+    in_use = ("temperature", *vector.outputs, *vector.secondary_columns) if vector else ()
 
     def add_row(name: str, meaning: str, values: np.ndarray, unit: str, role: str) -> None:
         role = TEST_ROLE if vector and name not in in_use and role != UNUSED_ROLE else role
@@ -356,7 +356,7 @@ def _describe_residuals(chapter: Chapter) -> str:
     """State on which covariates the residuals depend, or else whether they agree with the noise model."""
     c, gate = chapter.calibration, chapter.data["gate"]
     strong = settings().strong_evidence
-    covariates = [e.against for e in chapter.check.entries if e.log_bayes_factor > strong]
+    covariates = [e.covariate for e in chapter.check.entries if e.log_bayes_factor > strong]
     if covariates:
         return f"The residuals still depend on {join_words(covariates[:3])}."
     noise_text = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"

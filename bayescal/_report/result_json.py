@@ -1,7 +1,6 @@
 """Conversion of a search path to `result.json`, and chapters of a report from search paths or result folders.
 
-The schema is bayescal.result/2; numbers that are not finite become null. A chapter has the results of one
-calibration, or of the search that led to it.
+The schema is bayescal.result/2; non-finite numbers become null. A chapter is of one calibration, or of its search.
 """
 
 from __future__ import annotations
@@ -68,7 +67,8 @@ def result(path: SearchPath) -> dict[str, Any]:
     tables: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "missing")}
     for i, step in enumerate(path.steps):
         tables["check"] += [{"step": i, **row} for row in step.check.to_json_data()]
-        tables["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
+        pairs = ((p.covariates, p.log_bayes_factor) for p in step.check.pairs)
+        tables["pairs"] += [{"step": i, "against": c, "log_bayes_factor": f} for c, f in pairs]
         if step.discovery is not None:
             tables["missing"].append(missing_data(step.discovery, i, step.check))
     verdict = final.verdict
@@ -198,7 +198,7 @@ def missing_data(discovery: Discovery, step: int, check: Check) -> dict[str, Any
         "candidates": discovery.candidates,
         "unknown": [
             {
-                "column": e.against,
+                "column": e.covariate,
                 "size": abs(e.worst.size),
                 "unit": check.unit,
                 "log_bayes_factor": e.log_bayes_factor,

@@ -1,7 +1,6 @@
 """Atomic folders of results: written to a hidden subfolder, then moved, with `manifest.json` last.
 
-Files that do not agree with the manifest are refused on reading, so that a result that was moved in part, by a process
-that was killed, is never used.
+Files that do not match the manifest are rejected, so that a result moved in part by a killed process is never used.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.inverse import solve_newton
 from bayescal._core.json_data import as_json
+from bayescal._core.renamed import renamed
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.records import RATE_WINDOW_S, rate_window
@@ -314,6 +315,7 @@ class TracedEquation:
     noise: int  # node of a reading's noise variance
 
 
+@renamed(data="to_json_data")
 @dataclass(frozen=True, eq=False)
 class CompensationProgram:
     """Compensation to first order, from the posterior mean and covariance of the unknowns."""

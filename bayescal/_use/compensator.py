@@ -101,8 +101,7 @@ class Compensator:
                 (`datetime64`); in its place also `temperature_rate`, `temperature_lag` or `elapsed`.
 
         Raises:
-            InputError: a needed column is missing, or only one of readings and calibration has dates and the correction
-                depends on the date.
+            InputError: a needed column is missing, or needed dates are only in the readings or only in the calibration.
         """
         epoch = self.about.epoch
         if readings is not None:

@@ -1,8 +1,7 @@
 """Expression graphs of scalar operations: tracing, simplification, differentiation, evaluation, code generation.
 
-One table defines each operation's NumPy function, its text in C and Python, and its vector-Jacobian products
-("pullbacks"), so that the evaluated and the exported program are the same. Equal nodes are stored once. All values are
-numbers; comparisons and logical operations give 0 or 1.
+One table defines each operation's NumPy function, its text in C and Python, and its vector-Jacobian products, so that
+evaluated and exported programs are the same. Equal nodes are stored once; logical operations give 0 or 1.
 
 An equation is traced by calling it with `Symbols`, arrays of nodes instead of numbers: NumPy functions of them create
 nodes, and functions that only move elements (reshape, stack, take) move them. A user's effect is exported like any

@@ -88,7 +88,7 @@ def corrected(name: str, unit: str = "g") -> bc.VectorCorrection:
         noise=1e-3,
         notes=(name, f"note of {name}"),
         source=name,
-        beside=(name, f"{name}b", f"{name}c"),
+        secondary_columns=(name, f"{name}b", f"{name}c"),
         instrument=name,
     )
 

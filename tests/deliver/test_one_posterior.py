@@ -23,7 +23,7 @@ import bayescal as bc
 from bayescal.workshop import number, summary, unit_label, with_error
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from tests.support.contract_cases import Case
-from tests.support.inside import Triad, d_si, dcc_of, result_of, screen_of, text_of
+from tests.support.inside import Triad, dcc_of, find_d_si, result_of, screen_of, text_of
 from tests.support.stated import STATED
 from tests.support.tiers import slow_but
 
@@ -117,7 +117,7 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
         assert screen.get(unknown, shown) == shown or "skewed" in screen[unknown]
         if unknown in page and "95 %" not in page[unknown][0]:
             assert page[unknown] == (with_error(given.value, 2 * given.u), unit_label(unit))
-        factor, _ = d_si(unit)
+        factor, _ = find_d_si(unit)
         rounding = 0.1 * factor * one.u  # to two digits of U
         assert certificate[unknown] == pytest.approx([factor * v for v in one], abs=rounding)
         limit = f"{unknown}: ≤ {one.value + 100 * one.u!r} {unit if unit != '1' else ''}"

@@ -38,7 +38,7 @@ def triad(instrument: str, order: int = 1, powers: int = 1) -> bc.VectorCorrecti
         covariance=root @ root.T,
         noise=1e-3,
         source=f"{instrument} {order} {powers}",
-        beside=beside,
+        secondary_columns=beside,
         instrument=instrument,
     )
 
@@ -115,9 +115,8 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
         source = source.replace(word, values)
     y = np.array([0.3, -0.5, 0.8])
     found = run_c(source, np.r_[y, WARM, NOISE, GRAVITY], tmp_path, real)
-    force, rate, field = (
-        one(y, WARM, noise=NOISE, beside=GRAVITY if one.beside else None) for one in unit
-    )
+    pairs = zip(unit, (None, GRAVITY, None), strict=True)
+    force, rate, field = (c(y, WARM, noise=NOISE, secondary_input=g) for c, g in pairs)
     wanted = [force.vector, rate.vector, field.vector, field.covariance, spare(y).vector]
     assert found[:21] == pytest.approx(np.concatenate([w.ravel() for w in wanted]), rel=1e-9)
     exact = 1e-9 if real == "double" else 1e-4

@@ -26,7 +26,7 @@ CLOSE = {"rtol": 0.0, "atol": 1e-9}
 
 def corrected(c: bc.VectorCorrection, beside: Any = None) -> np.ndarray:
     """What acts by the correction itself, m/s² or rad/s."""
-    return c(OUTPUTS, noise=0.0, beside=beside).vector * FACTOR[c.unit]
+    return c(OUTPUTS, noise=0.0, secondary_input=beside).vector * FACTOR[c.unit]
 
 
 def measured(c: bc.VectorCorrection) -> np.ndarray:
@@ -52,7 +52,7 @@ def ardupilot(text: str) -> dict[str, float]:
 def only(c: bc.VectorCorrection, matrix: np.ndarray) -> bc.VectorCorrection:
     """The same offset with another matrix, which the autopilot has a place for."""
     terms = np.concatenate([c.terms[0, :3], matrix.ravel()])[None]
-    return replace(c, terms=terms, covariance=np.zeros((12, 12)), beside=())
+    return replace(c, terms=terms, covariance=np.zeros((12, 12)), secondary_columns=())
 
 
 def axes(p: dict[str, float], pattern: str) -> np.ndarray:

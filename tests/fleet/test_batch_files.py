@@ -29,7 +29,7 @@ def test_files_are_devices_and_labels_may_have_another_name(tmp_path, result) ->
         np.testing.assert_allclose(again[name].mean, result[name].mean, rtol=1e-10)
     made.to_csv(tmp_path / "lot.csv", index=False)
     split = bc.split_devices([*files, tmp_path / "lot.csv"], mems_gyro.INSTRUMENT)
-    assert set(split.refused) == {*found.devices}
+    assert set(split.rejection_reasons) == {*found.devices}
 
 
 def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
@@ -40,7 +40,7 @@ def test_a_saved_batch_is_the_same(tmp_path, readings) -> None:
     back = bc.load_batch(found.save(tmp_path / "lot_result.parquet"))
     pd.testing.assert_frame_equal(back.table(), found.table())
     np.testing.assert_array_equal(back["good"].covariance, found["good"].covariance)
-    assert (back.about, back.devices) == (found.about, found.devices)
+    assert (back.configuration, back.devices) == (found.configuration, found.devices)
     assert str(back) == str(found)
     long = found.table()
     assert list(long.columns) == ["device", "coefficient", "mean", "sd", "unit", "ok", "reason"]

@@ -38,7 +38,7 @@ def same(found: bc.BatchResult, expected: bc.BatchResult, rtol: float = 1e-10) -
 def test_parts_give_what_one_process_gives(lot_folder, result, tmp_path) -> None:
     found = fitted(lot_folder, out=tmp_path / "out.parquet")
     same(found, result)
-    assert (len(found), found.fitted, found.missing) == (24, 24, {})
+    assert (len(found), found.fitted_count, found.file_errors) == (24, 24, {})
     mean = result.table().query("coefficient == 'bias.temperature'")["mean"]
     row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
     assert row["median"] == pytest.approx(mean.median(), rel=1e-12)
@@ -79,11 +79,11 @@ def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path, capsys) -> N
     found = fitted(folder, out=tmp_path / "out.parquet")
     expected = {"d7.log2", "d8.csv.gz", "_d7.csv", ".d9.csv", "README", "below/_kept"}
     expected |= {"gone.csv", "link", "pipe.csv"}
-    assert found.left_out.keys() == expected
+    assert found.skip_reasons.keys() == expected
     said = capsys.readouterr().err
     assert all(name in said and name in str(found) for name in expected)
     same(found, result)
-    assert bc.load_batch(tmp_path / "out.parquet").left_out == found.left_out
+    assert bc.load_batch(tmp_path / "out.parquet").skip_reasons == found.skip_reasons
     for path in (folder / "below").glob("*.csv"):
         path.unlink()
     with pytest.raises(bc.InputError, match=r"_d7\.csv"):
@@ -96,7 +96,7 @@ def test_a_corrupt_file_is_named(lot_folder, result, tmp_path) -> None:
     whole = (folder / "lot-1.parquet").read_bytes()
     (folder / "lot-1.parquet").write_bytes(whole[: len(whole) // 2])
     found = fitted(folder)
-    assert list(found.missing) == ["lot-1.parquet"]
+    assert list(found.file_errors) == ["lot-1.parquet"]
     assert set(found.devices) == set(result.devices) - set(sorted(result.devices)[1::5])
 
 
@@ -107,7 +107,7 @@ def test_a_device_in_several_files_is_refused_once(lot_folder, tmp_path) -> None
     stray = table().query("device == 'D00'")  # which stands in lot-0
     pd.concat([whole, stray]).to_parquet(folder / "lot-3.parquet")
     found = fitted(folder)
-    assert (len(found), found.fitted) == (24, 23)
+    assert (len(found), found.fitted_count) == (24, 23)
     own = found.table().query("device == 'D00'")
     assert len(own) == 1 and not own.ok.any()
     assert all(name in own.reason.iloc[0] for name in ("lot-0.parquet", "lot-3.parquet"))
@@ -121,7 +121,7 @@ def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, tmp_path) -> 
     made["temperature [degC]"] = 25.0  # all devices of a part
     made.to_parquet(folder / "lot-0.parquet")
     found = fitted(folder)
-    assert (len(found), found.fitted) == (24, 19) and "D00" in found.unreliable
+    assert (len(found), found.fitted_count) == (24, 19) and "D00" in found.unreliable
     with pytest.raises(bc.InputError, match="D00"):
         bc.fit_batch(MODEL, folder / "lot-0.parquet")
 

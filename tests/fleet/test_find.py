@@ -47,7 +47,7 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
 @pytest.mark.slow
 def test_a_time_limit_names_the_files_that_were_not_reached(fleet) -> None:
     found = bc.fit_batch(MODEL, fleet, time_limit=1e-6)
-    assert 0 < found.fitted < DEVICES and len(found) + len(found.missing) == DEVICES
+    assert 0 < found.fitted_count < DEVICES and len(found) + len(found.file_errors) == DEVICES
 
 
 def test_a_device_unlike_the_others_is_named(tmp_path) -> None:
@@ -60,7 +60,7 @@ def test_a_device_unlike_the_others_is_named(tmp_path) -> None:
         rows.append(pd.DataFrame({**named, "output [deg/s]": output}))
     pd.concat(rows).to_parquet(tmp_path / "lot.parquet")
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet")
-    assert list(found.odd) == ["D17"] and "bias.constant" in found.odd["D17"][0]
+    assert list(found.outliers) == ["D17"] and "bias.constant" in found.outliers["D17"][0]
 
 
 def test_the_spread_in_the_population_is_of_devices_with_the_same_effects() -> None:
@@ -76,4 +76,4 @@ def test_the_spread_in_the_population_is_of_devices_with_the_same_effects() -> N
     found = bc.BatchResult(fits, {"method": "least-squares"})
     row = found.coefficients().set_index("coefficient").loc["bias.temperature"]
     assert row["population sd"] == 0 and row["between devices"] < 0.01 and row["devices"] == 5
-    assert "D9: with other effects than most" in str(found)
+    assert "D9: has other effects than most" in str(found)

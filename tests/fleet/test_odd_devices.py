@@ -45,8 +45,8 @@ def fleet(file: Path, tmp_path_factory) -> bc.BatchResult:
 
 
 def test_odd_devices_are_named_with_what_is_odd(fleet: bc.BatchResult, tmp_path) -> None:
-    assert set(fleet.odd) == {*ODD}
-    assert bc.load_batch(fleet.save(tmp_path / "b.parquet")).odd == fleet.odd
+    assert set(fleet.outliers) == {*ODD}
+    assert bc.load_batch(fleet.save(tmp_path / "b.parquet")).outliers == fleet.outliers
 
 
 KINDS = ("constant", "slope", "noise", "lacks", "has")
@@ -88,7 +88,7 @@ def test_five_kinds_of_oddness_are_found_among_twenty() -> None:
     found, others = 0, 0
     for seed in range(8):
         lot, kinds = bent_lot(seed)
-        odd = set(bc.fit_batch(BENT, devices_of(lot)).odd)
+        odd = set(bc.fit_batch(BENT, devices_of(lot)).outliers)
         found += len(odd & {name for name, kind in kinds.items() if kind})
         others += len(odd & {name for name, kind in kinds.items() if not kind})
     assert found >= 39 and others <= 1
@@ -100,7 +100,7 @@ def test_five_kinds_of_oddness_are_found_among_twenty() -> None:
 def test_one_plain_fleet_in_a_hundred_has_an_odd_device(fleets: int, most: int) -> None:
     """Of 200 fleets of 12 devices two are expected; more than six come by chance once in two hundred."""
     lots = (bent_lot(seed, devices=12, odd=False)[0] for seed in range(fleets))
-    assert sum(bool(bc.fit_batch(BENT, devices_of(lot)).odd) for lot in lots) <= most
+    assert sum(bool(bc.fit_batch(BENT, devices_of(lot)).outliers) for lot in lots) <= most
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_of_searched_devices_what_one_lacks_and_what_one_has_is_odd(tmp_path: Pa
     lot, kinds = bent_lot(3, devices=14)
     lot.to_parquet(tmp_path / "lot.parquet")
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", find=True)
-    assert set(found.odd) == {name for name, kind in kinds.items() if kind}
+    assert set(found.outliers) == {name for name, kind in kinds.items() if kind}
 
 
 def test_the_sd_in_the_population_is_without_what_readings_leave_open() -> None:
@@ -169,5 +169,5 @@ def test_a_file_that_cannot_be_read_stops_none_of_its_name(tmp_path, result) -> 
     own.to_csv(tmp_path / "good" / "log.csv", index=False)
     (tmp_path / "broken" / "log.csv").write_text("no readings\n", "utf-8")
     found = bc.fit_batch(MODEL, tmp_path)
-    assert found.devices == ("log",) and "log.csv" in found.missing
+    assert found.devices == ("log",) and "log.csv" in found.file_errors
     np.testing.assert_allclose(found["log"].mean, result["D00"].mean, rtol=1e-10)

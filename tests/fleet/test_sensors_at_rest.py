@@ -34,7 +34,7 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
         GENERAL.baseline(), tmp_path, reference={"T0": 0.0},
         columns=columns,
     )  # fmt: skip
-    assert len(found) == found.fitted == 4
+    assert len(found) == found.fitted_count == 4
     rows = found.table().set_index(["device", "coefficient"])
     for i, (constant, slope) in enumerate(true):
         for name, value in (("bias.constant", constant), ("bias.temperature", slope)):

@@ -72,11 +72,11 @@ def test_no_effect_is_invented() -> None:
 def test_corrected_rate_depends_on_gravity() -> None:
     readings = gyro_triad.simulate({"bias.g_sensitivity": 0.05}, seed=5, campaign=THERMAL)
     correct = bc.vector_correction(bc.fit(MODEL + "bias.g_sensitivity", readings))
-    assert correct.beside == ("gravity_x", "gravity_y", "gravity_z")
+    assert correct.secondary_columns == ("gravity_x", "gravity_y", "gravity_z")
     y, gravity = np.array([10.0, -50.0, 3.0]), np.array([0.1, -0.4, 0.9])
     with pytest.raises(bc.InputError):
         correct(y, temperature=40.0)
-    found = correct(y, temperature=40.0, beside=gravity)
+    found = correct(y, temperature=40.0, secondary_input=gravity)
     bias = np.array(BASELINE["bias.constant"]) + 0.05 * FACTORS.reshape(3, 3) @ gravity
     apart = found.vector[0] - np.linalg.solve(matrix_of(BASELINE), y - bias)
     assert apart @ np.linalg.solve(found.covariance[0], apart) < 16

@@ -93,7 +93,7 @@ def test_poses_of_a_log_keep_what_its_outputs_read() -> None:
     outputs = still * SCALE + BASELINE["bias.constant"] + 0.3 * random.standard_normal(still.shape)
     columns: dict[str, Any] = {f"output_{a}": outputs[:, i] for i, a in enumerate("xyz")}
     log = bc.Measurements.from_arrays(INSTRUMENT, time=np.arange(len(still)) / 100, **columns)
-    poses = bc.poses(log, INSTRUMENT, shortest=1.0)
+    poses = bc.poses(log, INSTRUMENT, min_duration=1.0)
     assert len(poses) == 12
     assert not poses.has("magnitude")
     assert poses["magnitude_read"] == pytest.approx(log["magnitude_read"][0])

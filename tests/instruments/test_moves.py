@@ -126,7 +126,7 @@ def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
     found = bc.discover(first).best
     assert [effect.name for effect in found] == ["bias.g_sensitivity"]
     turned = bc.vector_correction(bc.fit(first.model + found, first.readings))
-    assert turned.beside == ("gravity_x", "gravity_y", "gravity_z")
+    assert turned.secondary_columns == ("gravity_x", "gravity_y", "gravity_z")
 
 
 @pytest.mark.slow

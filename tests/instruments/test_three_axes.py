@@ -252,14 +252,14 @@ def raw_log(poses: int = 24, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.
 
 def test_static_segments_and_the_uncertainty_of_their_means() -> None:
     time, y, force = raw_log()
-    found = find_static_segments(time, y)
+    found = find_static_segments(time, y, None)
     mean = np.array([y[a:b].mean(axis=0) for a, b in zip(found.first, found.last, strict=True)])
     assert len(mean) == len(force)
     matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
     apart = (mean - force @ matrix.T - [0.012, -0.020, 0.035]) / found.uncertainty[:, None]
     assert 0.75 < apart.std() < 1.25
-    assert not found.shorter
-    for arguments in ((time, y, 10.0), (time[::50], y[::50])):
+    assert not found.omitted_durations
+    for arguments in ((time, y, 10.0), (time[::50], y[::50], None)):
         with pytest.raises(bc.InputError):
             find_static_segments(*arguments)
 
@@ -272,9 +272,9 @@ def test_the_length_of_a_pose_is_chosen_from_the_log() -> None:
     at_first = np.where(at < 2500, all_over, 400)
     for held, count in ((all_over, 24), (at_first, 21)):
         kept = (at % 500 >= 400) | (at % 500 < held)
-        found = find_static_segments(np.arange(kept.sum()) / 100, y[kept])
+        found = find_static_segments(np.arange(kept.sum()) / 100, y[kept], None)
         assert len(found.first) == count
-        assert len(found.shorter) == len(force) - count
+        assert len(found.omitted_durations) == len(force) - count
 
 
 @pytest.mark.slow

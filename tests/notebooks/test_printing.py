@@ -28,9 +28,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     short: dict[str, Any] = {"method": QUICK, "max_effects": 1, "widen_noise": False}
     trail = bc.calibrate(INSTRUMENT.baseline(), readings, **short)
     first, last = trail.steps[0].calibration, trail.final.calibration
-    unit = {
-        n: still_sensor.simulate({}, seed=i, runs=1, interval=60) for i, n in enumerate(("x", "y"))
-    }
+    plan: Any = {"runs": 1, "interval": 60}
+    unit = {n: still_sensor.simulate({}, seed=i, **plan) for i, n in enumerate("xy")}
     models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
     return {
         "readings": readings,
@@ -89,6 +88,8 @@ def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) 
 def test_former_names_warn_and_are_the_new_ones(results) -> None:
     with pytest.warns(DeprecationWarning, match="findings"):
         assert results["discovery"].sets is results["discovery"].findings
+    with pytest.warns(DeprecationWarning, match="keep_excluded"):
+        results["readings"].without_causes((), others=False)
 
 
 def test_names_of_files_models_and_effects_are_escaped() -> None:

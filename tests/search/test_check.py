@@ -32,10 +32,10 @@ def test_a_product_of_two_covariates_is_named_as_such(readings) -> None:
     bent = readings.with_column("output", readings["output"] + NOISE * product)
     found = bc.check(fitted(bent))
     first = found.pairs[0]
-    alone = {e.against: e.log_bayes_factor for e in found.entries}
-    assert "temperature" in first.against
+    alone = {e.covariate: e.log_bayes_factor for e in found.entries}
+    assert "temperature" in first.covariates
     assert first.log_bayes_factor > 5
-    assert first.log_bayes_factor > max(alone[name] for name in first.against)
+    assert first.log_bayes_factor > max(alone[name] for name in first.covariates)
 
 
 def test_no_product_is_reported_where_there_is_none(readings) -> None:
@@ -46,7 +46,7 @@ def test_no_product_is_reported_where_there_is_none(readings) -> None:
 def test_outlying_run_is_named(readings) -> None:
     levels, codes = readings.groups("run")
     apart = readings.with_column("output", readings["output"] + 2 * NOISE * (codes == 1))
-    entry = next(e for e in bc.check(fitted(apart)).entries if e.against == "run")
+    entry = next(e for e in bc.check(fitted(apart)).entries if e.covariate == "run")
     assert entry.by_group
     assert entry.worst.group == levels[1]
     assert entry.log_bayes_factor > 5

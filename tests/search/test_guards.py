@@ -199,7 +199,7 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
         ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
         ({"pit_p": 1e-6}, "noise.tails"),
         ({"one_sided": 1e-6}, "noise.one_sided"),
-        ({"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]}, "residuals.depend"),
+        ({"entries": [SimpleNamespace(covariate="run", log_bayes_factor=11)]}, "residuals.depend"),
         ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
 )
@@ -215,7 +215,7 @@ def test_advice_names_a_missing_effect_first(line, kurtosis: float) -> None:
     misfit = {"pit_p": 1e-9, "excess_kurtosis": kurtosis, "autocorrelation": (0.9, 17.0)}
     step.check = SimpleNamespace(**vars(step.check) | misfit)
     assert ("--noise student_t" in assess_last([step]).reason) is (kurtosis > 0)
-    step.check.entries = [SimpleNamespace(log_bayes_factor=140.0, against="run")]
+    step.check.entries = [SimpleNamespace(covariate="run", log_bayes_factor=140.0)]
     runs = {"error_ratio": np.array([1.0, 5.7, 1.0]), "p_value": np.array([1.0, 1e-9, 1.0])}
     step.leave_one_group_out = SimpleNamespace(
         **vars(groups_left_out(1.0, 0.0)) | runs, members=("1", "2", "3")

@@ -109,7 +109,7 @@ def test_effect_outside_the_catalogue_is_reported() -> None:
     """Humidity acts and is recorded, but no candidate knows it: the check must name it."""
     readings = mems_gyro.simulate({"unlisted.humidity": 0.04}, seed=51)
     first = bc.check(bc.fit(INSTRUMENT.baseline(), readings))
-    assert first.entries[0].against == "humidity"
+    assert first.entries[0].covariate == "humidity"
     assert first.entries[0].log_bayes_factor > 5
 
 

@@ -82,7 +82,7 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
 
 def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> None:
     fit = bc.fit(INSTRUMENT.baseline(), mems_gyro.simulate(HUMID, seed=1), bc.LeastSquares())
-    found = [e.against for e in bc.check(fit).entries if not e.by_group]
+    found = [e.covariate for e in bc.check(fit).entries if not e.by_group]
     assert {*found} >= {"temperature", "board_temperature", "time", "humidity", "elapsed"}
     assert "temperature rate" in found
     assert not {*found} & {"output", "run", "temperature_point"}

@@ -46,7 +46,7 @@ def test_channels_of_one_unit_are_not_each_others_causes(line: bc.Calibration) -
     assert {"unknown(drive)", "unknown(pressure)"} <= found
     assert not {"unknown(acc_x)", "unknown(acc_y)"} & found
     assert {"acc_x", "acc_y"} <= set(line.readings.columns)  # an effect of one's own may take them
-    assert {"acc_x", "acc_y"}.isdisjoint(e.against for e in bc.check(line).entries)
+    assert {"acc_x", "acc_y"}.isdisjoint(e.covariate for e in bc.check(line).entries)
 
 
 def test_the_mark_stays_with_the_readings(line: bc.Calibration, tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from bayescal._annexes.fleet.find_devices import estimate_shares as estimate_sha
 from bayescal._annexes.fleet.find_devices import find_favoured_effects as find_favoured_effects
 from bayescal._annexes.imu.imu_annex import Triad as Triad
 from bayescal._annexes.imu.still_stretches import find_static_segments as find_static_segments
-from bayescal._annexes.metrology.certificate import Certificate, dcc_text
-from bayescal._annexes.metrology.certificate import d_si as d_si
+from bayescal._annexes.metrology.certificate import Certificate, generate_dcc
+from bayescal._annexes.metrology.certificate import find_d_si as find_d_si
 from bayescal._annexes.metrology.conformity import DrawnQuantity as DrawnQuantity
 from bayescal._annexes.metrology.conformity import Limits as Limits
 from bayescal._annexes.metrology.conformity import compute_global_risks as compute_global_risks
@@ -92,7 +92,7 @@ def screen_of(path: bc.SearchPath, verbose: bool = False) -> str:
 def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | None = None) -> str:
     """The digital calibration certificate as XML; `stated`: its file, or what stands in it."""
     given = Certificate(stated) if isinstance(stated, dict) else stated
-    return dcc_text(calibration, given, decisions=decided)
+    return generate_dcc(calibration, given, decisions=decided)
 
 
 def is_overload(value: float) -> bool:

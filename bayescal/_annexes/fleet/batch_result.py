@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.fleet.find_devices import EFFECTS, DeviceStructure
+from bayescal._annexes.fleet.find_devices import EFFECT_COLUMNS, DeviceStructure
 from bayescal._annexes.fleet.population import estimate_population
 
 FORMAT = "bayescal.batch/1"
@@ -33,57 +33,57 @@ SCHEMA = pa.schema(
         **{"covariance": pa.list_(pa.float64()), "readings": pa.float64(), "T0": pa.float64()},
     }
 )
-COEFFICIENTS = ["coefficient", "median", "between devices", "population sd", "typical sd"]
-COEFFICIENTS += ["unit", "devices"]
-SAVED = ("checked", "odd", "missing", "left_out", "about", "revised")  # attributes of a batch
+COEFFICIENT_COLUMNS = ["coefficient", "median", "between devices", "population sd", "typical sd"]
+COEFFICIENT_COLUMNS += ["unit", "devices"]
+ATTRIBUTE_BY_KEY = {"checked": "searched_count", "odd": "outliers", "missing": "file_errors"}
+ATTRIBUTE_BY_KEY |= {"left_out": "skip_reasons", "about": "configuration", "revised": "revisions"}
 TABLE_COLUMNS = SCHEMA.names[:7]  # of `BatchResult.table`
 
 
 def format_reasons(reasons: Mapping[str, str], prefix: str = "", suffix: str = "") -> list[str]:
-    """Format reasons, by name, as lines: one for each of the ten most frequent reasons, and a count of other names.
+    """Format name → reason as a line for each of the ten most frequent reasons, and one that counts the other names.
 
     `prefix` precedes the names in a line, `suffix` follows the count.
     """
-    by_reason: dict[str, list[str]] = {}
+    names_by_reason: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         key = reason.replace(repr(name), "").replace(f"device {name}", "")
-        by_reason.setdefault(key, []).append(name)
-    groups = sorted(by_reason.values(), key=len, reverse=True)[:MAX_PRINTED_ROWS]
+        names_by_reason.setdefault(key, []).append(name)
+    groups = sorted(names_by_reason.values(), key=len, reverse=True)[:MAX_PRINTED_ROWS]
     lines = []
     for names in groups:
-        listed, n_more = ", ".join(names[:MAX_NAMES_PER_REASON]), len(names) - MAX_NAMES_PER_REASON
-        others = f" and {n_more} more" * (n_more > 0)
-        lines.append(f"  {prefix}{listed}{others}: {reasons[names[0]]}")
+        first_names, n_more = names[:MAX_NAMES_PER_REASON], len(names) - MAX_NAMES_PER_REASON
+        name_list = ", ".join(first_names) + f" and {n_more} more" * (n_more > 0)
+        lines.append(f"  {prefix}{name_list}: {reasons[names[0]]}")
     n_more = len(reasons) - sum(map(len, groups))
     return [*lines, f"  … and {n_more} more{suffix}"] if n_more > 0 else lines
 
 
-HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
-HEADERS |= {"typical sd": "standard uncertainty (median)"}
+STATISTIC_HEADERS = {"between devices": "sd of estimates", "population sd": "sd in the population"}
+STATISTIC_HEADERS |= {"typical sd": "standard uncertainty (median)"}
 EFFECT_HEADERS = {"devices": "devices found in", "possible": "devices possibly found in"}
 EFFECT_HEADERS |= {"in fleet": "P(any has it)", "expected": "expected devices"}
 EFFECT_HEADERS |= {"share": "expected share", "low": "if any, share from", "high": "to (95 %)"}
 
 
 def format_table(table: pd.DataFrame, digits: int, headers: Mapping[str, str]) -> str:
-    """Format a table with `digits` significant digits; `headers` are column headers, by name of the column."""
+    """Format a table: numbers with `digits` significant digits, NaN as "–"; `headers`: column → printed header."""
 
     def format_cell(v: Any) -> str:
         text = ws.number(v, digits) if isinstance(v, float) else str(v)
         return {"nan": "–", "0": "not resolved"}.get(text, text) if isinstance(v, float) else text
 
-    columns = (
-        ws.TableColumn(headers.get(n, n), n, ws.unit_label if n == "unit" else format_cell)
-        for n in table.columns
-    )
+    formats = {n: ws.unit_label if n == "unit" else format_cell for n in table.columns}
+    columns = (ws.TableColumn(headers.get(n, n), n, show) for n, show in formats.items())
     return str(ws.ResultTable(tuple(columns), table.to_dict("records")))
 
 
-OTHER_EFFECTS = "with other effects than most; only in the rows of coefficients that most lack"
+OTHER_EFFECTS = "has other effects than most devices; included only in the rows of coefficients that most devices lack"
 IMPROBABLE = "  {}: do not use before another test: {} was found, but is improbable in the fleet"
 NO_SEARCH = "no device was searched for missing effects (option --find, or find=True)"
 
 
+@ws.renamed(readings="reading_count")
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
     """Result of the fit of one device of a batch.
@@ -94,7 +94,7 @@ class DeviceResult:
         names, units: names and units of the q unknowns; empty if the device was rejected.
         mean: posterior mean of each unknown (q,), in `units`.
         covariance: posterior covariance (q, q); NaN where it is not estimated (σ of the noise, by least squares).
-        readings: number of readings fitted; NaN if not known.
+        reading_count: number of readings fitted; NaN if not known.
         t0: reference temperature T0, °C; NaN if the model has none.
         structure: result of the search for missing effects; None without a search. Not saved.
     """
@@ -105,7 +105,7 @@ class DeviceResult:
     units: tuple[str, ...] = ()
     mean: np.ndarray = field(default_factory=partial(np.zeros, 0))
     covariance: np.ndarray = field(default_factory=partial(np.zeros, (0, 0)))
-    readings: float = np.nan
+    reading_count: float = np.nan
     t0: float = np.nan
     structure: DeviceStructure | None = None
 
@@ -123,26 +123,26 @@ class DeviceResult:
     def __getitem__(self, name: str) -> tuple[float, float]:
         """Return mean and standard uncertainty of the unknown `name`; raise InputError if it does not exist."""
         if name not in self.names:
-            others = ", ".join(self.names) or "none"
-            raise bc.InputError(f"device {self.device!r} has no unknown {name!r}; it has: {others}")
+            names = ", ".join(self.names) or "none"
+            raise bc.InputError(f"device {self.device!r} has no unknown {name!r}; it has: {names}")
         i = self.names.index(name)
         return float(self.mean[i]), float(self.sd[i])
 
     def __str__(self) -> str:
         head = f"device {self.device}: {'ok' if self.ok else self.reason}"
-        errors = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
-        rows = zip(self.names, self.mean, errors, self.units, strict=True)
+        sd_texts = [("" if np.isnan(s) else f" ± {s:.2g}") for s in self.sd]
+        rows = zip(self.names, self.mean, sd_texts, self.units, strict=True)
         return "\n".join([head, *(f"  {n} = {m:.6g}{s} {u}" for n, m, s, u in rows)])
 
 
 def _tabulate(results: Iterable[DeviceResult]) -> pa.Table:
     """Tabulate results: one row per device and unknown, and one row for a device without unknowns."""
     rows = [
-        (fit.device, name, mean, sd, unit, fit.ok, fit.reason, covariance, fit.readings, fit.t0)
-        for fit in results
+        (f.device, name, mean, sd, unit, f.ok, f.reason, covariance, f.reading_count, f.t0)
+        for f in results
         for name, mean, sd, unit, covariance in (
-            zip(fit.names, fit.mean, fit.sd, fit.units, fit.covariance, strict=True)
-            if fit.names
+            zip(f.names, f.mean, f.sd, f.units, f.covariance, strict=True)
+            if f.names
             else [(None,) * 5]
         )
     ]
@@ -172,45 +172,45 @@ def require_parquet(path: Path) -> Path:
     return path
 
 
-@ws.renamed(doubted="unreliable")
+@ws.renamed(doubted="unreliable", data="to_json_data", fitted="fitted_count", **ATTRIBUTE_BY_KEY)
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """Results of the fits of many devices; `result["A17"]` or `result[3]` is the result of one device.
 
     Attributes:
         results: result of each device, in input order.
-        about: instrument, effects, noise law, method, seed, reference constants, and settings other than the defaults.
-        odd: name of an outlying device → messages, one per outlying quantity.
-        checked: number of devices searched for missing effects (`find`).
-        missing: unreadable file → error message.
-        left_out: entry of a folder of readings that was not read → reason.
-        effects: table of the effects found by `find`: number of devices with each, and its share of the fleet.
-        revised: device whose own search found an effect improbable in the fleet → this, and the effects fitted instead.
+        configuration: instrument, effects, noise law, method, seed, reference constants, non-default settings.
+        outliers: name of an outlying device → messages, one per outlying quantity.
+        searched_count: number of devices searched for missing effects (`find`).
+        file_errors: name of an unreadable file → error message.
+        skip_reasons: path of a folder's entry that was not read → reason.
+        effects: table of the effects found by `find`, one row per effect; columns: `tabulate_effects`.
+        revisions: device whose own search found effects improbable in the fleet → these, and those fitted instead.
     """
 
     results: tuple[DeviceResult, ...]
-    about: dict[str, Any]
-    odd: dict[str, list[str]] = field(default_factory=dict)
-    checked: int = 0
-    missing: dict[str, str] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
-    effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECTS))
-    revised: dict[str, str] = field(default_factory=dict)
+    configuration: dict[str, Any]
+    outliers: dict[str, list[str]] = field(default_factory=dict)
+    searched_count: int = 0
+    file_errors: dict[str, str] = field(default_factory=dict)
+    skip_reasons: dict[str, str] = field(default_factory=dict)
+    effects: pd.DataFrame = field(default_factory=partial(pd.DataFrame, columns=EFFECT_COLUMNS))
+    revisions: dict[str, str] = field(default_factory=dict)
 
     @cached_property
-    def _by_name(self) -> dict[str, DeviceResult]:
+    def _results_by_name(self) -> dict[str, DeviceResult]:
         return {fit.device: fit for fit in self.results}
 
     @cached_property
-    def _effects(self) -> dict[str, str]:
-        """Return the unknowns of each reliable fit as text, by device, without noise and members of groups."""
+    def _unknowns_by_device(self) -> dict[str, str]:
+        """Return the names of the unknowns of each reliable fit as one text, without noise and members of groups."""
         names = {fit.device: [n for n in fit.names if n[:6] != "noise."] for fit in self if fit.ok}
         return {d: ", ".join(dict.fromkeys(n.partition("(")[0] for n in names[d])) for d in names}
 
     @property
     def devices(self) -> tuple[str, ...]:
         """Return the devices' names, in input order."""
-        return tuple(self._by_name)
+        return tuple(self._results_by_name)
 
     @property
     def ok(self) -> np.ndarray:
@@ -227,8 +227,8 @@ class BatchResult:
         """Return the result of one device, by name or index; raise InputError if there is none."""
         if isinstance(device, int) and -len(self) <= device < len(self):
             return self.results[device]
-        if device in self._by_name:
-            return self._by_name[device]
+        if device in self._results_by_name:
+            return self._results_by_name[device]
         names = ", ".join(self.devices[:5]) + " …" * (len(self) > 5)
         raise bc.InputError(f"there is no device {device!r}; the {len(self)} devices are: {names}")
 
@@ -240,7 +240,7 @@ class BatchResult:
         return _tabulate(self.results).select(TABLE_COLUMNS).to_pandas()
 
     @property
-    def fitted(self) -> int:
+    def fitted_count(self) -> int:
         """Return the number of devices with a reliable fit."""
         return sum(fit.ok for fit in self)
 
@@ -252,15 +252,15 @@ class BatchResult:
     def coefficients(self) -> pd.DataFrame:
         """Return statistics of each coefficient over the devices with a reliable fit, one row per coefficient.
 
-        Columns: median and experimental standard deviation of the estimates; standard deviation in the population,
-        without the estimates' uncertainties (restricted likelihood); median standard uncertainty; unit; device count.
-        A coefficient may mean something else beside other effects: of the devices with it, only those with the most
-        frequent set of effects are included.
+        Columns: coefficient; median, and experimental standard deviation `between devices`, of the estimates; standard
+        deviation in the population, without the estimates' uncertainties (restricted likelihood); median standard
+        uncertainty (`typical sd`); unit; number of devices. As the meaning of a coefficient depends on the other
+        effects, only those devices with it are included that have the most frequent set of effects.
         """
 
         def summarise(name: str, unit: str, fits: pd.DataFrame) -> list[Any]:
-            sets = np.array([self._effects[device] for device in fits["device"]])
-            fits = fits.loc[sets == mode(sets)]
+            effect_sets = np.array([self._unknowns_by_device[device] for device in fits["device"]])
+            fits = fits.loc[effect_sets == mode(effect_sets)]
             mean, sd, population_sd = fits["mean"].to_numpy(), fits["sd"].to_numpy(), np.nan
             if len(fits) > 1 and np.isfinite(sd).all():
                 population_sd = np.sqrt(estimate_population(mean, sd**2)[1])
@@ -268,22 +268,22 @@ class BatchResult:
             return [name, *moments, unit, len(fits)]
 
         by_unknown = self.table().query("ok").groupby(["coefficient", "unit"], sort=False)
-        rows = [summarise(name, unit, fits) for (name, unit), fits in by_unknown]  # pyright: ignore
-        return pd.DataFrame(rows, columns=COEFFICIENTS)
+        rows = [summarise(*key, fits) for key, fits in by_unknown]  # pyright: ignore
+        return pd.DataFrame(rows, columns=COEFFICIENT_COLUMNS)
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return a summary of the batch as JSON data, without the results of single devices."""
-        counts = {"schema": FORMAT, "devices": len(self), "fitted": self.fitted}
-        saved = {"not_fitted": list(self.unreliable), **{n: getattr(self, n) for n in SAVED}}
+        """Return the counts, saved attributes and tables of the batch as JSON data, without results of devices."""
+        data = {"schema": FORMAT, "devices": len(self), "fitted": self.fitted_count}
+        data |= {"not_fitted": list(self.unreliable)}
+        data |= {key: getattr(self, name) for key, name in ATTRIBUTE_BY_KEY.items()}
         tables = {"coefficients": self.coefficients(), "effects": self.effects}
-        records = {name: table.to_dict("records") for name, table in tables.items()}
-        return ws.as_json(counts | saved | records)
+        return ws.as_json(data | {key: t.to_dict("records") for key, t in tables.items()})
 
     def save(self, path: str | Path) -> Path:
         """Write the results to a Parquet file, which `load_batch` reads; return its path.
 
         Args:
-            path: file name ending in .parquet. Rows are those of `table()`, with covariances; the metadata is `data()`.
+            path: file name ending in .parquet. Rows: those of `table()`, with covariances; metadata: `to_json_data()`.
 
         Raises:
             InputError: the suffix is not .parquet, or the file cannot be written.
@@ -299,26 +299,30 @@ class BatchResult:
         return f"<pre>{ws.html_text(self)}</pre>"
 
     def __str__(self) -> str:
-        notes = {name: "; ".join(messages) for name, messages in self.odd.items()}
-        head = f"{len(self)} devices, {self.fitted} fitted ({self.about['method']})"
+        outlier_texts = {name: "; ".join(texts) for name, texts in self.outliers.items()}
+        head = f"{len(self)} devices, {self.fitted_count} fitted ({self.configuration['method']})"
         lines = [head, *format_reasons(self.unreliable)]
-        lines.append(f"{self.checked} searched for missing effects" if self.checked else NO_SEARCH)
-        error_rate = f"family-wise error rate {FAMILY_WISE_ERROR:.0%}"
-        lines += [f"{len(notes)} of {len(self)} devices are outliers ({error_rate}):"] * bool(notes)
-        lines += format_reasons(notes, suffix=", all in `odd`")
-        lines += format_reasons(self.missing, "no results of ", " files")
-        lines += format_reasons(self.left_out, "not read: ", ", not read either")
-        lines += [format_table(self.coefficients(), 4, HEADERS)] * bool(self.fitted)
-        most = mode(self._effects.values() or [""])
-        lines += format_reasons({d: OTHER_EFFECTS for d, e in self._effects.items() if e != most})
+        lines.append(
+            f"{n} searched for missing effects" if (n := self.searched_count) else NO_SEARCH
+        )
+        if count := len(outlier_texts):
+            rate = f"family-wise error rate {FAMILY_WISE_ERROR:.0%}"
+            lines.append(f"{count} of {len(self)} devices are outliers ({rate}):")
+        lines += format_reasons(outlier_texts, suffix=", all in `outliers`")
+        lines += format_reasons(self.file_errors, "no results of ", " files")
+        lines += format_reasons(self.skip_reasons, "not read: ", ", not read either")
+        if unknowns := self._unknowns_by_device:
+            lines.append(format_table(self.coefficients(), 4, STATISTIC_HEADERS))
+            most = mode(unknowns.values())
+            lines += format_reasons({d: OTHER_EFFECTS for d, u in unknowns.items() if u != most})
         if len(effects := self.effects.head(MAX_PRINTED_ROWS)):
             table = effects.assign(**{"in fleet": effects["in fleet"].map(ws.probability)})
             lines += ["effects missing from the model:", format_table(table, 3, EFFECT_HEADERS)]
             for name in effects.query("devices > 0 and `in fleet` < 0.5")["effect"]:
-                has_it = self.table()["coefficient"].str.match(rf"{name}(?!\w)", na=False)
-                devices = ", ".join(dict.fromkeys(self.table()["device"][has_it]))
+                is_of_effect = self.table()["coefficient"].str.match(rf"{name}(?!\w)", na=False)
+                devices = ", ".join(dict.fromkeys(self.table()["device"][is_of_effect]))
                 lines += [IMPROBABLE.format(devices, name)] * bool(devices)
-            lines += format_reasons(self.revised)
+            lines += format_reasons(self.revisions)
         return "\n".join(lines)
 
 
@@ -328,7 +332,7 @@ def load_batch(path: str | Path) -> BatchResult:
     Raises:
         InputError: the file does not exist, is damaged, or is not a batch of this version.
     """
-    path = Path(path)
+    path, advice = Path(path), "Use a backup copy, or run the batch again"
     if not path.is_file():
         raise bc.InputError(f"{path} does not exist: give the file of a batch saved by bayescal")
     try:
@@ -338,11 +342,9 @@ def load_batch(path: str | Path) -> BatchResult:
             raise KeyError(metadata["schema"])
         return BatchResult(
             _split_by_device(table.select(SCHEMA.names).cast(SCHEMA)),
-            effects=pd.DataFrame(metadata["effects"], columns=EFFECTS),
-            **{n: metadata[n] for n in SAVED},
+            effects=pd.DataFrame(metadata["effects"], columns=EFFECT_COLUMNS),
+            **{name: metadata[key] for key, name in ATTRIBUTE_BY_KEY.items()},
         )
     except Exception as error:  # whatever a damaged file makes Arrow raise
-        raise bc.InputError(
-            f"{path.name} is damaged, or is not a batch of this version ({type(error).__name__}). Use a backup copy, "
-            "or run the batch again"
-        ) from None
+        fault = f"is damaged, or is not a batch of this version ({type(error).__name__})"
+        raise bc.InputError(f"{path.name} {fault}. {advice}") from None

@@ -23,6 +23,7 @@ from bayescal.workshop import Place, Source, find_single_temperature, find_time_
 DEVICE = "device"
 
 
+@ws.renamed(refused="rejection_reasons")
 @dataclass(frozen=True, eq=False)
 class Devices:
     """Readings of many devices of one type.
@@ -32,12 +33,12 @@ class Devices:
     Attributes:
         names: names of all devices, including rejected ones, in order of appearance.
         measurements: name → readings of each accepted device.
-        refused: name → reason why the device was rejected.
+        rejection_reasons: name of a rejected device → error message.
     """
 
     names: tuple[str, ...]
     measurements: dict[str, bc.Measurements]
-    refused: dict[str, str] = field(default_factory=dict)
+    rejection_reasons: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -48,7 +49,7 @@ class Devices:
             return self.measurements[name]
         names = ", ".join(self.names[:5]) + " …" * (len(self) > 5)
         unknown = f"no readings; the {len(self)} devices are: {names}"
-        raise bc.InputError(f"device {name!r}: {self.refused.get(name, unknown)}")
+        raise bc.InputError(f"device {name!r}: {self.rejection_reasons.get(name, unknown)}")
 
     def __iter__(self) -> Iterator[bc.Measurements]:
         return iter(self.measurements.values())
@@ -56,28 +57,26 @@ class Devices:
     def select(self, names: Sequence[str]) -> Devices:
         """Return the devices of these names, in the order of the names."""
         accepted = {n: self.measurements[n] for n in names if n in self.measurements}
-        refused = {n: self.refused[n] for n in names if n in self.refused}
-        return Devices(tuple(names), accepted, refused)
+        reasons = {n: self.rejection_reasons[n] for n in names if n in self.rejection_reasons}
+        return Devices(tuple(names), accepted, reasons)
 
     def __repr__(self) -> str:
-        return f"<{sum(map(len, self))} readings of {len(self)} devices, {len(self.refused)} of them refused>"
+        return f"<{sum(map(len, self))} readings of {len(self)} devices, {len(self.rejection_reasons)} rejected>"
 
     @classmethod
     def of_files(cls, by_file: Mapping[Path, Devices]) -> Devices:
         """Combine the devices of several files; reject a device that is in more than one of them."""
-        measurements, refused = dict[str, bc.Measurements](), dict[str, str]()
+        measurements, reasons = dict[str, bc.Measurements](), dict[str, str]()
         first_files = dict[str, Path]()
         for file, devices in by_file.items():
             measurements |= devices.measurements
-            refused = devices.refused | refused
+            reasons = devices.rejection_reasons | reasons
             for name in devices.names:
-                if (other := first_files.setdefault(name, file)) != file:
-                    files = f"{other.name!r} and {file.name!r}"
-                    refused[name] = (
-                        f"device {name!r} is in several files, {files}: combine its readings in one file"
-                    )
-        accepted = {name: m for name, m in measurements.items() if name not in refused}
-        return cls(tuple(first_files), accepted, refused)
+                if (first := first_files.setdefault(name, file)) != file:
+                    fault = f"is in several files, {first.name!r} and {file.name!r}"
+                    reasons[name] = f"device {name!r} {fault}: combine its readings in one file"
+        accepted = {name: m for name, m in measurements.items() if name not in reasons}
+        return cls(tuple(first_files), accepted, reasons)
 
     @classmethod
     def of_measurements(
@@ -99,9 +98,9 @@ class Devices:
             if len({*names}) < len(names):
                 names = [str(i + 1) for i in range(len(entries))]
         by_name = dict(zip(names, entries, strict=True))
-        refused = {n: error for n, d in by_name.items() if (error := _find_non_finite_value(d))}
-        accepted = {name: device for name, device in by_name.items() if name not in refused}
-        return cls(tuple(by_name), accepted, refused)
+        reasons = {n: error for n, d in by_name.items() if (error := _find_non_finite_value(d))}
+        accepted = {name: device for name, device in by_name.items() if name not in reasons}
+        return cls(tuple(by_name), accepted, reasons)
 
 
 def _find_non_finite_value(device: bc.Measurements) -> str:
@@ -122,64 +121,65 @@ def list_files(paths: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
     Raises:
         InputError: there is no file of readings.
     """
-    files, left_out = list[Path](), dict[str, str]()
+    files, skip_reasons = list[Path](), dict[str, str]()
     for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
         for entry in sorted(path.rglob("*")):
-            relative, suffix = entry.relative_to(path), entry.suffix.lower()
-            is_hidden = [part[0] in "._" for part in relative.parts]
+            relative_path, suffix = entry.relative_to(path), entry.suffix.lower()
+            is_hidden = [part[0] in "._" for part in relative_path.parts]
             if any(is_hidden[:-1]):
                 continue
-            name, is_unreadable = ws.one_line(relative), not os.access(entry, os.R_OK | os.X_OK)
+            name, is_readable = ws.one_line(relative_path), os.access(entry, os.R_OK | os.X_OK)
             if is_hidden[-1]:
-                left_out[name] = "names that begin with . or _ are reserved for programs"
+                skip_reasons[name] = "names that begin with . or _ are reserved for programs"
             elif entry.is_file() and suffix in ws.SUFFIXES:
                 files.append(entry)
             elif entry.is_file():
-                left_out[name] = f"the suffix {suffix!r} is not supported"
-            elif entry.is_symlink() or not entry.is_dir() or is_unreadable:
-                left_out[name] = "a link to a folder, or neither a file nor a readable folder"
+                skip_reasons[name] = f"the suffix {suffix!r} is not supported"
+            elif entry.is_symlink() or not (entry.is_dir() and is_readable):
+                skip_reasons[name] = "a link to a folder, or neither a file nor a readable folder"
     if not files:
-        reasons = "".join(f"; {name}: {reason}" for name, reason in list(left_out.items())[:3])
+        reasons = "".join(f"; {name}: {text}" for name, text in list(skip_reasons.items())[:3])
         raise bc.InputError(
             f"no file of readings in {', '.join(map(str, paths))}: expected one of {', '.join(ws.SUFFIXES)}{reasons}"
         )
-    return files, left_out
+    return files, skip_reasons
 
 
+@ws.renamed(needs="needed_columns")
 def split_devices(
     paths: str | Path | Sequence[str | Path],
     instrument: bc.Instrument,
     *,
-    needs: Sequence[str] = (),
-    **how: Any,
+    needed_columns: Sequence[str] = (),
+    **settings: Any,
 ) -> Devices:
     """Read files of many devices and split them by the column `device`; a file without this column is one device.
 
     Args:
         paths: CSV, Parquet or NetCDF files. Rows of different devices may be mixed; those of one are in time order.
         instrument: instrument type of the devices.
-        needs: additional columns that a model's effects use; a device without numbers in them is rejected.
-        how: options of `read`: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero,
-            date_order, ignore; columns={"device": "serial"} splits by the column `serial`.
+        needed_columns: additional columns that a model's effects use; a device without numbers in them is rejected.
+        settings: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero, date_order, ignore: as
+            in `read`; columns={"device": "serial"} splits by the column `serial`.
 
     Returns:
         The devices. A device with an unusable cell, equal temperatures, decreasing time, or readings in several files
-        is in `refused` with its error message; the others are not affected.
+        is in `rejection_reasons` with its error message; the others are not affected.
 
     Raises:
         InputError: a file cannot be read, lacks a column, has a wrong unit, or has rows without a device.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    options = ws.ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
-    by_file = {p: read_devices(p, instrument, options, needs) for p in files}
+    options = ws.ReadOptions.of(instrument, **{k: v for k, v in settings.items() if v is not None})
+    by_file = {p: read_devices(p, instrument, options, needed_columns) for p in files}
     return Devices.of_files(by_file)
 
 
 def read_devices(
-    path: Path, instrument: bc.Instrument, options: ws.ReadOptions, needs: Sequence[str] = ()
+    path: Path, instrument: bc.Instrument, options: ws.ReadOptions, needed_columns: Sequence[str]
 ) -> Devices:
     """Read the devices of one file, or of a log's selected channels; a file without a column `device` is one device.
 
@@ -190,10 +190,10 @@ def read_devices(
     problems, options = ws.Objections(), options.restrict_to(table)
     ws.check_options([table], options, problems)
     problems.refuse()
-    columns = (*instrument.columns, *_find_additional_columns(table, instrument, options, needs))
-    output = ws.output_name(instrument)
-    expects = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
-    file = ws.MatchedFile(table, expects, options, problems)
+    additional_columns = _find_additional_columns(table, instrument, options, needed_columns)
+    columns, output = (*instrument.columns, *additional_columns), ws.output_name(instrument)
+    expected = ws.ExpectedColumns(instrument.name, columns, instrument.nominal_scale, output)
+    file = ws.MatchedFile(table, expected, options, problems)
     problems.refuse()
     table, labels = file.table, np.full(table.rows, path.stem, dtype=object)
     if (position := file.positions.get(DEVICE)) is not None:
@@ -203,57 +203,57 @@ def read_devices(
         row = table.place(int(np.argmax(labels == "")))
         raise bc.InputError(f"{row} of {table.file!r} has no device: fill it in or remove the row")
     names = tuple(map(str, levels))
-    values, units, rows, refused = _convert_usable(table, codes, names, expects, options)
-    by_name, needed = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
-    begin = np.flatnonzero(np.diff(codes[rows], prepend=-1))
-    for first, end in itertools.pairwise([*begin, len(rows)]):
+    values, units, rows, reasons = _convert_usable_rows(table, codes, names, expected, options)
+    by_name, required = dict[str, bc.Measurements](), {c.name for c in columns if c.required}
+    starts = np.flatnonzero(np.diff(codes[rows], prepend=-1))
+    for first, end in itertools.pairwise([*starts, len(rows)]):
         name = names[codes[rows[first]]]
         device = {n: column[first:end] for n, column in values.items()}
-        if error := _find_device_error(device, name, {"temperature"} <= needed & device.keys()):
-            refused[name] = error
+        if error := _find_device_error(device, name, {"temperature"} <= required & device.keys()):
+            reasons[name] = error
         else:
             source = Source(f"{table.file}, device {name}", table.sha256, int(end - first))
             by_name[name] = bc.Measurements(device, units, (source,), output=output)
-    return Devices(names, by_name, refused)
+    return Devices(names, by_name, reasons)
 
 
 def _find_additional_columns(
-    table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, needs: Iterable[str]
+    table: ws.Table, instrument: bc.Instrument, options: ws.ReadOptions, names: Iterable[str]
 ) -> tuple[bc.Column, ...]:
-    """Return the columns, in base units, that effects need but the instrument does not declare."""
+    """Return those columns `names` of a table, in base units, that the instrument does not declare."""
     headers = {h.name: h for h in table.headers}
     columns = []
-    for name in [n for n in needs if n not in ws.expected_columns(instrument)]:
+    for name in [n for n in names if n not in ws.expected_columns(instrument)]:
         header = headers.get(options.columns.get(name, name))
         if header is not None and (unit := ws.unit_of(header, name, options)) is not None:
             columns.append(bc.Column(name, ws.base_unit(unit), required=False))
     return tuple(columns)
 
 
-def _convert_usable(
+def _convert_usable_rows(
     table: ws.Table,
     codes: np.ndarray,
     names: Sequence[str],
-    expects: ws.ExpectedColumns,
+    expected: ws.ExpectedColumns,
     options: ws.ReadOptions,
 ) -> tuple[Mapping[str, np.ndarray], Mapping[str, str | None], np.ndarray, dict[str, str]]:
-    """Convert the columns of all usable devices; return values, units, row indices, and rejected device → reason."""
-    rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
+    """Convert the rows of usable devices, sorted by device; return values, units, rows, rejected device → reason."""
+    rows, reasons = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, subtable = ws.Objections(), table.take(rows)
         with problems.collecting():
-            converted = ws.convert_columns(subtable, expects, options)
+            converted = ws.convert_columns(subtable, expected, options)
             rows = rows if converted.kept_rows is None else rows[converted.kept_rows]
-            return converted.values, converted.units, rows, refused
+            return converted.values, converted.units, rows, reasons
         ws.Objections(p for p in problems if not p.rows).refuse()
         errors: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
                 row_problem = replace(problem, rows=(index,), places=(subtable.place(index),))
                 errors[int(codes[rows[index]])] = str(row_problem)
-        refused |= {names[code]: error for code, error in errors.items()}
+        reasons |= {names[code]: error for code, error in errors.items()}
         rows = rows[~np.isin(codes[rows], list(errors))]
-    return {}, {}, rows, refused
+    return {}, {}, rows, reasons
 
 
 def _find_device_error(columns: dict[str, np.ndarray], name: str, needs_temperatures: bool) -> str:

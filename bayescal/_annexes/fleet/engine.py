@@ -28,8 +28,7 @@ MAX_TASK_RETRIES = 2  # of a failed task; tasks of a worker that died do not cou
 POLL_INTERVAL_S = 2.0  # between checks of the deadline and of the workers
 REPORT_INTERVAL_S = 9.0  # between progress messages
 WORKER_TIMEOUT_S = 200.0  # without a worker, after which a run is abandoned
-# Size of a task that a scheduler accepts without a warning: twice the maximum size of a file.
-MAX_TASK_SIZE = "4GB"
+MAX_TASK_SIZE = "4GB"  # with its readings, twice the maximum of a file; Dask warns of larger tasks
 NOT_PROCESSED = "not processed ({}): give more time"
 
 
@@ -39,7 +38,7 @@ def open_cluster(
 ) -> Iterator[Client]:
     """Open a client of a local Dask cluster, or of the cluster with the address `scheduler`; close it on exit.
 
-    `workers` is the number of local processes, by default one per core; `files`, the user's code, go to the workers.
+    `workers`: number of local processes, by default one per core; `files`: the user's code, copied to the workers.
 
     Raises:
         InputError: Dask is not installed, or no scheduler answers at the address.
@@ -62,8 +61,8 @@ def open_cluster(
             yield client
 
 
-def _open_local_cluster(workers: int | None) -> LocalCluster:
-    """Open a local worker pool that accepts tasks from this process only."""
+def _open_local_cluster(worker_count: int | None) -> LocalCluster:
+    """Open a local worker pool that accepts tasks from this process only; None: a worker per core."""
     import dask.config
     from distributed import LocalCluster
     from distributed.security import Security
@@ -72,7 +71,7 @@ def _open_local_cluster(workers: int | None) -> LocalCluster:
     os.environ["PYTHONSAFEPATH"] = "1"
     settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
-    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    options = {"n_workers": worker_count, "threads_per_worker": 1, "processes": True}
     options |= {"host": LOOPBACK_ADDRESS, "dashboard_address": f"{LOOPBACK_ADDRESS}:0"}
     options |= {"security": Security.temporary(), "scheduler_kwargs": {"dashboard": False}}
     with dask.config.set(settings):
@@ -122,7 +121,6 @@ def _iterate_outcomes(
     import dask.config
 
     submit = client.get_executor(pure=False, retries=MAX_TASK_RETRIES).submit
-    # A task contains the readings of its devices.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": MAX_TASK_SIZE}):
         futures = {submit(run_guarded, function, t, settings): i for i, t in enumerate(tasks)}
     last_active = now = time.monotonic()  # last time with a worker, s

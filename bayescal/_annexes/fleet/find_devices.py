@@ -23,8 +23,7 @@ from scipy.special import expit, logit
 import bayescal as bc
 from bayescal import workshop as ws
 
-# Columns of the table of effects.
-EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
+EFFECT_COLUMNS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 MIN_EXPECTED_DEVICES = 0.01  # expected number of devices above which an effect is tabulated
 # Log evidence below that of a device's best structure, up to which others are stored. D devices determine the odds of a
 # share up to about D, and ln 10⁶ = 13.8: structures further below are negligible even in a fleet of a million.
@@ -119,7 +118,7 @@ def estimate_shares(
     """
     names = sorted({name for device in devices for name in device.prior})
     if not names:
-        return pd.DataFrame(columns=EFFECTS[3:])
+        return pd.DataFrame(columns=EFFECT_COLUMNS[3:])
     # Rows: the structures of all devices in turn.
     sets = [effects for device in devices for effects in device.log_evidence]
     has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
@@ -154,7 +153,7 @@ def estimate_shares(
     *means, share_draws = map(np.array, zip(*samples, strict=True))
     limits = np.quantile(share_draws, (0.025, 0.975), axis=0)
     columns = (*(np.mean(draws, axis=0) for draws in means), *limits)
-    return pd.DataFrame(dict(zip(EFFECTS[3:], columns, strict=True)), index=names)
+    return pd.DataFrame(dict(zip(EFFECT_COLUMNS[3:], columns, strict=True)), index=names)
 
 
 def find_favoured_effects(structure: DeviceStructure, table: pd.DataFrame) -> tuple[str, ...]:
@@ -200,4 +199,4 @@ def tabulate_effects(structures: Sequence[DeviceStructure], seed: int = 0) -> pd
     is_found = (table[["devices", "possible"]] > 0).any(axis=1)
     table = table[is_found | (table["expected"] > MIN_EXPECTED_DEVICES)]
     order = {"by": ["expected", "devices"], "ascending": False, "ignore_index": True}
-    return table.sort_values(**order)[EFFECTS]
+    return table.sort_values(**order)[EFFECT_COLUMNS]

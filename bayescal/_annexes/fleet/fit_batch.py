@@ -1,7 +1,4 @@
-"""Fits of many devices of one type (`fit_batch`), in this process or on a Dask cluster.
-
-A task of the cluster reads one file, or fits one batch of devices.
-"""
+"""Fits of many devices of one type (`fit_batch`), in this process or as tasks of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from bayescal._annexes.fleet.odd_devices import find_outlying_devices
 if TYPE_CHECKING:
     from distributed import Client
 
-REVISED = "alone, its readings favour {}, which is improbable in the fleet; fitted with the fleet's instead: {}"
+REVISED = "its own readings favour {}, improbable in the fleet; it was fitted with effects of the fleet instead: {}"
 MAX_READINGS_PER_FIT_TASK = 500_000  # they take 0.6 GB of a worker's memory, JAX included
 MAX_READINGS_PER_SEARCH_TASK = 5_000  # so that a worker's death costs no more than a minute or two
 
@@ -38,7 +35,7 @@ Readings = Devices | Sequence[bc.Measurements] | Mapping[str, bc.Measurements] |
 
 def fit_device_batch(request: Request, devices: Devices) -> list[DeviceResult]:
     """Fit one batch of devices, each after a search for missing effects if requested; return the results in order."""
-    results = {name: DeviceResult(reason=error) for name, error in devices.refused.items()}
+    results = {n: DeviceResult(reason=e) for n, e in devices.rejection_reasons.items()}
     measurements, starts = dict(devices.measurements), dict[str, Mapping[str, float]]()
     models, structures = dict.fromkeys(measurements, request.model), {}
     for name in [*measurements] if request.find else ():
@@ -61,19 +58,19 @@ def read_files(
     files: Sequence[Path], model: bc.Model, options: ws.ReadOptions, client: Client | None
 ) -> tuple[Devices, dict[str, str]]:
     """Read files of devices; return the devices, and file name → error message of each unreadable file."""
-    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-    tasks = [(path, model.instrument, options, needs) for path in files]
+    needed_columns = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    tasks = [(path, model.instrument, options, needed_columns) for path in files]
     outcomes = [*zip(files, run_tasks(client, read_devices, tasks, "files"), strict=True)]
     errors = {path.name: error for path, (_, error) in outcomes if error}
-    return Devices.of_files({path: read for path, (read, error) in outcomes if not error}), errors
+    return Devices.of_files({path: found for path, (found, e) in outcomes if not e}), errors
 
 
 def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[DeviceResult, ...]:
     """Fit all devices in batches; reject those that are not processed before the deadline."""
     sizes = [len(devices.measurements.get(name, ())) for name in devices.names]
     max_readings = MAX_READINGS_PER_SEARCH_TASK if request.find else MAX_READINGS_PER_FIT_TASK
-    cuts = np.flatnonzero(np.diff(np.cumsum(sizes) // max_readings)) + 1
-    batches = [devices.select(b.tolist()) for b in np.split(np.array(devices.names), cuts)]
+    starts = np.flatnonzero(np.diff(np.cumsum(sizes) // max_readings)) + 1
+    batches = [devices.select(b.tolist()) for b in np.split(np.array(devices.names), starts)]
     tasks, results = [(request, batch) for batch in batches], list[DeviceResult]()
     outcomes = run_tasks(client, fit_device_batch, tasks, "batches of devices")
     for batch, (fits, error) in zip(batches, outcomes, strict=True):
@@ -82,16 +79,16 @@ def fit_all(client: Client | None, request: Request, devices: Devices) -> tuple[
 
 
 def tailor_to_fleet(model: bc.Model, devices: Devices) -> bc.Model:
-    """Tailor a model's instrument, with its default effects and noise, to the first device that allows it, if any."""
-    general = specific = model.instrument
+    """Adapt a model's instrument to the first device that allows it, with its own effects and noise in the model."""
+    general = tailored = model.instrument
     for readings in devices if general.tailor is not None else ():
         with suppress(bc.InputError):
-            specific = general.for_readings(readings)
+            tailored = general.for_readings(readings)
             break
-    old, tailored = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, specific))
-    effects = (tailored.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
-    noise = specific.noise if model.noise == general.noise else model.noise
-    return bc.Model(specific, tuple(effects), noise, model.fixed)
+    old, new = ({e.name: e for e in (*i.effects, *i.candidates)} for i in (general, tailored))
+    effects = (new.get(e.name, e) if e == old.get(e.name) else e for e in model.effects)
+    noise = tailored.noise if model.noise == general.noise else model.noise
+    return bc.Model(tailored, tuple(effects), noise, model.fixed)
 
 
 def fit_batch(
@@ -144,7 +141,7 @@ def fit_batch(
     if isinstance(method, bc.Marginal):  # without chains, which take minutes per device
         method = replace(method, chains=False)
     read_options = ws.ReadOptions.of(model.instrument, **(columns or {}))
-    paths, missing, skip_reasons = _list_paths(readings), dict[str, str](), dict[str, str]()
+    paths, file_errors, skip_reasons = _list_paths(readings), dict[str, str](), dict[str, str]()
     ws.check_files_exist([path for path in paths if not path.is_dir()])
     if client is not None and client.cluster is None and client.dashboard_link:
         ws.tell(f"the cluster's dashboard: {client.dashboard_link}")
@@ -152,7 +149,7 @@ def fit_batch(
         if paths:
             files, skip_reasons = list_files([path.resolve() for path in paths])
             ws.print_notes(line.strip() for line in format_reasons(skip_reasons, "not read: "))
-            devices, missing = read_files(files, model, read_options, client)
+            devices, file_errors = read_files(files, model, read_options, client)
         else:
             devices = (
                 readings if isinstance(readings, Devices) else Devices.of_measurements(readings)  # pyright: ignore[reportArgumentType]
@@ -160,46 +157,47 @@ def fit_batch(
         model = tailor_to_fleet(model, devices)
         options = method, ws.seed_of(seed), dict(reference or {}), find, tuple(effects)
         request = Request(model, *options)
-        result = _fit_and_compare(client, request, devices, missing)
-    result = replace(result, missing=missing, left_out=skip_reasons)
+        result = _fit_and_compare(client, request, devices, file_errors)
+    result = replace(result, file_errors=file_errors, skip_reasons=skip_reasons)
     if out is not None:
         result.save(out)
     return result
 
 
 def _fit_and_compare(
-    client: Client | None, request: Request, devices: Devices, missing: dict[str, str]
+    client: Client | None, request: Request, devices: Devices, file_errors: dict[str, str]
 ) -> BatchResult:
     """Fit all devices and find the outlying ones; raise InputError if no device can be used."""
-    model, reference = request.model, request.reference
+    model, reference, method = request.model, request.reference, request.method.name
     with ws.stage("fitting devices"):
         results = fit_all(client, request, devices)
-    about = {"instrument": model.instrument.name, "effects": list(model.names)}
-    about |= {"noise": model.noise.law, "method": request.method.name, "seed": request.seed}
-    about["reference"] = {k: v for k, v in reference.items() if not isinstance(v, dict)}
-    about |= {"settings": settings} if (settings := ws.changed_settings()) else {}
+    configuration = {"instrument": model.instrument.name, "effects": list(model.names)}
+    configuration |= {"noise": model.noise.law, "method": method, "seed": request.seed}
+    configuration["reference"] = {k: v for k, v in reference.items() if not isinstance(v, dict)}
+    configuration |= {"settings": settings} if (settings := ws.changed_settings()) else {}
     if not any(fit.names for fit in results):
-        reasons = BatchResult(results, about).unreliable | missing
+        reasons = BatchResult(results, configuration).unreliable | file_errors
         lines = "\n".join(format_reasons(reasons)).strip()
         raise bc.InputError(f"no device can be used: {lines or 'there are no devices'}")
     structures = {fit.device: fit.structure for fit in results if fit.structure is not None}
-    searched, revised = [*structures.values()], dict[str, str]()
-    add_effects = partial(find_devices.add_effects, model, searched, request.candidates)
-    effects = tabulate_effects(searched, request.seed)
-    probable = {*effects.query("`in fleet` >= 0.5 and devices > 0")["effect"]}
-    sets = dict[tuple[str, ...], list[str]]()  # favoured effects → devices
+    device_structures, revisions = [*structures.values()], dict[str, str]()
+    add_effects = partial(find_devices.add_effects, model, device_structures, request.candidates)
+    effects = tabulate_effects(device_structures, request.seed)
+    probable_effects = {*effects.query("`in fleet` >= 0.5 and devices > 0")["effect"]}
+    devices_by_effects = dict[tuple[str, ...], list[str]]()
     for name, structure in structures.items():
-        if not structure.families <= probable:
-            sets.setdefault(find_devices.find_favoured_effects(structure, effects), []).append(name)
-    for favoured, names in sets.items():
+        if not structure.families <= probable_effects:
+            favoured = find_devices.find_favoured_effects(structure, effects)
+            devices_by_effects.setdefault(favoured, []).append(name)
+    for favoured, names in devices_by_effects.items():
         refit = replace(request, model=add_effects(favoured), find=False)
         text = ", ".join(added := refit.model.names[len(model.names) :]) or "none"
-        if probable >= {*favoured} and len(added) == len(favoured):
+        if probable_effects >= {*favoured} and len(added) == len(favoured):
             fits = {f.device: f for f in fit_all(client, refit, devices.select(names)) if f.ok}
             results = tuple(fits.get(fit.device, fit) for fit in results)
-            revised |= {n: REVISED.format(", ".join(structures[n].effects), text) for n in fits}
-    in_fleet = effects["effect"][effects["in fleet"] >= ws.settings().found_probability]
-    common_model = add_effects([*in_fleet])
+            revisions |= {n: REVISED.format(", ".join(structures[n].effects), text) for n in fits}
+    is_found = effects["in fleet"] >= ws.settings().found_probability
+    common_model = add_effects([*effects["effect"][is_found]])
     if shapes := _compute_median_shapes(common_model, model, results):
         common_model = common_model.fix(shapes)
     t0, comparable_fits = pd.Series({fit.device: fit.t0 for fit in results}, dtype=float), results
@@ -211,7 +209,9 @@ def _fit_and_compare(
         request = replace(request, model=common_model, find=False)
         comparable_fits = fit_all(client, request, devices)
     outliers = find_outlying_devices(comparable_fits, t0, common_model.noise.parameters())
-    return BatchResult(results, about, outliers, len(searched), effects=effects, revised=revised)
+    return BatchResult(
+        results, configuration, outliers, len(structures), {}, {}, effects, revisions
+    )
 
 
 def _compute_median_shapes(

@@ -126,8 +126,8 @@ def _fit_regular_devices(
     columns = ({c.name for c in model.instrument.columns} | model.columns) - {ws.UNCERTAINTY}
     groups: dict[Any, list[str]] = {}
     for name, device in devices.items():
-        numeric = {n for n in device.columns if device.unit(n) is not None}
-        if numeric <= columns and {*model.columns} <= {*device.columns}:
+        numeric_columns = {n for n in device.columns if device.unit(n) is not None}
+        if numeric_columns <= columns and {*model.columns} <= {*device.columns}:
             groups.setdefault((len(device), *device.columns), []).append(name)
     for (count, *_), names in groups.items():
         group = [devices[name] for name in names]
@@ -144,10 +144,10 @@ def _fit_regular_devices(
             x = np.column_stack([x, sd])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
         unknowns = ws.Unknowns.of(problem.layout)
-        common = "", "", unknowns.names, unknowns.units
+        common_fields = "", "", unknowns.names, unknowns.units
         t0 = [r.get("T0", np.nan) for r in references]
         yield {
-            names[k]: DeviceResult(*common, x[k], covariance[k], count, t0[k])
+            names[k]: DeviceResult(*common_fields, x[k], covariance[k], count, t0[k])
             for k in np.flatnonzero(is_regular)
         }
 

@@ -47,11 +47,11 @@ class BatchCommand(ws.ColumnOptions, ws.ModelOptions, ws.AsJson, ws.Command):
         with cluster if self.workers or self.scheduler else nullcontext() as client:
             batch = bc.fit_batch(model, self.files, client=client, effects=effects, **options)
         self.save_options()
-        n_failed, n_unread = len(batch) - batch.fitted, len(batch.missing)
-        messages = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
-        messages += [f"{n_unread} files have no result"] * bool(n_unread)
-        data, why = {"file": str(self.out), **batch.to_json_data()}, "; ".join(messages)
-        return ws.Answer(batch, data, why=why, written=str(self.out))
+        n_failed, n_unread = len(batch) - batch.fitted_count, len(batch.file_errors)
+        failures = [f"{n_failed} of {len(batch)} devices have no reliable result"] * bool(n_failed)
+        failures += [f"{n_unread} files have no result"] * bool(n_unread)
+        data = {"file": str(self.out), **batch.to_json_data()}
+        return ws.Answer(batch, data, why="; ".join(failures), written=str(self.out))
 
 
 ANNEX = {"commands": (BatchCommand,)}

@@ -38,25 +38,25 @@ T0_SD_DEGC = 1.0  # standard deviation of reference temperatures that count as e
 def find_outlying_devices(
     results: Iterable[DeviceResult], t0: pd.Series, noise_names: Collection[str]
 ) -> dict[str, list[str]]:
-    """Find the outlying devices; return name of the device → messages, one per outlying quantity.
+    """Find the outlying devices; return name of each → messages, one per outlying quantity.
 
     Args:
         results: fits with one model at one reference temperature.
         t0: device → reference temperature of its own readings, °C.
         noise_names: names of the noise standard deviations.
     """
-    reliable = {fit.device: fit for fit in results if fit.ok}
-    count = Counter(name for fit in reliable.values() for name in fit.names)
-    names = [name for name, n in count.items() if n == len(reliable) and "[" not in name]
-    alpha = FAMILY_WISE_ERROR / max(1, len(reliable) * (len(names) + 1))
+    reliable_fits = {fit.device: fit for fit in results if fit.ok}
+    counts = Counter(name for fit in reliable_fits.values() for name in fit.names)
+    names = [name for name, n in counts.items() if n == len(reliable_fits) and "[" not in name]
+    alpha = FAMILY_WISE_ERROR / max(1, len(reliable_fits) * (len(names) + 1))
     outliers: dict[str, list[str]] = {}
-    t0 = t0.loc[[*reliable]].dropna()
+    t0 = t0.loc[[*reliable_fits]].dropna()
     p, t0_mean = compute_p_values(t0.to_numpy(), np.full(len(t0), T0_SD_DEGC**2), np.inf, alpha)
     for device, temperature in t0.loc[p < alpha].items():
         text = f"measured near {ws.number(temperature)} °C, the others near {ws.number(t0_mean)} °C"
         outliers[str(device)] = [f"{text}: its values are not compared"]
-    fits = [fit for device, fit in reliable.items() if device not in outliers]
-    residual_dof = np.array([max(1.0, fit.readings - len(names) + 1) for fit in fits])
+    fits = [fit for device, fit in reliable_fits.items() if device not in outliers]
+    residual_dof = np.array([max(1.0, fit.reading_count - len(names) + 1) for fit in fits])
     for name in names:
         moments = np.array([fit[name] for fit in fits]).reshape(-1, 2)
         (mean, sd), dof, power = moments.T, residual_dof, 1.0
@@ -101,13 +101,13 @@ def compute_p_values(
         deviation = (values - mean) / (1 - weight / weights.sum())
         curvature = weights @ weights - weight**2
         score = weight**2 * (values - mean) ** 2 / (1 - weight / weights.sum()) - weight
-        total = np.maximum(tau2 - score / curvature, 0.0) + variance
+        marginal_variance = np.maximum(tau2 - score / curvature, 0.0) + variance
         count = len(weights) - is_inlier
-        total_variance = count / (count - 1) / curvature + variance**2 / dof
-        t = np.abs(deviation) / np.sqrt(total + 1 / (weights.sum() - weight))
-        p = 2 * stats.t.sf(t, total**2 / total_variance)
-        is_within = p >= alpha
-        if is_within.sum() < MIN_DEVICES or (is_within == is_inlier).all():
+        squared_error = count / (count - 1) / curvature + variance**2 / dof  # of that variance
+        t = np.abs(deviation) / np.sqrt(marginal_variance + 1 / (weights.sum() - weight))
+        p = 2 * stats.t.sf(t, marginal_variance**2 / squared_error)
+        is_new_inlier = p >= alpha
+        if is_new_inlier.sum() < MIN_DEVICES or (is_new_inlier == is_inlier).all():
             break
-        is_inlier = is_within
+        is_inlier = is_new_inlier
     return p, mean

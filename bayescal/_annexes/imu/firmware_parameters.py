@@ -60,7 +60,7 @@ class RestOffsets:
         return float(self.temperature.max())
 
 
-@ws.renamed(of="offsets")
+@ws.renamed(of="offsets", largest="max_error")
 @dataclass(frozen=True)
 class ThermalPolynomial:
     """Cubic polynomial in temperature for the offset of one axis, in single precision as firmware stores it."""
@@ -69,8 +69,8 @@ class ThermalPolynomial:
     reference: float  # T_ref, °C
     low: float  # low, high: calibrated range, to which firmware clamps the temperature, °C
     high: float
-    rms: float  # rms, largest: approximation error over the calibration's readings in that range, in `unit`
-    largest: float
+    rms: float  # rms, max_error: approximation error, over the readings in that range, in `unit`
+    max_error: float
     offsets: RestOffsets  # the offsets that it approximates
 
     @property
@@ -102,9 +102,9 @@ def fit_cubic(offsets: RestOffsets, reference: float, low: float, high: float) -
     coefficients = np.zeros(MAX_DEGREE + 1, np.float32)
     coefficients[: len(fitted.coef)] = fitted.coef
     residuals = offset - np.polynomial.Polynomial(coefficients.astype(float))(d)
-    rms, largest = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
+    errors = float(np.sqrt(np.mean(residuals**2))), float(np.abs(residuals).max())
     values = tuple(map(float, coefficients))
-    return ThermalPolynomial(values, reference, low, high, rms, largest, offsets)
+    return ThermalPolynomial(values, reference, low, high, *errors, offsets)
 
 
 AXES = "xyz"
@@ -143,7 +143,7 @@ class Autopilot(NamedTuple):
     title: str  # name of the firmware
     max_sensors: int  # of one kind, with parameters
     range_key: Callable[[Axis], tuple]  # key of the axes that share one temperature range
-    reference: Callable[[float, float], float]  # T_ref of a range (low, high), °C
+    choose_reference: Callable[[float, float], float]  # T_ref of a range (low, high), °C
     # parameters of axes that share a range, given the device_id of each sensor
     make_values: Callable[[Polynomials, Mapping[str, int]], Values]
     format_line: Callable[[str, float | int], str]  # line of a parameter file
@@ -195,7 +195,7 @@ AUTOPILOTS = {
         title="PX4",
         max_sensors=4,  # GYRO_COUNT_MAX
         range_key=lambda a: (a.kind, a.number),
-        reference=lambda low, high: round(0.5 * (low + high)),
+        choose_reference=lambda low, high: round(0.5 * (low + high)),
         make_values=_make_px4_values,
         format_line=lambda name, value: (
             f"1\t1\t{name}\t{value:.13g}\t{TYPE_INT32 if isinstance(value, int) else TYPE_REAL32}"
@@ -208,7 +208,7 @@ AUTOPILOTS = {
         title="ArduPilot",
         max_sensors=3,  # INS_TCAL1 … INS_TCAL3
         range_key=lambda a: (a.number,),
-        reference=lambda low, high: ARDUPILOT_REFERENCE,
+        choose_reference=lambda low, high: ARDUPILOT_REFERENCE,
         make_values=_make_ardupilot_values,
         format_line=lambda name, value: f"{name},{value:.13g}",
         header=("Parameters, for Mission Planner, MAVProxy or QGroundControl",),
@@ -278,18 +278,18 @@ class FirmwareParameters:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        head = ["axis", "unit", "from °C", "to °C", "u(calibration)", "noise"]
-        head += ["error of the cubic, rms", "largest", "expected error, rms"]
+        headers = ["axis", "unit", "from °C", "to °C", "u(calibration)", "noise"]
+        headers += ["error of the cubic, rms", "largest", "expected error, rms"]
         rows = [
             [
                 *(name, ws.unit_label(p.offsets.unit), f"{p.low:.1f}", f"{p.high:.1f}"),
                 *map(ws.number, (p.offsets.uncertainty, p.offsets.noise)),
-                *(ws.number(v if v > 1e-3 * p.offsets.noise else 0.0) for v in (p.rms, p.largest)),
+                *(ws.number(v * (v > 1e-3 * p.offsets.noise)) for v in (p.rms, p.max_error)),
                 ws.number(p.expected_error),
             ]
             for name, p in self.axes.items()
         ]
-        return "\n".join([str(ws.plain_table(head, rows)), *self.notes])
+        return "\n".join([str(ws.plain_table(headers, rows)), *self.notes])
 
     def text(self) -> str:
         """Return the content of the parameter file, in ASCII."""
@@ -345,7 +345,7 @@ def firmware_parameters(
     for key in dict.fromkeys(map(autopilot.range_key, offsets)):
         group = {a: r for a, r in offsets.items() if autopilot.range_key(a) == key}
         low, high = _find_common_range(group)
-        reference = float(autopilot.reference(low, high))
+        reference = float(autopilot.choose_reference(low, high))
         group_polynomials = {a: fit_cubic(r, reference, low, high) for a, r in group.items()}
         polynomials |= group_polynomials
         values |= autopilot.make_values(group_polynomials, device_ids)
@@ -386,7 +386,7 @@ def _find_common_range(axes: Mapping[Axis, RestOffsets]) -> tuple[float, float]:
 
 
 def _find_device_ids(
-    by_axis: Mapping[Axis, bc.Compensator], stated: Mapping[str, int]
+    by_axis: Mapping[Axis, bc.Compensator], stated_ids: Mapping[str, int]
 ) -> dict[str, int]:
     """Return the device_id of each sensor: the stated one, otherwise the one in the calibration's log."""
     device_ids = dict[str, int]()
@@ -404,10 +404,10 @@ def _find_device_ids(
                 "calibrations of one sensor"
             )
     sensors = dict.fromkeys(a.sensor for a in by_axis)
-    if unknown := stated.keys() - sensors:
-        message = f"a device_id is given for {min(unknown)!r}, which is not one of the sensors: {', '.join(sensors)}"
+    if unknown_names := stated_ids.keys() - sensors:
+        message = f"a device_id is given for {min(unknown_names)!r}, which is not a sensor: {', '.join(sensors)}"
         raise bc.InputError(message)
-    return device_ids | dict(stated)
+    return device_ids | dict(stated_ids)
 
 
 def _list_notes(polynomials: Polynomials, compensators: Mapping[Axis, bc.Compensator]) -> list[str]:
@@ -443,8 +443,8 @@ def export_parameters(cmd: ws.ExportCommand) -> ws.Answer:
             raise bc.InputError(f"--device-id {name}={value}: expected a non-negative integer")
         devices[name] = int(value)
     options = {"devices": devices, "local_gravity": cmd.gravity}
-    file = firmware_parameters(compensators, str(cmd.format_), **options)
-    text = file.text() if cmd.out is None else f"{file}\n\nwritten: {file.write(cmd.out)}"
+    result = firmware_parameters(compensators, str(cmd.format_), **options)
+    text = result.text() if cmd.out is None else f"{result}\n\nwritten: {result.write(cmd.out)}"
     return ws.Answer(text.removesuffix("\n"), why=ws.describe_reliability(compensators))
 
 
@@ -458,9 +458,8 @@ def _sort_by_axis(
     candidates += [(name, Path(p), ws.load_compensator(Path(p), cmd)) for name, p in pairs]
     for name, path, compensator in candidates:
         if name is None:
-            raise bc.InputError(
-                f"{path}: the readings do not name the axis: give --axis gyro_x={path} instead"
-            )
+            advice = f"give --axis gyro_x={path} instead"
+            raise bc.InputError(f"{path}: the readings do not name the axis: {advice}")
         if name in compensators:
             raise bc.InputError(
                 f"{path} and another file calibrate {name}: give one of them, or name the axis (--axis gyro_y={path})"

@@ -1,7 +1,4 @@
-"""Registration of the three-axis annex: commands, corrections, export formats, result entries.
-
-Heavy modules are imported on use.
-"""
+"""Registration of the three-axis annex: commands, corrections, export formats, result entries; heavy imports on use."""
 
 from __future__ import annotations
 
@@ -24,17 +21,18 @@ USE_CAPTION = "CORRECTION FOR USE (uncertainties with model inadequacy, f = {:.2
 
 
 class Triad(NamedTuple):
-    """A calibrated triad: its search path, its correction, and its readings of poses or moves."""
+    """A calibrated triad: its search path, its correction, and the readings of poses or moves that were fitted."""
 
-    trail: bc.SearchPath
+    search_path: bc.SearchPath
     correction: bc.VectorCorrection
     readings: bc.Measurements
 
     def __str__(self) -> str:
         """Format the search path, the coefficients, and the correction."""
-        text = f"{FIT_CAPTION}\n{ws.coefficients_text(self.trail)}\nverdict: {self.trail.gate}"
-        use = USE_CAPTION.format(self.trail.calibration.form_factor)
-        return f"{self.trail}\n\n{text}\n\n{use}\n{self.correction}"
+        path = self.search_path
+        text = f"{FIT_CAPTION}\n{ws.coefficients_text(path)}\nverdict: {path.gate}"
+        caption = USE_CAPTION.format(path.calibration.form_factor)
+        return f"{path}\n\n{text}\n\n{caption}\n{self.correction}"
 
 
 class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
@@ -67,8 +65,8 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
         max_effects = 0 if self.baseline or has_no_dof else MAX_EFFECTS_ADDED
         with ws.deadline.sooner(1 / n_triads):
             options = {"method": method, "seed": self.seed, "max_effects": max_effects}
-            trail = bc.calibrate(model, readings, **options)
-        triad = Triad(trail, bc.vector_correction(trail.calibration), readings)
+            path = bc.calibrate(model, readings, **options)
+        triad = Triad(path, bc.vector_correction(path.calibration), readings)
         ws.print_notes(triad.correction.notes)
         if not self.json_:
             print(triad)
@@ -84,10 +82,10 @@ class TriadOptions(ws.ReadRequest, ws.AsJson, ws.Options):
             for subfolder in dict.fromkeys((*triads, "")) if not self.json_ else ():
                 names = (*ws.files_of(folder / subfolder), ws.MANIFEST)
                 print(f"written: {folder / subfolder}/{', '.join(names)}")
-        reasons = [triad.trail.gate.reason for triad in triads.values() if not triad.trail.ok]
+        paths = [triad.search_path for triad in triads.values()]
+        reason = next((path.gate.reason for path in paths if not path.ok), "")
         data = {subfolder: triad.correction.to_json_data() for subfolder, triad in triads.items()}
-        json_data = data.get("", data) if self.json_ else None
-        return ws.Answer(json_data, why="; ".join(reasons[:1]), drawn=is_drawn)
+        return ws.Answer(data.get("", data) if self.json_ else None, why=reason, drawn=is_drawn)
 
 
 class TriadCommand(TriadOptions, ws.Command):
@@ -107,7 +105,7 @@ class TriadCommand(TriadOptions, ws.Command):
             raise bc.InputError(message)
         instrument, model, readings = ws.open_request(self)
         if not self.poses:
-            readings = bc.poses(readings, instrument, shortest=self.shortest)
+            readings = bc.poses(readings, instrument, min_duration=self.shortest)
             model = instrument.for_readings(readings).baseline()
         ws.print_notes(readings.flags)
         if self.dry_run:
@@ -127,10 +125,10 @@ class ImuCommand(TriadOptions, ws.Command):
         ws.sensor_name(self.name, "")  # refused before minutes of calibration
         with ws.result_folder(self.out) as folder:
             (accs, forces), (gyros, rates) = self.read_logs()
-            poses = bc.poses(forces, accs, shortest=self.shortest)
+            poses = bc.poses(forces, accs, min_duration=self.shortest)
             ws.print_notes(poses.flags)
             acc = self.calibrate(accs.for_readings(poses).baseline(), poses, n_triads=2)
-            moves = bc.moves(rates, gyros, forces, acc.correction, shortest=self.shortest)
+            moves = bc.moves(rates, gyros, forces, acc.correction, min_duration=self.shortest)
             ws.print_notes(moves.flags)
             gyro = self.calibrate(dict(gyros.structures)["moves"](), moves)
             return self.finish({"accelerometer": acc, "gyroscope": gyro}, folder)
@@ -142,9 +140,8 @@ class ImuCommand(TriadOptions, ws.Command):
             instrument, options = ws.instrument_named(name), self.read_options()
             names = ws.split_names(text := getattr(self, sensors))
             if len(names) not in (0, 3):
-                raise bc.InputError(
-                    f"--{sensors} {text!r}: give three columns, such as ax,ay,az, not {len(names)}"
-                )
+                advice = f"give three columns, such as ax,ay,az, not {len(names)}"
+                raise bc.InputError(f"--{sensors} {text!r}: {advice}")
             options["columns"] = dict(zip(OUTPUTS, names, strict=False)) | options["columns"]
             try:
                 logs.append((instrument, bc.read(self.files, instrument, **options)))
@@ -167,7 +164,7 @@ def _write_results(triads: Mapping[str, Triad], folder: Path, name: str | None) 
     first, *others = (triad.correction for triad in triads.values())
     names = ws.names_in_unit(name, [first, *others])
     for (subfolder, triad), sensor in zip(triads.items(), names, strict=True):
-        ws.write_search(triad.trail, folder / subfolder)
+        ws.write_search(triad.search_path, folder / subfolder)
         for file in CORRECTION_FILES:
             bc.export_vector(triad.correction, folder / subfolder / file, name=sensor)
         triad.readings.write(folder / subfolder / "poses.csv")
@@ -177,12 +174,12 @@ def _write_results(triads: Mapping[str, Triad], folder: Path, name: str | None) 
 
 def _draw_results(triads: Mapping[str, Triad], folder: Path) -> bool:
     """Draw the figures and a report of each triad, and one report of all triads; return whether all were drawn."""
-    trails = {subfolder: triad.trail for subfolder, triad in triads.items()}
-    outcomes = [ws.draw_safely(ws.draw_search, trails, folder)]
+    paths = {subfolder: triad.search_path for subfolder, triad in triads.items()}
+    outcomes = [ws.draw_safely(ws.draw_search, paths, folder)]
 
     def draw_reports() -> None:
         with ws.drawing(REPORT), ws.whole_folder(folder, keep_results=True) as staging:
-            for subfolder, chapters in {**trails, "": [*trails.values()]}.items():
+            for subfolder, chapters in {**paths, "": [*paths.values()]}.items():
                 (staging / subfolder).mkdir(exist_ok=True)
                 outcomes.append(ws.draw_safely(bc.report, chapters, staging / subfolder / REPORT))
 
@@ -194,23 +191,23 @@ def result_entries(calibration: bc.Calibration, average: bc.Calibration | None) 
     if calibration.model.instrument.vector is None:
         return {"vector": None}
 
-    def correction_data(calibration: bc.Calibration) -> dict[str, Any]:
+    def convert_correction(calibration: bc.Calibration) -> dict[str, Any]:
         correction = bc.vector_correction(calibration)
         data = {**correction.to_json_data(), "uncertainty": correction.uncertainty.tolist()}
         return {name: value for name, value in data.items() if name != "made_by"}
 
-    averaged = None if average is None else {**correction_data(average), "averaged": None}
-    return {"vector": {**correction_data(calibration), "averaged": averaged}}
+    average_data = None if average is None else {**convert_correction(average), "averaged": None}
+    return {"vector": {**convert_correction(calibration), "averaged": average_data}}
 
 
 def coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, ws.ResultTable]]:
     """Tabulate a three-axis correction's terms ± standard uncertainty, from result.json; no table for one output."""
     if not (vector := data.get("vector")):
         return []
-    from bayescal._annexes.imu.vector_correction import VectorCorrection, terms_table
+    from bayescal._annexes.imu.vector_correction import VectorCorrection, tabulate_terms
 
     correction = VectorCorrection.from_data(vector["averaged"] or vector)
-    return [(CAPTION, terms_table(correction.rows)), correction.tabulate_uncertainty()]
+    return [(CAPTION, tabulate_terms(correction.rows)), correction.tabulate_uncertainty()]
 
 
 ANNEX = {
@@ -221,5 +218,5 @@ ANNEX = {
     "result": result_entries,
     "coefficient_tables": coefficient_tables,
     "log": f"{__package__}.logs:open_log",
-    "scalar_readings": f"{__package__}.scalar_readings:scalar_readings",
+    "scalar_readings": f"{__package__}.scalar_readings:convert_to_scalar_readings",
 }

@@ -34,11 +34,13 @@ class Sensor:
     """Channels of one sensor, which are sampled simultaneously, and its temperature."""
 
     time: np.ndarray  # of the samples, s, (n,)
-    # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,) and their unit
-    channels: dict[str, tuple[np.ndarray, str]]
+    channels: dict[
+        str, tuple[np.ndarray, str]
+    ]  # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,), unit
     temperature: np.ndarray | None = None  # °C, (m,); None if the log has none for this sensor
-    # sampling times of the temperature, s, (m,); None if those of the channels
-    temperature_time: np.ndarray | None = None
+    temperature_time: np.ndarray | None = (
+        None  # its sampling times, s, (m,); None: those of the channels
+    )
     device: str | None = None  # identifier of the device in the log
 
 
@@ -54,13 +56,13 @@ def build_channels(
 
 
 def align_channels(
-    sensors: Collection[Sensor], chosen: Collection[str], file: str
+    sensors: Collection[Sensor], channel_names: Collection[str], file: str
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Align channels on one time base; return columns with temperature and labels, and notes on the conversion.
 
-    Rows are the samples of the chosen sensor with the lowest sampling rate. Other sensors contribute the sample nearest
-    in time, which preserves their noise; a temperature with other sampling times is interpolated. `chosen` are names of
-    channels, or of their columns; all channels are read if none of them is in the log.
+    Rows are the samples of the sensor with the lowest sampling rate. The other sensors contribute the sample nearest in
+    time, which preserves their noise; a temperature with other sampling times is interpolated. `channel_names` are
+    names of channels, or of their columns; all channels are read if none of them is in the log.
 
     Raises:
         InputError: the log has no channels.
@@ -69,35 +71,35 @@ def align_channels(
     if not sensor_by_channel:
         raise bc.InputError(f"the log {file!r} has no messages of a supported sensor")
     headers = {f"{n} [{sensor.channels[n][1]}]": n for n, sensor in sensor_by_channel.items()}
-    names = dict.fromkeys(headers.get(name, name) for name in chosen)
+    names = dict.fromkeys(headers.get(name, name) for name in channel_names)
     names = [name for name in names if name in sensor_by_channel] or list(sensor_by_channel)
-    chosen_sensors = list({id(s): s for s in (sensor_by_channel[n] for n in names)}.values())
-    base = max(chosen_sensors, key=lambda sensor: _compute_median_step(sensor.time))
-    times = [sensor.time for sensor in chosen_sensors]
-    times += [] if base.temperature_time is None else [base.temperature_time]
-    low = max(t.min(initial=np.inf) for t in times)
-    high = min(t.max(initial=-np.inf) for t in times)
-    rows, notes = np.flatnonzero((base.time >= low) & (base.time <= high)), list[str]()
-    time = base.time[rows]
+    read_sensors = list({id(s): s for s in (sensor_by_channel[n] for n in names)}.values())
+    slowest = max(read_sensors, key=lambda sensor: _compute_median_step(sensor.time))
+    times = [sensor.time for sensor in read_sensors]
+    times += [] if slowest.temperature_time is None else [slowest.temperature_time]
+    start = max(t.min(initial=np.inf) for t in times)
+    end = min(t.max(initial=-np.inf) for t in times)
+    rows, notes = np.flatnonzero((slowest.time >= start) & (slowest.time <= end)), list[str]()
+    time = slowest.time[rows]
     columns: dict[str, np.ndarray] = {"time [s]": time}
-    if base.temperature is not None and (sampled_at := base.temperature_time) is not None:
-        columns["temperature [degC]"] = np.interp(time, sampled_at, base.temperature)
+    if slowest.temperature is not None and (t := slowest.temperature_time) is not None:
+        columns["temperature [degC]"] = np.interp(time, t, slowest.temperature)
         notes.append(
-            f"{file}: the temperature was sampled every {_compute_median_step(sampled_at):.3g} s, and is "
-            f"interpolated to the times of {names[0]} (every {_compute_median_step(base.time):.3g} s)"
+            f"{file}: the temperature was sampled every {_compute_median_step(t):.3g} s, and is interpolated to the "
+            f"times of {names[0]} (every {_compute_median_step(slowest.time):.3g} s)"
         )
-    elif base.temperature is not None:
-        columns["temperature [degC]"] = base.temperature[rows]
-    if omitted := len(base.time) - len(time):
-        notes.append(f"{file}: {omitted} samples omitted, when not all channels were logged")
+    elif slowest.temperature is not None:
+        columns["temperature [degC]"] = slowest.temperature[rows]
+    if n_omitted := len(slowest.time) - len(time):
+        notes.append(f"{file}: {n_omitted} samples omitted, when not all channels were logged")
     for name in names:
         sensor = sensor_by_channel[name]
         midpoints = 0.5 * (sensor.time[1:] + sensor.time[:-1])
-        nearest = rows if sensor is base else np.searchsorted(midpoints, time)
+        nearest_rows = rows if sensor is slowest else np.searchsorted(midpoints, time)
         values, unit = sensor.channels[name]
-        columns[f"{name} [{unit}]"] = values[nearest]
+        columns[f"{name} [{unit}]"] = values[nearest_rows]
     if len(names) == 1:
-        labels = {"axis": names[0], "device": base.device}
+        labels = {"axis": names[0], "device": slowest.device}
         columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
     return columns, notes
 
@@ -140,20 +142,20 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
 
 
 def _read_messages(log: Any, name: str) -> np.ndarray:
-    """Return all messages of a kind as a structured array (n,); raise KeyError if the log does not define the kind."""
-    kind = log.name_to_id[name]
-    layout = log.formats[kind]
-    offsets = np.asarray(log.offsets[kind], np.int64)
+    """Return all messages called `name` as a structured array (n,); raise KeyError if the log does not define them."""
+    message_id = log.name_to_id[name]
+    layout = log.formats[message_id]
+    offsets = np.asarray(log.offsets[message_id], np.int64)
     offsets = offsets[offsets + layout.len <= log.data_len]  # the last message may be truncated
     # format characters of a `struct` layout: "<QB64s" as Q, B, 64s
     codes = re.findall(r"\d*[a-zA-Z]", layout.msg_struct)
     dtypes = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
-    row = np.dtype(list(zip(layout.columns, dtypes, strict=True)))
+    row_type = np.dtype(list(zip(layout.columns, dtypes, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
     begin = len(MESSAGE_HEADER) + 1
-    raw_bytes = content[offsets[:, None] + np.arange(begin, begin + row.itemsize)]
+    raw_bytes = content[offsets[:, None] + np.arange(begin, begin + row_type.itemsize)]
     del content  # else the map of the file cannot be closed
-    return raw_bytes.view(row)[:, 0]
+    return raw_bytes.view(row_type)[:, 0]
 
 
 TOPICS = {
@@ -199,11 +201,11 @@ def _add_temperature(name: str, sensors: Mapping[str, Sensor], notes: list[str])
     sensor = sensors[name]
     if sensor.temperature is not None or sensor.device is None:
         return sensor
-    for peer, other in sensors.items():
-        if other.device == sensor.device and other.temperature is not None:
-            is_finite = np.isfinite(other.temperature)
+    for peer, peer_sensor in sensors.items():
+        if peer_sensor.device == sensor.device and peer_sensor.temperature is not None:
+            is_finite = np.isfinite(peer_sensor.temperature)
             notes.append(f"{name} logs no temperature; that of {peer}, on the same device, is used")
-            temperature, time = other.temperature[is_finite], other.time[is_finite]
+            temperature, time = peer_sensor.temperature[is_finite], peer_sensor.time[is_finite]
             return replace(sensor, temperature=temperature, temperature_time=time)
     return sensor
 
@@ -215,8 +217,8 @@ LOG_FORMATS = {
 }
 
 
-def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
-    """Read the chosen channels of a log as a table, or all channels if none of `chosen` is in the log.
+def open_log(path: Path, file: str, channel_names: Collection[str]) -> ws.Table:
+    """Read the named channels of a log as a table, or all channels if none of them is in the log.
 
     Raises:
         InputError: the package that reads the format is not installed, or the file is not in its suffix's format.
@@ -232,6 +234,6 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> ws.Table:
         sensors, notes = read_log(path)
     lines = [x for x in printed.getvalue().splitlines() if "dfindexer" not in x.lower()]
     notes += [f"{package} says: {line[:200]}" for line in lines[:1]]
-    columns, column_notes = align_channels(sensors, chosen, file)
+    columns, column_notes = align_channels(sensors, channel_names, file)
     notes = (*(f"{file}: {note}" for note in notes), *column_notes)
     return ws.Table.from_columns(file, columns, place=lambda i: f"sample {i + 1}", notes=notes)

@@ -16,9 +16,8 @@ error is of second order in the uncertainty. Consecutive moves share a pose, and
 accelerometers' calibration. Two variances are estimated from the residuals by marginal likelihood: that of the bias
 between poses, and that of the closure angle of a move (creep in a pose, timing errors, aliasing, a nonlinear scale).
 Readings are the innovations of the moves in time order, each with the known excess of its standard uncertainty over the
-smallest. Outlying moves and poses are set aside and listed.
-
-The Earth rate is three unknowns, along the body axes in the first pose of a run.
+smallest. Outlying moves and poses are set aside and listed. The Earth rate is three unknowns, along the body axes in
+the first pose of a run.
 
 Sources: D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (the method, without its uncertainty); J. E. Bortz, IEEE
 Trans. AES 7 (1971) 61 (rotation vectors between samples, with the coning correction).
@@ -74,13 +73,14 @@ MOVES_ADVICE = (
 )
 
 
+@ws.renamed(shortest="min_duration")
 def moves(
     log: bc.Measurements,
     instrument: bc.Instrument,
     forces: bc.Measurements,
     correction: VectorCorrection,
     *,
-    shortest: float | None = None,
+    min_duration: float | None = None,
 ) -> bc.Measurements:
     """Convert a log of gyroscopes to readings: three outputs at rest of each pose, two mean outputs of each move.
 
@@ -91,7 +91,7 @@ def moves(
         instrument: the gyroscopes' instrument.
         forces: samples of the accelerometers of the same unit, on the same clock, in the same runs.
         correction: correction of these accelerometers, in g, which defines the body's axes.
-        shortest: minimum duration of a pose, s.
+        min_duration: minimum duration of a pose, s; default 2, or 1 if many segments of a log are shorter than 2 s.
 
     Returns:
         Readings with the output and the columns of its linear model: `across_x` (bias), `turned_xx` (matrix),
@@ -107,32 +107,32 @@ def moves(
             f"instrument {instrument.name!r}: moves calibrate gyroscopes, but its output is in [{instrument.unit}]"
         )
     unit = float(np.asarray(ws.convert(np.ones(1), instrument.unit, "rad/s"))[0])
-    f_runs = split_runs(forces, correction.outputs, shortest)
-    gyro_runs = split_runs(log, instrument.vector.outputs, shortest, unit)
+    f_runs = split_runs(forces, correction.outputs, min_duration)
+    gyro_runs = split_runs(log, instrument.vector.outputs, min_duration, unit)
     if missing := sorted(gyro_runs.keys() - f_runs.keys()):
         raise bc.InputError(
             f"{forces.file} lacks the run {missing[0]!r} of {log.file}: log gyroscopes and accelerometers together"
         )
     tables = list[dict[str, np.ndarray]]()
-    poses, outliers = 0, list[str]()
+    pose_count, outliers = 0, list[str]()
     for run, gyro in gyro_runs.items():
-        windows = intersect_windows(gyro.pose_windows(), f_runs[run].pose_windows())
+        windows = intersect_windows(gyro.pose_windows, f_runs[run].pose_windows)
         if len(windows) < 2:
             raise bc.InputError(
                 f"{log.file}, run {run!r}: {len(windows)} poses in which gyroscopes and accelerometers are at rest, "
                 "but a move needs two: hold the unit still for some seconds before and after each move"
             )
-        poses += len(windows)
+        pose_count += len(windows)
         try:
             model, fit, labels = _fit_run(gyro, f_runs[run], windows, correction, len(gyro_runs))
         except bc.InputError as error:
             raise bc.InputError(f"{log.file}, run {run!r}: {error}") from None
         outliers += labels
-        columns = model.columns(fit, instrument.vector.beside, unit)
-        others = [n for n in log.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
-        spans = map(gyro.rows_between, *model.session.spans[model.segment].T)
-        tables.append(columns | average_segments(gyro.samples, others, spans))
-    columns = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
+        columns = model.build_columns(fit, instrument.vector.secondary_columns, unit)
+        names = [n for n in log.columns if n not in (*columns, *ws.DIRECTION, MOUNTING)]
+        spans = map(gyro.find_rows, *model.poses.spans[model.segment].T)
+        tables.append(columns | average_segments(gyro.samples, names, spans))
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     # The noise law has the smallest variance of a reading, the column the excess of the others: the mode of a noise in
     # addition to the known variances would be zero.
     variances = columns[ws.UNCERTAINTY] ** 2
@@ -140,8 +140,8 @@ def moves(
     columns[ws.UNCERTAINTY] = np.sqrt(variances - variances.min())
     readings = build_readings(columns, instrument, log)
     summary = (
-        f"{len(readings)} readings of {poses} poses and the moves between them, found in {log.file}; noise.white is "
-        f"their smallest standard uncertainty, estimated from scatter as {min_sd:.2g} {instrument.unit}"
+        f"{len(readings)} readings of {pose_count} poses and the moves between them, found in {log.file}; noise.white "
+        f"is their smallest standard uncertainty, estimated from scatter as {min_sd:.2g} {instrument.unit}"
     )
     notes = [f"{log.file}: set aside as an outlier: {outlier}" for outlier in outliers]
     return replace(readings, sources=log.sources, flags=(summary, *notes))
@@ -178,24 +178,24 @@ def _cut_moves(
     force: Float[np.ndarray, "s 3"],
 ) -> _Moves:
     """Return the samples of each move, from the end of a pose to the beginning of the next."""
-    slices = [log.rows_between(*w) for w in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
-    longest = max(s.stop - s.start for s in slices)
-    at = np.array([np.minimum(np.arange(s.start, s.start + longest), s.stop - 1) for s in slices])
-    step = np.diff(log.time[at], axis=1)
+    slices = [log.find_rows(*w) for w in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
+    offsets = np.arange(max(s.stop - s.start for s in slices))
+    rows = np.array([np.minimum(s.start + offsets, s.stop - 1) for s in slices])
+    times, slope = log.time[rows], np.gradient(log.outputs, log.time, axis=0)
+    step = np.diff(times, axis=1)
     weight = 0.5 * (np.pad(step, ((0, 0), (1, 0))) + np.pad(step, ((0, 0), (0, 1))))
-    forces = np.stack([np.interp(log.time[at], f_run.time, force[:, j]) for j in range(3)], axis=2)
-    slope = np.gradient(log.outputs, log.time, axis=0)
-    return _Moves(log.outputs[at], slope[at], forces, step, weight)
+    forces = np.stack([np.interp(times, f_run.time, force[:, j]) for j in range(3)], axis=2)
+    return _Moves(log.outputs[rows], slope[rows], forces, step, weight)
 
 
 def _integrate_attitude(
-    path: _Moves, matrix: np.ndarray, bias: np.ndarray
+    samples: _Moves, matrix: np.ndarray, bias: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rates (m, n, 3), and rotation matrices (m, n, 3, 3) from a sample's body axes to its move's first."""
     inverse = np.linalg.inv(matrix).T
-    rate, h = (path.rate - bias) @ inverse, path.step[..., None]
+    rate, h = (samples.rate - bias) @ inverse, samples.step[..., None]
     # Fourth order in the step: corrections of the trapezoidal rule, and for coning.
-    vectors = 0.5 * (rate[:, :-1] + rate[:, 1:]) - np.diff(path.slope @ inverse, axis=1) * h / 12
+    vectors = 0.5 * (rate[:, :-1] + rate[:, 1:]) - np.diff(samples.slope @ inverse, axis=1) * h / 12
     vectors = vectors * h + np.cross(rate[:, :-1], rate[:, 1:]) * h**2 / 12
     steps = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
     rotation = np.empty((*rate.shape, 3))
@@ -227,23 +227,23 @@ def _fit_run(
     """
     force, slopes, pose_cov = correction.correct_poses(f_run, windows)
     force_cov = n_runs * slopes @ correction.covariance @ slopes.T + pose_cov
-    at_rest, white_variance = log.mean_outputs(windows), log.at_rest.one_second_sd**2
-    prior_mean = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
-    session = _Session(at_rest, windows, force, force_cov, white_variance, prior_mean)
-    path = _cut_moves(log, windows, f_run, _correct_forces(f_run, correction))
-    max_outliers = max(1, int(MAX_OUTLIER_FRACTION * len(path.rate)))
-    origin, outliers = session.prior_mean[:N_INTEGRATED], frozenset[int]()
-    closure = _integrate_moves(path, force, origin)
+    outputs, white_variance = log.average_outputs(windows), log.segments.one_second_sd**2
+    prior_mean = np.concatenate([outputs.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
+    poses = _Poses(outputs, windows, force, force_cov, white_variance, prior_mean)
+    samples = _cut_moves(log, windows, f_run, _correct_forces(f_run, correction))
+    max_outliers = max(1, int(MAX_OUTLIER_FRACTION * len(samples.rate)))
+    origin, outliers = poses.prior_mean[:N_INTEGRATED], frozenset[int]()
+    closure = _integrate_moves(samples, force, origin)
     for _ in range(MAX_ITERATIONS):
-        linear_model = _LinearModel.build(session, closure, outliers)
+        linear_model = _LinearModel.build(poses, closure, outliers)
         fit = linear_model.estimate_variances()
         step = fit.mean[:N_INTEGRATED] - closure.parameters
-        size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
+        step_size = float(np.max(np.abs(step) / np.sqrt(np.diag(fit.covariance)[:N_INTEGRATED])))
         cov = linear_model.covariance(fit.bias_variance, fit.angle_variance)
         max_rss = MAX_RSS_RATIO * linear_model.weighted_rss(fit, cov)
-        for _ in range(MAX_STEP_HALVINGS if size >= XTOL_SD else 0):
-            candidate = _integrate_moves(path, force, closure.parameters + step)
-            if _LinearModel.build(session, candidate, outliers).weighted_rss(fit, cov) < max_rss:
+        for _ in range(MAX_STEP_HALVINGS if step_size >= XTOL_SD else 0):
+            candidate = _integrate_moves(samples, force, closure.parameters + step)
+            if _LinearModel.build(poses, candidate, outliers).weighted_rss(fit, cov) < max_rss:
                 closure = candidate
                 break
             step = 0.5 * step
@@ -254,24 +254,24 @@ def _fit_run(
             outliers = new_outliers
             if sum(k >= len(windows) for k in outliers) > max_outliers:
                 raise bc.InputError(
-                    f"more than {max_outliers} of {len(path.rate)} moves are outliers, inconsistent with the others. "
-                    f"{MOVES_ADVICE}"
+                    f"more than {max_outliers} of {len(samples.rate)} moves are outliers, inconsistent with the other "
+                    f"moves. {MOVES_ADVICE}"
                 )
     deviation = np.max(np.abs(closure.parameters - origin)[3:])
-    if size >= XTOL_SD or not deviation < MAX_MATRIX_DEVIATION:
+    if step_size >= XTOL_SD or not deviation < MAX_MATRIX_DEVIATION:
         raise bc.InputError(
             "the outputs integrated over the moves are inconsistent with the poses for any matrix: make smaller turns "
             f"between poses, with turns about all three axes, and hold each pose longer. {MOVES_ADVICE}"
         )
-    ends = {k: " to ".join(ws.number(end, 5) for end in session.spans[k]) for k in sorted(outliers)}
+    ends = {k: " to ".join(ws.number(end, 5) for end in poses.spans[k]) for k in sorted(outliers)}
     kinds = {k: "pose" if k < len(windows) else "move" for k in ends}
     return linear_model, fit, [f"the {kinds[k]} from {ends[k]} s" for k in ends]
 
 
-class _Session(NamedTuple):
+class _Poses(NamedTuple):
     """Mean outputs and specific forces in the poses of one run, and the prior mean of the parameters."""
 
-    at_rest: Float[np.ndarray, "k 3"]  # mean outputs, rad/s
+    outputs: Float[np.ndarray, "k 3"]  # means, rad/s
     windows: Float[np.ndarray, "k 2"]  # start and end times, s
     force: Float[np.ndarray, "k 3"]  # specific force, g
     force_covariance: Float[np.ndarray, "3k 3k"]  # of all specific forces, g²
@@ -299,7 +299,7 @@ class _Estimate(NamedTuple):
 class _LinearModel(NamedTuple):
     """Linear model of a run's outputs, at rest and over moves, without outliers: output = design · parameters."""
 
-    session: _Session
+    poses: _Poses
     closure: _Closure
     output: Float[np.ndarray, "r"]  # rad/s
     design: Float[np.ndarray, "r 27"]
@@ -308,49 +308,49 @@ class _LinearModel(NamedTuple):
     duration: Float[np.ndarray, "r"]  # of the moves, s; infinite at rest
 
     @classmethod
-    def build(cls, session: _Session, closure: _Closure, outliers: frozenset[int]) -> Self:
-        poses, count = len(session.windows), len(closure.duration)
-        codes = np.concatenate([np.repeat(np.arange(poses), 3), poses + np.repeat(range(count), 2)])
-        is_kept = ~np.isin(codes, [*outliers])
-        length = session.windows[:, 1] - session.windows[:, 0]
-        move_cov = closure.force_jacobian @ session.force_covariance @ closure.force_jacobian.T
-        move_cov += session.white_variance * block_diag(*closure.noise_covariance)
-        at_rest_cov = np.diag(np.repeat(session.white_variance / length, 3))
-        known_cov = np.asarray(block_diag(at_rest_cov, move_cov))
+    def build(cls, poses: _Poses, closure: _Closure, outliers: frozenset[int]) -> Self:
+        pose_count, move_count = len(poses.windows), len(closure.duration)
+        segment = np.repeat(np.arange(pose_count + move_count), [3] * pose_count + [2] * move_count)
+        is_kept = ~np.isin(segment, [*outliers])
+        length = poses.windows[:, 1] - poses.windows[:, 0]
+        move_cov = closure.force_jacobian @ poses.force_covariance @ closure.force_jacobian.T
+        move_cov += poses.white_variance * block_diag(*closure.noise_covariance)
+        rest_cov = np.diag(np.repeat(poses.white_variance / length, 3))
+        known_cov = np.asarray(block_diag(rest_cov, move_cov))
         output = closure.residual + closure.design[:, :N_INTEGRATED] @ closure.parameters
         matrix = closure.parameters[3:].reshape(3, 3)
-        at_rest = _build_rest_design(matrix, session.force, closure.pose_rotations)
-        duration = np.concatenate([np.full(3 * poses, np.inf), np.repeat(closure.duration, 2)])
+        rest_design = _build_rest_design(matrix, poses.force, closure.pose_rotations)
+        duration = np.concatenate([np.full(3 * pose_count, np.inf), np.repeat(closure.duration, 2)])
         return cls(
-            session,
+            poses,
             closure,
-            output=np.concatenate([session.at_rest.ravel(), output])[is_kept],
-            design=np.concatenate([at_rest, closure.design])[is_kept],
-            segment=codes[is_kept],
+            output=np.concatenate([poses.outputs.ravel(), output])[is_kept],
+            design=np.concatenate([rest_design, closure.design])[is_kept],
+            segment=segment[is_kept],
             known_covariance=known_cov[np.ix_(is_kept, is_kept)],
             duration=duration[is_kept],
         )
 
     @property
     def is_move(self) -> Bool[np.ndarray, "r"]:
-        return self.segment >= len(self.session.windows)
+        return self.segment >= len(self.poses.windows)
 
     def covariance(self, bias_variance: float, angle_variance: float) -> Float[np.ndarray, "r r"]:
         """Return the covariance of the outputs, (rad/s)²."""
         return self.known_covariance + np.diag(bias_variance + angle_variance / self.duration**2)
 
     def estimate(self, bias_variance: float, angle_variance: float) -> _Estimate:
-        root = np.linalg.cholesky(self.covariance(bias_variance, angle_variance))
-        table = np.column_stack([self.design, self.output - self.design @ self.session.prior_mean])
+        cholesky = np.linalg.cholesky(self.covariance(bias_variance, angle_variance))
+        table = np.column_stack([self.design, self.output - self.design @ self.poses.prior_mean])
         # QR with a row for each prior, not normal equations: outputs may be almost noise-free.
         prior = np.column_stack([np.diag(1 / PRIOR_SD), np.zeros(len(PRIOR_SD))])
-        white = np.concatenate([solve_triangular(root, table, lower=True), prior])
-        upper = np.linalg.qr(white, mode="r")
+        whitened = np.concatenate([solve_triangular(cholesky, table, lower=True), prior])
+        upper = np.linalg.qr(whitened, mode="r")
         factor, rss = upper[:-1, :-1], upper[-1, -1]
         inverse = solve_triangular(factor, np.eye(len(factor)))
-        log_dets = np.sum(np.log(np.diag(root))), np.sum(np.log(np.abs(np.diag(factor))))
+        log_dets = np.sum(np.log(np.diag(cholesky))), np.sum(np.log(np.abs(np.diag(factor))))
         log_density = -0.5 * rss**2 - log_dets[0] - log_dets[1]
-        mean = self.session.prior_mean + inverse @ upper[:-1, -1]
+        mean = self.poses.prior_mean + inverse @ upper[:-1, -1]
         cov, log_density = inverse @ inverse.T, float(log_density)
         return _Estimate(mean, cov, bias_variance, angle_variance, log_density)
 
@@ -375,36 +375,36 @@ class _LinearModel(NamedTuple):
         values = np.concatenate([self.closure.parameters, fit.mean[N_INTEGRATED:]])
         residuals = self.output - self.design @ values
         squares = residuals @ np.linalg.solve(covariance, residuals)
-        return float(squares + np.sum(((values - self.session.prior_mean) / PRIOR_SD) ** 2))
+        return float(squares + np.sum(((values - self.poses.prior_mean) / PRIOR_SD) ** 2))
 
     def find_outlier(self, fit: _Estimate, outliers: frozenset[int]) -> frozenset[int]:
         """Return `outliers` and the most significant other outlying pose or move, if there is one."""
         residuals, p_values = self.output - self.design @ fit.mean, dict[int, float]()
         covariance = self.covariance(fit.bias_variance, fit.angle_variance)
         covariance -= self.design @ fit.covariance @ self.design.T
-        moves = int(np.sum(self.is_move))
+        move_rows = int(np.sum(self.is_move))
         for k in np.unique(self.segment).tolist():
             rows = np.flatnonzero(self.segment == k)
             r, cov = residuals[rows], covariance[np.ix_(rows, rows)]
-            is_pose = k < len(self.session.windows)
-            dof = max(1, len(residuals) - moves - 3 if is_pose else moves - N_INTEGRATED)
+            is_pose = k < len(self.poses.windows)
+            dof = max(1, len(residuals) - move_rows - 3 if is_pose else move_rows - N_INTEGRATED)
             p_values[k] = float(fdtrc(len(r), dof, r @ np.linalg.solve(cov, r) / len(r)))
         candidate = min(p_values, key=p_values.__getitem__)
         is_outlier = p_values[candidate] < OUTLIER_PROBABILITY / len(p_values)
         return outliers | {candidate} if is_outlier else outliers
 
-    def columns(
+    def build_columns(
         self, fit: _Estimate, force_names: tuple[str, ...], unit: float
     ) -> dict[str, np.ndarray]:
-        """Return columns of readings: innovations of poses and moves in order; `unit` is the output's unit in rad/s."""
+        """Return columns of readings: innovations of poses and moves in time order; `unit`: the output's, in rad/s."""
         factor = np.linalg.cholesky(self.covariance(fit.bias_variance, fit.angle_variance))
-        innovation_sd, moves = np.diag(factor), int(np.sum(self.is_move))
+        innovation_sd, move_rows = np.diag(factor), int(np.sum(self.is_move))
         table = np.column_stack([self.output, self.design])
         # A unit lower triangular factor: each move is conditional on those before it.
         table = solve_triangular(factor / innovation_sd, table, lower=True, unit_diagonal=True)
-        force = np.concatenate([self.session.force, self.closure.force])[self.segment]
-        poses = (len(self.segment) - moves) // 3
-        kinds = [*ws.AXES] * poses + ["move", "move too"] * (moves // 2)
+        force = np.concatenate([self.poses.force, self.closure.force])[self.segment]
+        pose_count = (len(self.segment) - move_rows) // 3
+        kinds = [*ws.AXES] * pose_count + ["move", "move too"] * (move_rows // 2)
         powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])
         names = (*ws.ACROSS, *ws.TURNED, *FORCE_COLUMNS, *SQUARED_RATE_COLUMNS, *EARTH_RATE_COLUMNS)
         columns = dict(zip(names, (table[:, 1:] / unit**powers).T, strict=True))
@@ -427,11 +427,11 @@ class _Closure(NamedTuple):
 
 
 def _integrate_moves(
-    path: _Moves, force: Float[np.ndarray, "k 3"], parameters: Float[np.ndarray, "12"]
+    samples: _Moves, force: Float[np.ndarray, "k 3"], parameters: Float[np.ndarray, "12"]
 ) -> _Closure:
     """Integrate the gyro outputs of moves with bias and matrix (`parameters`); return closure errors and Jacobians."""
     bias, matrix = parameters[:3], parameters[3:].reshape(3, 3)
-    rate, rotations = _integrate_attitude(path, matrix, bias)
+    rate, rotations = _integrate_attitude(samples, matrix, bias)
     size, m, to_start = np.linalg.norm(force, axis=1), len(rate), rotations[:, -1]
     pose_rotations = [np.eye(3)]
     for rotation in to_start:
@@ -440,15 +440,15 @@ def _integrate_moves(
     q = np.stack(build_tangents(up[1:]), axis=1)  # (m, 2, 3)
     start_q = np.einsum("mij,mkj->mki", to_start, q)  # q in the axes of the pose before
     residual = np.einsum("mkj,mj->mk", q, up[1:]) - np.einsum("mkj,mj->mk", start_q, up[:-1])
-    normal, duration = np.cross(q, up[1:, None, :]), path.duration[:, None, None]
+    normal, duration = np.cross(q, up[1:, None, :]), samples.duration[:, None, None]
     start_normal = np.einsum("mij,mkj->mki", to_start, normal)
     a = -np.einsum("mnji,mkj->mkni", rotations, start_normal) @ np.linalg.inv(matrix)
     a = a / duration[..., None]
-    weighted = a * path.weight[:, None, :, None]
+    weighted = a * samples.weight[:, None, :, None]
     design = [
         weighted.sum(axis=2),
         np.einsum("mkna,mnj->mkaj", weighted, rate).reshape(m, 2, 9),
-        np.einsum("mkna,mnj->mkaj", weighted, path.force).reshape(m, 2, 9),
+        np.einsum("mkna,mnj->mkaj", weighted, samples.force).reshape(m, 2, 9),
         np.einsum("mkna,mna->mka", weighted, rate**2),
         -np.einsum("mij,mkj->mki", np.array(pose_rotations[1:]), normal),
     ]
@@ -462,8 +462,8 @@ def _integrate_moves(
         np.concatenate(design, axis=2).reshape(2 * m, -1),
         slopes.reshape(2 * m, -1),
         np.einsum("mkna,mlna->mkl", weighted, a),
-        path.duration,
-        np.einsum("mn,mnj->mj", path.weight, path.force) / path.duration[:, None],
+        samples.duration,
+        np.einsum("mn,mnj->mj", samples.weight, samples.force) / samples.duration[:, None],
         np.array(pose_rotations),
     )
 

@@ -24,13 +24,13 @@ NO_DIRECTION = (
 )
 
 
-def scalar_readings(
+def convert_to_scalar_readings(
     instrument: bc.Instrument, values: Values, units: Units, file: str
 ) -> tuple[Values, Units, list[str]]:
     """Convert readings of three outputs to readings of one output; return their columns, units and flags.
 
     Args:
-        instrument: with a column `magnitude`, the magnitude of the input is known, otherwise the input itself.
+        instrument: three-axis instrument; if it has a column `magnitude`, only the input's magnitude is known.
         values, units: columns of a file, one entry per pose, and their units.
         file: name of the file in error messages.
 
@@ -54,17 +54,17 @@ def scalar_readings(
             f"that of the outputs is used, {radius:.4g} {units['output']}; only ratios of scale factors are identified"
         )
     problem = f"columns {', '.join(instrument.outputs)}: all three are zero: remove the row"
-    size = _require_lengths(outputs, problem, file)
+    lengths = _require_lengths(outputs, problem, file)
     columns = [*ws.DIRECTION, POSE_UNCERTAINTY]
     missing = [column for column in columns if column not in values]
     if missing == columns:
-        return {**values, "output": size}, units, flags
+        return {**values, "output": lengths}, units, flags
     if missing:
         raise bc.InputError(
             f"{file}: a known direction needs {', '.join(columns)}, but {', '.join(missing)} is missing: add it, or "
             "remove the others to calibrate with unknown directions"
         )
-    return *_convert_poses(outputs, size, values, units, file), flags
+    return *_convert_poses(outputs, lengths, values, units, file), flags
 
 
 def _convert_poses(
@@ -79,9 +79,9 @@ def _convert_poses(
     direction = direction / _require_lengths(direction, NO_DIRECTION, file)[:, None]
     axes = np.stack([np.zeros_like(outputs), *build_tangents(direction)], axis=1)  # (n, 3, 3)
     scalars = np.column_stack([magnitude, np.einsum("nkj,nj->nk", axes[:, 1:], outputs)])
-    angle = values[POSE_UNCERTAINTY] * ws.magnitude(values)
+    direction_sd = values[POSE_UNCERTAINTY] * ws.magnitude(values)
     output_sd = values.get(ws.UNCERTAINTY, np.zeros(len(outputs)))
-    uncertainty = np.stack([output_sd, *2 * [np.hypot(output_sd, angle)]], axis=1)
+    uncertainty = np.stack([output_sd, *2 * [np.hypot(output_sd, direction_sd)]], axis=1)
     labels = ("magnitude", "across", "across too")
     readings = _repeat_rows(values, direction, axes, scalars, labels)
     readings |= {ws.UNCERTAINTY: uncertainty.ravel()}
@@ -100,15 +100,15 @@ def _convert_components(
     direction = np.zeros_like(outputs)
     if all(name in values for name in ws.DIRECTION):
         direction = np.stack([values[name] for name in ws.DIRECTION], axis=1)
-    length = _require_lengths(direction, NO_DIRECTION, file, is_required=values[ws.RATE] != 0)
-    direction = direction / np.where(length > 0, length, 1.0)[:, None]
+    lengths = _require_lengths(direction, NO_DIRECTION, file, is_required=values[ws.RATE] != 0)
+    direction = direction / np.where(lengths > 0, lengths, 1.0)[:, None]
     components = np.broadcast_to(np.eye(3), (len(outputs), 3, 3))
     readings = _repeat_rows(values, direction, components, outputs, ws.AXES)
     if MOUNTING not in values:
-        leading = np.argmax(np.abs(direction) > 0.5, axis=1)  # component that fixes the axis's sign
-        axes = direction * np.sign(direction[np.arange(len(outputs)), leading])[:, None]
+        indices = np.argmax(np.abs(direction) > 0.5, axis=1)  # of components that fix axes' signs
+        axes = direction * np.sign(direction[np.arange(len(outputs)), indices])[:, None]
         labels = ["about " + " ".join(f"{c + 0.0:.3f}" for c in axis) for axis in np.round(axes, 3)]
-        readings[MOUNTING] = np.repeat(np.where(length > 0, labels, "at rest"), 3)
+        readings[MOUNTING] = np.repeat(np.where(lengths > 0, labels, "at rest"), 3)
     new_units = {**dict.fromkeys((*ws.ACROSS, *ws.DIRECTION), "1"), MOUNTING: None, ws.AXIS: None}
     return readings, {**units, **new_units}
 
@@ -142,11 +142,11 @@ def _require_lengths(
     file: str,
     is_required: Bool[np.ndarray, "n"] | bool = True,
 ) -> Float[np.ndarray, "n"]:
-    """Return the lengths of vectors; raise InputError if a required length is zero."""
-    length = np.linalg.norm(vectors, axis=1)
-    if np.any(is_zero := is_required & ~(length > 0)):
+    """Return the lengths of vectors; raise InputError, with `problem` as reason, if a required length is zero."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    if np.any(is_zero := is_required & ~(lengths > 0)):
         raise bc.InputError(f"{file}, row {int(np.argmax(is_zero)) + 1}, {problem}")
-    return length
+    return lengths
 
 
 def build_tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

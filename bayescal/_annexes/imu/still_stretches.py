@@ -20,8 +20,9 @@ from bayescal import workshop as ws
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 REST_QUANTILE = 0.1  # quantile of the blocks' scatter that is taken as the scatter at rest
-# Scatter or step of a static block over the scatter at rest: means of blocks of filtered noise differ by 4 once in 10⁴.
-MAX_STATIC_RATIO = 6.0
+MAX_STATIC_RATIO = (
+    6.0  # scatter or step of a static block over that at rest; filtered noise exceeds 4 once in 10⁴
+)
 POSE_S = 2.0  # default minimum of a pose: eight blocks, whose means give the uncertainty of theirs
 BRIEF_POSE_S = 1.0  # the same for poses held by hand, if enough segments are that brief
 MIN_BRIEF_FRACTION = 0.25  # of all segments for that; fewer are brief pauses between longer poses
@@ -36,18 +37,18 @@ class StaticSegments(NamedTuple):
     last: Int[np.ndarray, "k"]  # index after its last sample
     uncertainty: Float[np.ndarray, "k"]  # standard uncertainty of each segment's mean output
     one_second_sd: float  # standard deviation of a mean over one second, for white noise
-    shorter: tuple[float, ...]  # durations of omitted shorter segments of a second or more, s
+    omitted_durations: tuple[float, ...]  # of shorter segments of a second or more, s
 
 
 def find_static_segments(
-    time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], shortest: float | None = None
+    time: Float[np.ndarray, "n"], outputs: Float[np.ndarray, "n m"], min_duration: float | None
 ) -> StaticSegments:
     """Find the static segments of a log, and the standard uncertainty of their means.
 
     Args:
         time: sampling times, s, increasing and nearly equidistant.
         outputs: outputs of one unit, such as three accelerometers.
-        shortest: minimum duration of a pose, s; default 2, or 1 if more than a quarter of the segments are of 1 to 2 s.
+        min_duration: of a pose, s; None: 2, or 1 if more than a quarter of the segments of at least 1 s are under 2 s.
 
     Raises:
         InputError: the sampling rate is too low, or no segment is long enough.
@@ -72,16 +73,16 @@ def find_static_segments(
     # Without the end blocks, in which a move may begin or end.
     starts, stops = begins[is_segment] + 1, (begins + counts)[is_segment] - 1
     durations = np.round((stops - starts) * size * step, 6)  # rounded: 5 steps of 1/20 s are 0.25 s
-    if shortest is None:
+    if min_duration is None:
         is_brief = np.mean(durations[durations >= BRIEF_POSE_S] < POSE_S) > MIN_BRIEF_FRACTION
-        shortest = BRIEF_POSE_S if is_brief else POSE_S
-    is_long = durations >= shortest
-    shorter = tuple(map(float, durations[(durations >= BRIEF_POSE_S) & ~is_long]))
+        min_duration = BRIEF_POSE_S if is_brief else POSE_S
+    is_long = durations >= min_duration
+    omitted_durations = tuple(durations[(durations >= BRIEF_POSE_S) & ~is_long].tolist())
     if not is_long.any():
-        raise bc.InputError(
-            f"no segment of the log is static for {shortest:g} s: hold the unit still in each pose for longer, or give "
-            "a shorter minimum" + (f": {format_shorter_segments(shorter)}" if shorter else "")
-        )
+        note = f": {format_omission(omitted_durations)}" if omitted_durations else ""
+        fault = f"no segment of the log is static for {min_duration:g} s"
+        advice = "hold the unit still in each pose for longer, or give a shorter minimum duration"
+        raise bc.InputError(f"{fault}: {advice}{note}")
     starts, stops = starts[is_long], stops[is_long]
     ranges = list(zip(starts.tolist(), stops.tolist(), strict=True))
     # With much noise, moves begin undetected in the outer blocks, whose means then differ by more than noise.
@@ -94,14 +95,14 @@ def find_static_segments(
         last=stops * size,
         uncertainty=np.sqrt(variance / (stops - starts)),
         one_second_sd=float(np.sqrt(variance * size * step)),
-        shorter=shorter,
+        omitted_durations=omitted_durations,
     )
 
 
-def format_shorter_segments(durations: Sequence[float]) -> str:
+def format_omission(durations: Sequence[float]) -> str:
     """Return a sentence on the number of omitted shorter segments, and the option that includes them."""
-    count, shortest = len(durations), min(durations)
-    return f"{count} shorter static segments are omitted; --shortest {shortest:g} (shortest={shortest:g}) includes them"
+    option = f"--shortest {min(durations):g} (min_duration={min(durations):g})"
+    return f"{len(durations)} shorter static segments are omitted; {option} includes them"
 
 
 class LoggedRun(NamedTuple):
@@ -110,26 +111,27 @@ class LoggedRun(NamedTuple):
     samples: bc.Measurements
     time: Float[np.ndarray, "n"]  # s
     outputs: Float[np.ndarray, "n 3"]
-    at_rest: StaticSegments
+    segments: StaticSegments
 
     @property
     def temperature(self) -> Float[np.ndarray, "n"] | None:
         """Return the temperature of each sample, °C; None if not logged."""
         return self.samples["temperature"] if self.samples.has("temperature") else None
 
+    @property
     def pose_windows(self) -> Float[np.ndarray, "k 2"]:
-        return np.stack([self.time[self.at_rest.first], self.time[self.at_rest.last - 1]], axis=1)
+        return np.stack([self.time[self.segments.first], self.time[self.segments.last - 1]], axis=1)
 
-    def mean_outputs(self, windows: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-        return np.stack([self.outputs[self.rows_between(*w)].mean(axis=0) for w in windows])
+    def average_outputs(self, windows: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
+        return np.stack([self.outputs[self.find_rows(*w)].mean(axis=0) for w in windows])
 
-    def rows_between(self, begin: float, end: float) -> slice:
+    def find_rows(self, begin: float, end: float) -> slice:
         first, last = np.searchsorted(self.time, [begin, end])
         return slice(int(first), int(last) + 1)
 
 
 def split_runs(
-    log: bc.Measurements, names: tuple[str, ...], shortest: float | None, factor: float = 1.0
+    log: bc.Measurements, names: tuple[str, ...], min_duration: float | None, factor: float = 1.0
 ) -> dict[str, LoggedRun]:
     """Split a log by its column `run`; return label → run, with the outputs `names` multiplied by `factor`.
 
@@ -145,7 +147,7 @@ def split_runs(
     for k, label in enumerate(labels):
         samples = log.select(codes == k)
         outputs = factor * np.stack([samples[name] for name in names], axis=1)
-        segments = find_static_segments(samples["time"], outputs, shortest)
+        segments = find_static_segments(samples["time"], outputs, min_duration)
         runs[label] = LoggedRun(samples, samples["time"], outputs, segments)
     return runs
 
@@ -163,7 +165,7 @@ def build_readings(
 def average_segments(
     log: bc.Measurements, names: Iterable[str], segments: Iterable[slice]
 ) -> dict[str, np.ndarray]:
-    """Return the columns' means over each segment of a run, or the first value of columns of labels."""
+    """Return the mean of each column `names` in each segment of a run, or the first label of a column of labels."""
     segments = [*segments]
     return {
         n: np.array([v[s].mean() if v.dtype.kind == "f" else v[s.start] for s in segments])
@@ -181,8 +183,9 @@ def intersect_windows(a: Float[np.ndarray, "k 2"], b: Float[np.ndarray, "l 2"]) 
     return windows[np.argsort(windows[:, 0])]
 
 
+@ws.renamed(shortest="min_duration")
 def poses(
-    log: bc.Measurements, instrument: bc.Instrument, *, shortest: float | None = None
+    log: bc.Measurements, instrument: bc.Instrument, *, min_duration: float | None = None
 ) -> bc.Measurements:
     """Average each static segment of a log to one pose; all numeric columns are averaged.
 
@@ -191,24 +194,24 @@ def poses(
     Args:
         log: samples of the three outputs, read with the instrument, with a column `time`.
         instrument: a three-axis instrument.
-        shortest: minimum duration of a pose, s; default 2, or 1 if many segments of the log are shorter than 2 s.
+        min_duration: minimum duration of a pose, s; default 2, or 1 if many segments of the log are shorter than 2 s.
 
     Raises:
         InputError: an instrument with one output, no column `time`, or no static segment.
     """
     if instrument.vector is None:
         raise bc.InputError(f"instrument {instrument.name!r} has one output; poses need three axes")
-    runs = split_runs(log, instrument.vector.outputs, shortest).values()
+    runs = split_runs(log, instrument.vector.outputs, min_duration).values()
     names = [n for n in log.columns if n not in ("output", ws.UNCERTAINTY, ws.AXIS, *ws.ACROSS)]
-    parts = [
-        {ws.UNCERTAINTY: run.at_rest.uncertainty}
-        | average_segments(run.samples, names, map(slice, run.at_rest.first, run.at_rest.last))
+    tables = [
+        {ws.UNCERTAINTY: run.segments.uncertainty}
+        | average_segments(run.samples, names, map(slice, run.segments.first, run.segments.last))
         for run in runs
     ]
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     readings = build_readings(columns, instrument, log)
     count = len(columns[ws.UNCERTAINTY])
     notes = [f"{len(readings['output'])} readings of {count} poses found in {log.file}"]
-    shorter = [seconds for run in runs for seconds in run.at_rest.shorter]
-    notes += [f"{log.file}: {format_shorter_segments(shorter)}"] if shorter else []
+    omitted_durations = [seconds for run in runs for seconds in run.segments.omitted_durations]
+    notes += [f"{log.file}: {format_omission(omitted_durations)}"] if omitted_durations else []
     return replace(readings, sources=log.sources, flags=(*log.flags, *readings.flags, *notes))

@@ -27,8 +27,9 @@ TERM_COUNTS = (12, 30, 33)  # number of terms up to first, second and third orde
 # axes of the two factors of each second-order term
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # fmt: skip
 FIRST_AXES, SECOND_AXES = np.array(PAIRS).T
+JSON_KEYS = {"max_input": "reach", "reason": "against", "secondary_columns": "beside"}
 NEWTON_STEPS = 4  # iterations of the inverse: each squares the error
-Uncertain = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
+ValueAndSd = tuple[np.ndarray, np.ndarray]  # a quantity and its standard uncertainty, (n,) each
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,13 @@ class CorrectedVector:
     outside: np.ndarray
 
     @property
-    def magnitude(self) -> Uncertain:
+    def magnitude(self) -> ValueAndSd:
         """Return |f̂| and its standard uncertainty, `unit`."""
         length = np.linalg.norm(self.vector, axis=1)
         return length, self._propagate(self.vector.T / length)
 
     @property
-    def tilt(self) -> dict[str, Uncertain]:
+    def tilt(self) -> dict[str, ValueAndSd]:
         """Return roll and pitch of a body at rest from its specific force, rad, with standard uncertainties.
 
         Roll is atan2(f_y, f_z), pitch atan2(−f_x, √(f_y² + f_z²)). Roll is not determined where x is vertical.
@@ -72,6 +73,7 @@ class CorrectedVector:
 
 
 @ws.renamed(reach="max_input", against="reason", assumed="default_temperature")
+@ws.renamed(beside="secondary_columns", data="to_json_data")
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
     """Correction of three outputs, at a temperature, to the input vector with its covariance; call it with outputs.
@@ -91,7 +93,7 @@ class VectorCorrection:
         noise: smallest standard deviation of a calibration reading about its expected output, `unit`.
         notes: notes on use, one sentence each.
         source: identity of the calibration (SHA-256).
-        beside: names of the secondary input's columns; empty if there is no secondary input.
+        secondary_columns: names of the secondary input's columns; empty if there is no secondary input.
         instrument: name of the instrument.
         max_input: largest magnitude of the input in the calibration, `unit`.
         reason: reason why the result must not be used (also in `notes`); empty if it may be used.
@@ -107,7 +109,7 @@ class VectorCorrection:
     noise: float
     notes: tuple[str, ...] = ()
     source: str = ""
-    beside: tuple[str, ...] = ()
+    secondary_columns: tuple[str, ...] = ()
     instrument: str = "triad"
     max_input: float = 1.0
     reason: str = ""
@@ -115,7 +117,7 @@ class VectorCorrection:
     @property
     def order(self) -> int:
         """Return the order of the equation in the input, 1, 2 or 3."""
-        return 1 + TERM_COUNTS.index(self.terms.shape[1] - 9 * bool(self.beside))
+        return 1 + TERM_COUNTS.index(self.terms.shape[1] - 9 * bool(self.secondary_columns))
 
     def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
         """Return the powers of T − T0 for temperatures in °C."""
@@ -133,8 +135,7 @@ class VectorCorrection:
             "terms: offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows"
         )
         data = {"made_by": f"bayescal {bc.__version__}", "equation": equation} | ws.as_json(self)
-        data["reach"], data["against"] = data.pop("max_input"), data.pop("reason")
-        return data
+        return {JSON_KEYS.get(name, name): value for name, value in data.items()}
 
     @property
     def range(self) -> tuple[float, float]:
@@ -174,7 +175,7 @@ class VectorCorrection:
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> VectorCorrection:
         """Return the correction with the data of `to_json_data`; unknown entries are ignored."""
-        data = {**data, "max_input": data["reach"], "reason": data["against"]}
+        data = data | {name: data[key] for name, key in JSON_KEYS.items()}
         data |= {name: np.array(data[name]) for name in ("terms", "covariance")}
         return cls(**{f.name: data[f.name] for f in fields(cls)})
 
@@ -185,13 +186,13 @@ class VectorCorrection:
         are the largest of its six directions: of the correction alone, and with the noise of one reading.
         """
         inputs = self.max_input * np.concatenate([np.eye(3), -np.eye(3)])
-        t, g = self.default_temperature, np.zeros_like(inputs) if self.beside else None
+        t, g = self.default_temperature, np.zeros_like(inputs) if self.secondary_columns else None
         slopes = differentiate_by_terms(inputs, self.order, g)
-        outputs = slopes @ (self.powers(np.array([t])) @ self.terms)[0]
-        covariances = [self(outputs, t, noise=n, beside=g).covariance for n in (0.0, self.noise)]
-        u, total = np.sqrt(np.max(np.diagonal(covariances, axis1=2, axis2=3), axis=1))
+        y = slopes @ (self.powers(np.array([t])) @ self.terms)[0]
+        covariances = [self(y, t, noise=n, secondary_input=g).covariance for n in (0, self.noise)]
+        u, total_u = np.sqrt(np.max(np.diagonal(covariances, axis1=2, axis2=3), axis=1))
         titles = ("component", "standard uncertainty u", "U (k = 2)", "U (k = 2) with noise")
-        rows = [("xyz"[i], *map(ws.number, (u[i], 2 * u[i], 2 * total[i]))) for i in range(3)]
+        rows = [("xyz"[i], *map(ws.number, (u[i], 2 * u[i], 2 * total_u[i]))) for i in range(3)]
         columns = (ws.TableColumn(title, lambda row, i=i: row[i]) for i, title in enumerate(titles))
         unit = ws.unit_label(self.unit)
         caption = f"Compensated vector of {ws.number(self.max_input)} {unit} along any axis, {t:g} °C; noise: a reading"
@@ -200,15 +201,16 @@ class VectorCorrection:
     @property
     def rows(self) -> list[TermRow]:
         """Return the non-zero terms with their standard uncertainties."""
-        return term_rows(self.terms, self.uncertainty, self.unit, self.beside)
+        return list_terms(self.terms, self.uncertainty, self.unit, self.secondary_columns)
 
     def __str__(self) -> str:
         """Format the offset, the matrix and the other terms, as in exports."""
-        return str(terms_table(self.rows))
+        return str(tabulate_terms(self.rows))
 
     def _repr_html_(self) -> str:
-        return terms_table(self.rows).html()
+        return tabulate_terms(self.rows).html()
 
+    @ws.renamed(beside="secondary_input")
     def __call__(
         self,
         outputs: bc.Measurements | ArrayLike,
@@ -216,7 +218,7 @@ class VectorCorrection:
         temperature: ArrayLike | None = None,
         *,
         noise: float | None = None,
-        beside: ArrayLike | None = None,
+        secondary_input: ArrayLike | None = None,
     ) -> CorrectedVector:
         """Correct three outputs to the input vector.
 
@@ -226,12 +228,12 @@ class VectorCorrection:
                 correction depends on temperature.
             noise: standard deviation of each output, `unit`; default that of the calibration's poses; 0 for the
                 uncertainty of the calibration alone.
-            beside: secondary input, (n, 3) or (3,), in the unit of its columns, if the correction depends on it.
+            secondary_input: (n, 3) or (3,), in the unit of its columns, if the correction depends on it.
 
         Raises:
             InputError: not three outputs, or a temperature or secondary input that the correction needs is missing.
         """
-        vector, inverse, slope, temperatures = self._invert(outputs, temperature, beside)
+        vector, inverse, slope, temperatures = self._invert(outputs, temperature, secondary_input)
         powers, blocks = self.powers(temperatures), self.covariance.reshape(2 * self.terms.shape)
         cov = np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
         sd = self.noise if noise is None else noise
@@ -258,12 +260,12 @@ class VectorCorrection:
         """
         temperatures = None
         if run.temperature is not None:
-            temperatures = [np.mean(run.temperature[run.rows_between(*w)]) for w in windows]
-        outputs = run.mean_outputs(windows)
+            temperatures = [np.mean(run.temperature[run.find_rows(*w)]) for w in windows]
+        outputs = run.average_outputs(windows)
         vector, inverse, slope, temperatures = self._invert(outputs, temperatures, None)
         slopes = np.einsum("nk,nip->nikp", self.powers(temperatures), slope)
         # Scatter of the calibration's poses in excess of their means' noise (creep, hysteresis, model error) is added.
-        variance = run.at_rest.one_second_sd**2 / (windows[:, 1] - windows[:, 0])
+        variance = run.segments.one_second_sd**2 / (windows[:, 1] - windows[:, 0])
         variance = variance + max(0.0, self.noise**2 - float(np.min(variance)))
         pose_covs = variance[:, None, None] * inverse @ inverse.mT
         return vector, slopes.reshape(3 * len(vector), -1), np.asarray(block_diag(*pose_covs))
@@ -272,13 +274,14 @@ class VectorCorrection:
         self,
         outputs: bc.Measurements | ArrayLike,
         temperature: ArrayLike | None,
-        secondary: ArrayLike | None,
+        secondary_input: ArrayLike | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return input vectors f̂ (n, 3), inverse Jacobians (n, 3, 3), −∂f̂/∂terms (n, 3, p) and temperatures (n,)."""
+        names = self.secondary_columns
         if isinstance(outputs, bc.Measurements):
             readings = outputs
-            if self.beside and secondary is None and readings.has(self.beside[0]):
-                secondary = np.stack([readings[name] for name in self.beside], axis=1)
+            if names and secondary_input is None and readings.has(names[0]):
+                secondary_input = np.stack([readings[name] for name in names], axis=1)
             if temperature is None and readings.has("temperature"):
                 temperature = readings["temperature"]
             outputs = np.stack([readings[name] for name in self.outputs], axis=1)
@@ -289,10 +292,10 @@ class VectorCorrection:
             raise bc.InputError("the correction depends on temperature: give temperature=… in °C")
         temperature = self.default_temperature if temperature is None else temperature
         temperatures = np.broadcast_to(np.asarray(temperature, float), len(y))
-        if self.beside and secondary is None:
-            message = f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
+        if names and secondary_input is None:
+            message = f"the correction depends on {', '.join(names)}: give secondary_input=… (n, 3), in their unit"
             raise bc.InputError(message)
-        g = np.broadcast_to(np.asarray(secondary, float), y.shape) if self.beside else None
+        g = np.broadcast_to(np.asarray(secondary_input, float), y.shape) if names else None
         terms = self.powers(temperatures) @ self.terms
 
         def linearise(f: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
@@ -314,7 +317,7 @@ class TermRow(NamedTuple):
     unit: str
 
 
-def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
+def tabulate_terms(rows: Sequence[TermRow]) -> ws.ResultTable:
     """Tabulate the terms of a correction with their standard uncertainties."""
     columns = (
         ws.TableColumn("outputs = offset + matrix · inputs + higher orders", lambda r: r.name),
@@ -325,25 +328,24 @@ def terms_table(rows: Sequence[TermRow]) -> ws.ResultTable:
 
 
 # Power of T − T0, in the name of a term → in its unit.
-POWER_UNITS = {"": "", " by T − T0": "/degC"}
-POWER_UNITS |= {" by (T − T0)²": "/degC^2", " by (T − T0)³": "/degC^3"}
+POWERS = {"": "", " by T − T0": "/degC", " by (T − T0)²": "/degC^2", " by (T − T0)³": "/degC^3"}
 
 
-def term_rows(
-    terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary: Sequence[str]
+def list_terms(
+    terms: ArrayLike, uncertainty: ArrayLike, unit: str, secondary_columns: Sequence[str]
 ) -> list[TermRow]:
-    """Return a row for each non-zero term of a correction; `secondary` are the secondary input's columns."""
+    """Return a row for each non-zero term of a correction, with its standard uncertainty (both (k, p), as `terms`)."""
     axes, terms, base = "xyz", np.asarray(terms, float), f"({unit})" if "/" in unit else unit
     names = [(f"offset {a}", unit) for a in axes]
     names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
-    size = terms.shape[1] - 9 * bool(secondary)
+    size = terms.shape[1] - 9 * bool(secondary_columns)
     if size > 12:
         pairs = [f"{axes[i]}·{axes[j]}" for i, j in PAIRS]
         names += [(f"second order of {a}: {p}", f"1/{base}") for a in axes for p in pairs]
     if size > 30:
         names += [(f"third order of {a}: {a}³", f"1/{base}^2") for a in axes]
-    names += [(f"{g} on {a}", unit) for a in axes for g in secondary]
-    rows = zip(POWER_UNITS.items(), terms, np.asarray(uncertainty, float), strict=False)
+    names += [(f"{g} on {a}", unit) for a in axes for g in secondary_columns]
+    rows = zip(POWERS.items(), terms, np.asarray(uncertainty, float), strict=False)
     return [
         TermRow(name + power, float(value), float(sd), term_unit + per_power)
         for (power, per_power), values, sds in rows

@@ -23,8 +23,7 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
         content = (c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high)
         fields = {"c": c, "name": name, "guard": ws.include_guard(name, *content, with_uncertainty)}
         fields |= {"uncertainty": with_uncertainty, "recorded": c.low is not None}
-        # Offset and inverse matrix alone, without an equation to solve.
-        fields["plain"] = not with_uncertainty and c.terms.shape == (1, 12)
+        fields["plain"] = not with_uncertainty and c.terms.shape == (1, 12)  # no equation to solve
         fields |= {"thermal": len(c.terms) > 1, "inverse": np.linalg.inv(c.matrix).tolist()}
         return template.render(fields, newton=1 if c.order == 1 else NEWTON_STEPS)
 
@@ -33,9 +32,9 @@ def render_headers(corrections: Mapping[str, VectorCorrection], with_uncertainty
 
 def render_module(corrections: Mapping[str, VectorCorrection], with_uncertainty: bool) -> str:
     """Render corrections, by sensor name, as one Python module."""
-    omitted = () if with_uncertainty else ("covariance",)
+    keys = {} if with_uncertainty else {"covariance"}  # omitted
     entries = {name: c.to_json_data().items() for name, c in corrections.items()}
-    data = {name: repr({k: v for k, v in e if k not in omitted}) for name, e in entries.items()}
+    data = {name: repr({k: v for k, v in e if k not in keys}) for name, e in entries.items()}
     return ws.template(PACKAGE, "vector.py.jinja", {"comment": ws.python_words}).render(
         named=corrections, data=data, uncertainty=with_uncertainty, newton=NEWTON_STEPS
     )

@@ -42,13 +42,13 @@ DIAGONAL = [3, 7, 11]  # terms of the matrix on its diagonal
 
 
 def fit_offset_and_scale(
-    correction: VectorCorrection, has_scale: bool
+    correction: VectorCorrection, include_scale: bool
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], str]:
     """Approximate a correction by an offset and a scale factor per axis, by least squares.
 
     Args:
         correction: correction to approximate.
-        has_scale: whether to fit a scale factor; otherwise it is one, and the offset is that at rest.
+        include_scale: whether to fit scale factors; otherwise they are one, and the offset is that at rest.
 
     Returns:
         Offsets (unit of the outputs), scale factors, and a sentence on the omitted terms and their sizes.
@@ -62,28 +62,28 @@ def fit_offset_and_scale(
     columns = [0, 1, 2, *DIAGONAL]
     mean_terms = np.eye(p)[columns]  # ∂(offset, scale)/∂term at one temperature
     for i in range(3):
-        if order > 1 and has_scale:
+        if order > 1 and include_scale:
             mean_terms[i, [12 + 6 * i + PAIRS.index((a, a)) for a in range(3)]] = radius**2 / 3
         if order > 2:
             mean_terms[3 + i, 30 + i] = 0.6 * radius**2
-    if not has_scale:
+    if not include_scale:
         mean_terms[3:] = 0.0
     projection = np.kron(weights @ powers, mean_terms)
-    secondary = DIRECTIONS if correction.beside else None
-    slopes = differentiate_by_terms(radius * DIRECTIONS, order, secondary)
+    secondary_inputs = DIRECTIONS if correction.secondary_columns else None
+    slopes = differentiate_by_terms(radius * DIRECTIONS, order, secondary_inputs)
     # ∂output/∂term at each temperature and direction, less that of the approximation.
     residual_slopes = np.einsum("tk,dip->tdikp", powers, slopes)
     residual_slopes -= (slopes[..., columns] @ projection).reshape(len(DIRECTIONS), 3, k, p)
     groups = np.full((k, p), "dependence on temperature", dtype=object)
-    matrix_group = "misalignments" if has_scale else "scale factors and misalignments"
+    matrix_group = "misalignments" if include_scale else "scale factors and misalignments"
     groups[0], groups[:, 12:30], groups[:, 30:33] = matrix_group, "second order", "third order"
-    if correction.beside:
+    if correction.secondary_columns:
         groups[:, -9:] = "secondary input (of size 1)"
     label, omissions = ws.unit_label(correction.unit), list[str]()
     for group in dict.fromkeys(groups.ravel()):
         group_slopes = residual_slopes * (groups == group)
         mean = np.einsum("tdikp,kp->tdi", group_slopes, correction.terms)
-        if group == matrix_group and not has_scale:
+        if group == matrix_group and not include_scale:
             mean = mean - radius * DIRECTIONS
         group_slopes = group_slopes.reshape(*mean.shape, -1)
         variance = np.sum((group_slopes @ correction.covariance) * group_slopes, axis=-1)
@@ -94,9 +94,9 @@ def fit_offset_and_scale(
             sizes = (ws.number(float(size), 2) for size in (rms, np.sqrt(np.max(mean_square))))
             omissions.append(f"{group}, {f' {label} rms and up to '.join(sizes)} {label}")
     scope = f"over all directions of {ws.number(radius)} {label}, {correction.calibrated_at}"
-    omitted = f"Omitted for lack of parameters: {'; '.join(omissions)} ({scope})." * bool(omissions)
+    note = f"Omitted for lack of parameters: {'; '.join(omissions)} ({scope})." * bool(omissions)
     offset, scale = (projection @ correction.terms.ravel()).reshape(2, 3)
-    return offset, scale if has_scale else np.ones(3), omitted
+    return offset, scale if include_scale else np.ones(3), note
 
 
 # Names of offset and scale of the first sensor with outputs in a unit, with {} for the axis.
@@ -123,12 +123,12 @@ def convert_to_parameters(
             f"[{correction.unit}]"
         )
     names = PARAMETER_NAMES[autopilot][unit]
-    offset, scale, omitted = fit_offset_and_scale(correction, has_scale=len(names) > 1)
+    offset, scale, note = fit_offset_and_scale(correction, len(names) > 1)
     return {
         name.format(axis): float(value)
         for name, by_axis in zip(names, (offset * factor, 1 / scale), strict=False)
         for axis, value in zip("XYZ", by_axis, strict=True)
-    }, omitted
+    }, note
 
 
 def describe_omissions(correction: VectorCorrection, format: str) -> str:
@@ -138,7 +138,7 @@ def describe_omissions(correction: VectorCorrection, format: str) -> str:
 
 def format_parameter_file(correction: VectorCorrection, autopilot: str) -> str:
     """Format a correction as a parameter file of an autopilot."""
-    values, omitted = convert_to_parameters(correction, autopilot)
+    values, note = convert_to_parameters(correction, autopilot)
     head = f"Made by bayescal {bc.__version__}, {correction.calibrated_at}", *correction.notes
-    comments = map(ws.c_comment, (*head, omitted or "No term is omitted."))
+    comments = map(ws.c_comment, (*head, note or "No term is omitted."))
     return AUTOPILOTS[autopilot].format_file(comments, dict(values))

@@ -49,17 +49,18 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
         message = f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         raise bc.ModelError(message)
     effects = calibration.model.effects
-    unneeded = {TEMPERATURE, *vector.beside} - calibration.usual_columns
+    unneeded = {TEMPERATURE, *vector.secondary_columns} - calibration.usual_columns
     calibration = calibration.with_columns(set().union(*(e.columns for e in effects)) - unneeded)
     model, readings = calibration.model, calibration.readings
     used_columns = set().union(*(e.columns for e in model.effects))
-    secondary = vector.beside if used_columns & {*vector.beside} else ()
+    names = vector.secondary_columns
+    secondary_columns = names if used_columns & {*names} else ()
     has_temperature = readings.has("temperature")
     t = readings["temperature"] if has_temperature else np.zeros(1)
     low, high, reference = float(np.min(t)), float(np.max(t)), float(np.round(np.mean(t)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * MAX_DEGREE + 1) if high > low else np.array([low])
-    taylor, contributions = _expand_draws(calibration, grid, secondary)  # taylor: (draws, grid, p)
+    taylor, contributions = _expand_draws(calibration, grid, secondary_columns)  # (draws, grid, p)
     samples = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(MAX_DEGREE, len(grid) - 1) + 1):
         powers = np.vander(grid - reference, order + 1, increasing=True)
@@ -73,7 +74,7 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
     max_powers = np.max(np.abs(powers), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * max_powers <= ROUNDING * np.max(np.abs(taylor))] = 0.0
     # The order of each term in the input; higher orders are omitted if all their terms are zero.
-    orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(secondary)])
+    orders = np.repeat([0, 1, 2, 3, 0], [3, 9, 18, 3, 9 * bool(secondary_columns)])
     is_kept = orders <= np.max(orders * np.any(terms, axis=(0, 1)), initial=1)
     terms, residuals, orders = terms[:, :, is_kept], residuals[:, is_kept], orders[is_kept]
     flat_terms = calibration.form_factor * terms.reshape(len(terms), -1)
@@ -91,7 +92,7 @@ def vector_correction(calibration: bc.Calibration) -> VectorCorrection:
         covariance=covariance + np.outer(shift, shift),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
         source=ws.identity(calibration),
-        beside=secondary,
+        secondary_columns=secondary_columns,
         instrument=instrument.name,
     )
     if np.any(residuals):
@@ -127,7 +128,7 @@ def _assess_common_scale(
     vector, unit = instrument.vector, ws.unit_label(instrument.unit)
     assert vector is not None
     tolerance, scale = vector.common_scale, float(np.mean(np.diag(matrix)))
-    quantity, stated = "the rates", ""
+    quantity, size_text = "the rates", ""
     if vector.acting is None:
         size = float(np.mean(ws.magnitude(readings)))
         quantity = f"the magnitude {instrument.column(ws.MAGNITUDE).meaning}"
@@ -137,20 +138,20 @@ def _assess_common_scale(
                 f"factors are relative to their mean. The plausible error of the common scale, "
                 f"{100 * tolerance:.2g} %, is in the uncertainty of magnitudes; directions do not depend on it."
             ]
-        stated = f" ({size:.4g} {unit}; {size * scale:.3g} {unit} would fit)"
+        size_text = f" ({size:.4g} {unit}; {size * scale:.3g} {unit} would fit)"
     if not tolerance or abs(scale - 1) <= MAX_COMMON_SCALE_RATIO * tolerance:
         return 0.0, []
     by_axis = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
     return 0.0, [
         f"All three scale factors differ from nominal by one factor, {scale:.3g} ({by_axis}), more than is plausible: "
-        f"{quantity}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it."
+        f"{quantity}{size_text} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it."
     ]
 
 
 def _list_notes(
     calibration: bc.Calibration, correction: VectorCorrection, contributions: TestContributions
 ) -> tuple[str, ...]:
-    notes, at = [], correction.calibrated_at
+    notes = []
     if calibration.readings.has(ws.TURNED[0]):
         notes.append("Axes are those of the accelerometers that measured the up direction.")
     elif not calibration.readings.has(ws.ACROSS[0]):
@@ -161,9 +162,8 @@ def _list_notes(
     if len(correction.terms) > 1:
         notes.append(f"Valid from {correction.low:.4g} to {correction.high:.4g} °C.")
     else:
-        notes.append(
-            f"The model has no temperature dependence: use it only at the temperatures of the calibration ({at})."
-        )
+        temperatures = f"temperatures of the calibration ({correction.calibrated_at})"
+        notes.append(f"The model has no temperature dependence: use it only at the {temperatures}.")
     model = calibration.model
     for name, slot_sds in contributions.items():
         sds = ", ".join(
@@ -185,25 +185,25 @@ def _list_notes(
 
 
 def _expand_draws(
-    calibration: bc.Calibration, grid: np.ndarray, secondary: tuple[str, ...]
+    calibration: bc.Calibration, grid: np.ndarray, secondary_columns: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "s g p"], TestContributions]:
     """Return each draw's Taylor coefficients at the temperatures `grid`, and contributions as in `_sum_slots`."""
     # Without secondary input, then with one along each axis.
-    size, grid = len(grid), np.tile(grid, 1 + len(secondary))
+    size, grid = len(grid), np.tile(grid, 1 + len(secondary_columns))
     readings, vector = calibration.readings, calibration.model.instrument.vector
     assert vector is not None
     points = readings.select(np.zeros(len(grid), dtype=int))
     if readings.has("temperature"):
         points = points.with_column("temperature", grid)
-    for i, name in enumerate(secondary):
+    for i, name in enumerate(secondary_columns):
         points = points.with_column(name, 1.0 * (np.arange(len(grid)) // size == 1 + i))
     problem = calibration.problem_on(calibration.frame_of(points))
     slots, contributions = _sum_slots(calibration, problem)
     count = len(next(iter(slots.values())))
     series = np.asarray(_expand_equation(vector, slots, problem.record.frame))
-    zero, others = series[:, :size], series[:, size:, :3].reshape(count, -1, size, 3)
-    sensitivity = np.moveaxis(others - zero[:, None, :, :3], 1, 3).reshape(count, size, -1)
-    return np.concatenate([zero, sensitivity], axis=2), contributions
+    series, shifted = series[:, :size], series[:, size:, :3].reshape(count, -1, size, 3)
+    sensitivity = np.moveaxis(shifted - series[:, None, :, :3], 1, 3).reshape(count, size, -1)
+    return np.concatenate([series, sensitivity], axis=2), contributions
 
 
 @ws.compiled
@@ -214,7 +214,7 @@ def _expand_equation(
     zero = jnp.zeros((frame.size, 3))
     unit = jnp.eye(3)[:, None, :] * jnp.ones((frame.size, 1))
 
-    def terms(slots: Mapping[str, Float[Array, "g"]]) -> Float[Array, "g p"]:
+    def expand(slots: Mapping[str, Float[Array, "g"]]) -> Float[Array, "g p"]:
         h = vector.equation(slots, frame)
 
         def slope(f: Any) -> Any:
@@ -227,10 +227,10 @@ def _expand_equation(
         factors = [(i, j, 0.5 if i == j else 1.0) for i, j in PAIRS]
         pairs = jnp.stack([hessian[:, :, i, j] * factor for i, j, factor in factors], axis=2)
         cubes = [jax.jvp(curvature, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
-        parts = h(zero), slope(zero).reshape(-1, 9), pairs.reshape(-1, 18), jnp.stack(cubes, axis=1)
-        return jnp.concatenate(parts, axis=1)
+        terms = h(zero), slope(zero).reshape(-1, 9), pairs.reshape(-1, 18), jnp.stack(cubes, axis=1)
+        return jnp.concatenate(terms, axis=1)
 
-    return jax.vmap(terms)(slots)
+    return jax.vmap(expand)(slots)
 
 
 def _sum_slots(
@@ -245,7 +245,7 @@ def _sum_slots(
     assert vector is not None
     x, v = calibration.draws()
     x = x + problem.layout.x_origins
-    count, known_columns = len(x), {TEMPERATURE, *vector.beside}
+    count, known_columns = len(x), {TEMPERATURE, *vector.secondary_columns}
     rng = np.random.default_rng(0)  # for a new run, and for a reading of the test
     # Each reading equally often, and each sign, so that means do not depend on the draw.
     rows = rng.permutation(count) * len(calibration.readings) // count
@@ -265,14 +265,14 @@ def _sum_slots(
             value = problem.value(t, x, hyper)
         shapes = [hyper[name] for name in t.columns.names]
         effect = t.effect
-        unknown = {*effect.columns} - known_columns - {c.per for c in effect.coefficients}
-        record = calibration.problem.record if unknown else problem.record
+        unknown_columns = {*effect.columns} - known_columns - {c.per for c in effect.coefficients}
+        record = calibration.problem.record if unknown_columns else problem.record
         column = record.columns_of_draws(t.columns, shapes, {})[..., t.index] * t.factor
-        if unknown:
+        if unknown_columns:
             column = np.broadcast_to(column, (count, record.size))[np.arange(count), rows]
             column = (column * (sign if known_columns & {*effect.columns} else 1.0))[:, None]
         slots[t.slot] += value * column
-        if is_new or unknown:
+        if is_new or unknown_columns:
             sums = contributions.setdefault(t.effect.name, {})
             sums[t.slot] = sums.get(t.slot, np.zeros(count)) + (value * column)[:, 0]
     sds = {n: {s: float(np.std(v)) for s, v in sums.items()} for n, sums in contributions.items()}

@@ -28,7 +28,7 @@ from markupsafe import Markup
 
 import bayescal as bc
 from bayescal import workshop as ws
-from bayescal._annexes.metrology.decide import Decisions, statement_lines
+from bayescal._annexes.metrology.decide import Decisions, format_statement
 
 # Section → key → label for readers.
 SECTIONS: dict[str, dict[str, str]] = tomllib.loads(
@@ -55,13 +55,13 @@ REMEDY = "Write sections such as [device], and [[standards]] for each standard, 
 class Certificate:
     """Data for a calibration certificate, as stated by the laboratory."""
 
-    stated: dict[str, Any]  # section → key → value; `standards`: a list; `conditions`: by name
+    data: dict[str, Any]  # section → key → value; `standards`: a list; `conditions`: by name
     file: str = "the certificate"  # name of its file, for messages
 
     def entries(self, section: str) -> list[dict[str, str]]:
         """Return a section's entries as texts: one, several of a list, or none if it is not stated."""
-        stated = self.stated.get(section, [])
-        entries = stated if isinstance(stated, list) else [stated]
+        section_data = self.data.get(section, [])
+        entries = section_data if isinstance(section_data, list) else [section_data]
         return [{key: str(value).strip() for key, value in entry.items()} for entry in entries]
 
     def get(self, section: str, key: str) -> str:
@@ -75,8 +75,7 @@ class Certificate:
 
     def require(self, *keys: str) -> None:
         """Require keys such as "device.serial"; raise InputError with all missing keys."""
-        missing = [n for n in keys if not self.get(*n.split("."))]
-        if missing:
+        if missing := [n for n in keys if not self.get(*n.split("."))]:
             raise bc.InputError(
                 f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
                 "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in missing))
@@ -147,7 +146,7 @@ def _to_xml_text(value: Any) -> str:
     return re.sub(_NOT_XML, lambda match: f"<U+{ord(match[0]):04X}>", str(value))
 
 
-def dcc_text(
+def generate_dcc(
     calibration: bc.Calibration,
     certificate: Certificate | str | Path,
     local_gravity: float = ws.STANDARD_GRAVITY,
@@ -172,7 +171,7 @@ def dcc_text(
     layout = ws.template(
         "bayescal._annexes.metrology",
         "dcc.xml.jinja",
-        {"statement_lines": statement_lines},
+        {"statement_lines": format_statement},
         autoescape=True,
         finalize=lambda value: value if isinstance(value, Markup) else _to_xml_text(value),
     )
@@ -186,7 +185,7 @@ def dcc_text(
         calibration=calibration,
         k=f"{COVERAGE_FACTOR:g}",
         covered=list(_find_ranges(calibration, local_gravity)),
-        quantities=list(_quantities(calibration, local_gravity)),
+        quantities=list(_list_quantities(calibration, local_gravity)),
         decisions=decisions,
     )
     for prefix, space in (("dcc", "https://ptb.de/dcc"), ("si", "https://ptb.de/si")):
@@ -197,36 +196,36 @@ def dcc_text(
 
 
 def _find_ranges(fit: bc.Calibration, gravity: float) -> Iterator[tuple[str, DsiReal, DsiReal]]:
-    """Yield the range of each column of the readings: name, lowest and highest value."""
+    """Yield the range of each numeric column of the readings but the output: name, lowest and highest value."""
     readings = fit.readings
     for name in readings.columns:
         unit = readings.unit(name)
         if unit is not None and not name.startswith("output"):
             low, high = float(readings[name].min()), float(readings[name].max())
-            yield name, dsi_real(low, unit, gravity), dsi_real(high, unit, gravity)
+            yield name, format_dsi(low, unit, gravity), format_dsi(high, unit, gravity)
 
 
-def _quantities(calibration: bc.Calibration, local_gravity: float) -> Iterator[tuple[str, DsiReal]]:
-    for name, (value, unit) in calibration.reference_constants.items():
-        yield f"{name}, to which coefficients refer", dsi_real(value, unit, local_gravity)
-    coefficients, hyperparameters = ws.summary(calibration)
-    not_measured = ws.find_prior_dominated_coefficients(calibration)
+def _list_quantities(fit: bc.Calibration, gravity: float) -> Iterator[tuple[str, DsiReal]]:
+    for name, (value, unit) in fit.reference_constants.items():
+        yield f"{name}, to which coefficients refer", format_dsi(value, unit, gravity)
+    coefficients, hyperparameters = ws.summary(fit)
+    not_measured = ws.find_prior_dominated_coefficients(fit)
     for row in coefficients:
         name = row["name"] + ", determined by its prior" * (row["name"] in not_measured)
-        yield name, dsi_real(row["mean"], row["unit"], local_gravity, row["sd"])
+        yield name, format_dsi(row["mean"], row["unit"], gravity, row["sd"])
     for row in hyperparameters:  # positive and skewed: an interval instead of a multiple of u
         interval = row["interval95"]
-        yield row["name"], dsi_real(row["mean"], row["unit"], local_gravity, row["sd"], interval)
+        yield row["name"], format_dsi(row["mean"], row["unit"], gravity, row["sd"], interval)
 
 
-def dsi_real(
+def format_dsi(
     value: float, unit: str | None, gravity: float, sd: float = 0, ends: IntervalEnds = None
 ) -> DsiReal:
     """Format a number in D-SI with its expanded uncertainty, or, if given, with the `ends` of its 95 % interval.
 
     The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
     """
-    factor, text = d_si(unit, gravity)
+    factor, text = find_d_si(unit, gravity)
     value, sd, k = float(value) * factor, float(sd) * factor, COVERAGE_FACTOR
     number = DsiReal(_round_value(value, k * sd), text, "", {})
     if not sd > 0:
@@ -248,7 +247,7 @@ D_SI = {  # unit → unit in D-SI
 }
 
 
-def d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
+def find_d_si(unit: str | None, local_gravity: float = ws.STANDARD_GRAVITY) -> tuple[float, str]:
     """Return a unit's factor to D-SI and its text, such as \\radian\\second\\tothe{-1}; raise InputError if invalid."""
     if unit in (None, "", "1"):
         return 1.0, "\\one"

@@ -75,7 +75,7 @@ class StatedLimit:
     low: float  # low, high: tolerance limits in `unit`; infinite for a one-sided limit
     high: float
     unit: str  # as written; "" for a number without one
-    over: tuple[LimitedRange, ...] = ()  # ranges over which it holds
+    ranges: tuple[LimitedRange, ...] = ()  # over which it holds
     text: str = ""  # as written
 
 
@@ -147,7 +147,7 @@ class DevicePopulation:
     unit: str
 
 
-_DEVICES = re.compile(
+_POPULATION = re.compile(
     rf"\s*(?:mean\s+(?P<mean>{_NUMBER})\s*,?\s*)?sd\s+(?P<sd>{_NUMBER})(?P<unit>.*)"
 )
 
@@ -158,7 +158,7 @@ def parse_population(text: str) -> DevicePopulation:
     Raises:
         InputError: the text is invalid, or its standard deviation is not positive.
     """
-    match = _DEVICES.fullmatch(text.strip().replace("−", "-"))
+    match = _POPULATION.fullmatch(text.strip().replace("−", "-"))
     if match is None:
         raise bc.InputError(f'population {text!r}: write "sd 0.2 °/s" or "mean 0.1 sd 0.2 °/s"')
     sd = float(match["sd"])
@@ -221,7 +221,7 @@ class DrawnQuantity:
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Return the probability of conformity of the posterior shifted by `shift`.
 
-        Of all points without scatter; with scatter, of one reading at the least favourable point.
+        It is that of all points, or, with scatter, that of one reading at the least favourable point.
         """
         if not self.scatter.any():
             lowest, highest = self.extremes
@@ -294,16 +294,16 @@ def compute_global_risks(
 
     covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
 
-    def probability(items: Limits, estimates: Limits) -> float:
+    def compute_probability(items: Limits, estimates: Limits) -> float:
         """Return the probability that an item is in `items` and its estimate in `estimates`."""
         bounds = np.transpose([items, estimates])
         distribution = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
         return float(distribution.cdf(bounds[1], lower_limit=bounds[0]))
 
-    conforming = probability(tolerance_limits, Limits(-np.inf, np.inf))
-    correct_acceptance = probability(tolerance_limits, acceptance_limits)
+    conforming = compute_probability(tolerance_limits, Limits(-np.inf, np.inf))
+    correct_acceptance = compute_probability(tolerance_limits, acceptance_limits)
     outside = Limits(-np.inf, tolerance_limits.low), Limits(tolerance_limits.high, np.inf)
-    false_acceptance = sum(probability(items, acceptance_limits) for items in outside)
+    false_acceptance = sum(compute_probability(items, acceptance_limits) for items in outside)
     risks = false_acceptance, conforming - correct_acceptance
     return GlobalRisks(conforming, correct_acceptance + false_acceptance, *risks)
 
@@ -324,7 +324,7 @@ class LimitedQuantity:
     limits: Limits  # in `unit`
     unit: str  # unit of the quantity
     notes: tuple[str, ...] = ()  # one sentence each
-    not_covered: tuple[str, ...] = ()  # reasons why the limit is undecided
+    undecided_reasons: tuple[str, ...] = ()  # reasons why the limit is undecided
     draws: np.ndarray | None = None  # of an unknown (d,)
     compensator: bc.Compensator | None = None  # for a slot or an error, with all draws
     points: Mapping[str, np.ndarray] = field(default_factory=dict)  # stimulus and inputs, (g,)
@@ -408,10 +408,10 @@ def find_quantity(
         )
     unit = slots.get(limit.quantity, compensator.unit)
     point = compensator.middle
-    spans, not_covered, notes = [], [], []
-    for span in limit.over:
+    spans, undecided_reasons, notes = [], [], []
+    for span in limit.ranges:
         name, low, high = _resolve_range(compensator, span, limit, local_gravity)
-        not_covered += _check_range(compensator, name, low, high)
+        undecided_reasons += _check_range(compensator, name, low, high)
         if name not in point:
             notes.append(f"{limit.quantity} does not depend on {name}.")
         spans.append((name, low, high))
@@ -429,7 +429,7 @@ def find_quantity(
         dependencies = {compensator.stimulus if name == ws.STIMULUS else name for name in inputs}
     else:
         dependencies = {*equation.inputs, compensator.stimulus}
-    # `not_covered` has the notes on ranges outside the calibration.
+    # `undecided_reasons` has the notes on ranges outside the calibration.
     notes += ws.list_budget_claims(compensator, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
@@ -440,7 +440,7 @@ def find_quantity(
         limits=_convert_limits(limit, unit, local_gravity),
         unit=unit,
         notes=tuple(notes),
-        not_covered=tuple(not_covered),
+        undecided_reasons=tuple(undecided_reasons),
         compensator=compensator,
         points=points,
         dependencies=frozenset(dependencies),
@@ -478,17 +478,17 @@ def _find_unknown(
             f"limit {limit.text!r}: unknown quantity {limit.quantity!r}: give {READING!r}, {MEAN!r}, a slot ({slots}) "
             f"or an unknown of the calibration: {', '.join(unknowns.names)}"
         )
-    if limit.over:
+    if limit.ranges:
         raise bc.InputError(
             f"limit {limit.text!r}: {limit.quantity} is a single number: leave the range out, or limit a slot or a "
             "corrected reading"
         )
     values = calibration.samples(limit.quantity)
     unit = unknowns.rows[unknowns.index[limit.quantity]].unit
-    not_covered = () if np.ptp(values) > 0 else (FIXED_NOTE.format(limit.quantity),)
+    undecided_reasons = () if np.ptp(values) > 0 else (FIXED_NOTE.format(limit.quantity),)
     limits = _convert_limits(limit, unit, local_gravity)
     return LimitedQuantity(
-        limit=limit, limits=limits, unit=unit, not_covered=not_covered, draws=values
+        limit=limit, limits=limits, unit=unit, undecided_reasons=undecided_reasons, draws=values
     )
 
 
@@ -503,10 +503,10 @@ def _resolve_range(
         raise bc.InputError(
             f"limit {limit.text!r}: {span.name!r} is not a column of this calibration (it has: {', '.join(units)})"
         )
-    past = {i.name for i in compensator.inputs if i.kind in ws.PAST}
-    matching = {n for n, u in units.items() if ws.same_dimension(u, span.unit or "1")}
-    matching = [n for n in inputs if n in matching - past] or sorted(matching)
-    names = [span.name] if span.name else matching
+    past_inputs = {i.name for i in compensator.inputs if i.kind in ws.PAST}
+    matches = {n for n, u in units.items() if ws.same_dimension(u, span.unit or "1")}
+    candidates = [n for n in inputs if n in matches - past_inputs] or sorted(matches)
+    names = [span.name] if span.name else candidates
     if len(names) != 1:
         ambiguity = f"several columns match: {', '.join(names)}"
         raise bc.InputError(
@@ -532,9 +532,9 @@ def _check_range(compensator: bc.Compensator, name: str, low: float, high: float
     constants = {i.name for i in compensator.inputs if i.settled}
     if first <= low and (high <= last or name in constants):
         return []
-    request = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+    range_text = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [
-        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {request}"
+        f"{name} was calibrated from {span[0]:.6g} to {span[1]:.6g} {ws.unit_label(span[2])}, not at {range_text}"
     ]
 
 
@@ -543,7 +543,7 @@ def convert_population(
 ) -> tuple[float, float] | None:
     """Return a population's mean and sd in the quantity's unit; None if the population is of another quantity."""
     unit, target = devices.unit or "1", quantity.unit or "1"
-    is_over_range = any(r.high > r.low for r in quantity.limit.over)
+    is_over_range = any(r.high > r.low for r in quantity.limit.ranges)
     if quantity.is_error or is_over_range or not ws.same_dimension(unit, target):
         return None
     sd = float(ws.convert(devices.sd, unit, target, difference=True))

@@ -76,32 +76,32 @@ class Recalibration:
 
 
 def compute_recalibration(
-    quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, stated: float
+    quantity: LimitedQuantity, limits: Limits, calibration: bc.Calibration, threshold: float
 ) -> Recalibration:
-    """Compute the time at which drift lowers the probability of conformity below a stated probability."""
-    if reason := _find_obstacle(quantity, calibration, stated):
+    """Compute the time at which drift lowers the probability of conformity below `threshold`."""
+    if reason := _find_obstacle(quantity, calibration, threshold):
         advice = (ADVICE,) * bool(quantity.operating_point)
-        return Recalibration(stated, None, why_not=reason, notes=advice)
+        return Recalibration(threshold, None, why_not=reason, notes=advice)
 
     def probability(delay: float) -> float:
         return quantity.draw(delay).probability(limits)
 
-    delay = find_first_below(probability, stated)
+    delay = find_first_below(probability, threshold)
     change = quantity.draw(HORIZON_S if delay is None else delay).values - quantity.draw().values
     # Draws less probable than a failure at the stated probability cannot determine the date.
-    if unmeasured := ws.find_prior_dominance(calibration, change, max_inclusion=1 - stated):
+    if unmeasured := ws.find_prior_dominance(calibration, change, max_inclusion=1 - threshold):
 
         def likelihood_probability(delay: float) -> float:
             draws = quantity.draw(delay)
             values = unmeasured.update_by_readings(calibration, draws.values)
             return replace(draws, values=values).probability(limits)
 
-        if delay is not None or find_first_below(likelihood_probability, stated) is not None:
+        if delay is not None or find_first_below(likelihood_probability, threshold) is not None:
             reason = f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
-            return Recalibration(stated, None, why_not=reason, notes=(ADVICE,))
+            return Recalibration(threshold, None, why_not=reason, notes=(ADVICE,))
     if delay is None:
         reason = f"not due within {HORIZON_S / YEAR_S:g} years at the modelled drift rate"
-        return Recalibration(stated, None, why_not=reason)
+        return Recalibration(threshold, None, why_not=reason)
     time, notes = calibration.readings["time"], list[str]()
     span = float(np.ptp(time))
     if delay > MAX_EXTRAPOLATION * span:
@@ -113,23 +113,23 @@ def compute_recalibration(
     if since is not None:
         begin = datetime.fromtimestamp(since, UTC)
         date = (begin + timedelta(seconds=float(time.max()) + delay)).date().isoformat()
-    return Recalibration(stated, delay, date, notes=tuple(notes))
+    return Recalibration(threshold, delay, date, notes=tuple(notes))
 
 
-def find_first_below(probability: Callable[[float], float], stated: float) -> float | None:
-    """Find the first time, s, at which a probability of conformity is below `stated`; None if beyond the horizon.
+def find_first_below(probability: Callable[[float], float], limit: float) -> float | None:
+    """Find the first time, s, at which a probability is below a limit; None if beyond the horizon `HORIZON_S`.
 
     A temporary decrease between two successive times of the grid (ratio 1.13) is not detected.
     """
     previous = 0.0
     for time in (0.0, *np.geomspace(FIRST_TIME_S, HORIZON_S, N_TIMES).tolist()):
-        if probability(time) < stated:
-            return time and bisect(lambda t: probability(t) >= stated, previous, time, TIME_RTOL)
+        if probability(time) < limit:
+            return time and bisect(lambda t: probability(t) >= limit, previous, time, TIME_RTOL)
         previous = time
     return None
 
 
-def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, stated: float) -> str:
+def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, threshold: float) -> str:
     """Return the reason why the model cannot predict the quantity's change in time; empty if it can."""
     name = quantity.limit.quantity
     if not quantity.operating_point:
@@ -140,7 +140,7 @@ def _find_obstacle(quantity: LimitedQuantity, calibration: bc.Calibration, state
     probabilities = calibration.inclusion
     for effect in calibration.model.effects:
         is_curve = effect.covariate == "time" and effect.is_placeholder
-        if is_curve and probabilities[effect.name] > 1 - stated:
+        if is_curve and probabilities[effect.name] > 1 - threshold:
             return f"no interval can be derived, since {effect.name} describes the record alone, not the time after it"
     return ""
 
@@ -218,7 +218,7 @@ class Decisions(ws.Printed):
             if not chapter.data["verdict"]["ok"] and self.calibration == ws.identity(chapter.used):
                 return self.withheld(" ".join(chapter.data["verdict"]["reasons"])).foreword(())
         table = self.table()
-        why = ws.TableColumn("why", lambda d: "\n".join((d.why, *statement_lines(d)[1:])))
+        why = ws.TableColumn("why", lambda d: "\n".join((d.why, *format_statement(d)[1:])))
         conclusion = "Every limit is met, by the rule below."
         return ws.Foreword(
             "decisions",
@@ -241,14 +241,14 @@ class Decisions(ws.Printed):
     def table(self) -> ws.ResultTable:
         """Tabulate each limit: estimate, probability of conformity, accepted estimates, decision."""
 
-        def estimate(d: Decision) -> str:
-            text = ws.with_error(worst_end(d), d.worst_uncertainty)
+        def format_estimate(d: Decision) -> str:
+            text = ws.with_error(find_worst_end(d), d.worst_uncertainty)
             return f"{text} {ws.unit_label(d.unit)}".strip()
 
         columns = (
             ws.TableColumn("limit", lambda d: d.limit),
-            ws.TableColumn("estimate ± u (k = 1)", estimate, name=""),
-            ws.TableColumn("estimate", worst_end, None),
+            ws.TableColumn("estimate ± u (k = 1)", format_estimate, name=""),
+            ws.TableColumn("estimate", find_worst_end, None),
             ws.TableColumn("uncertainty", lambda d: d.uncertainty, None),
             ws.TableColumn("unit", lambda d: d.unit, None),
             ws.TableColumn("probability", lambda d: d.probability, None),
@@ -261,20 +261,20 @@ class Decisions(ws.Printed):
         return ws.ResultTable(columns, self.decisions)
 
     def _list_parts(self) -> list[str | ws.ResultTable]:
-        parts = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
-        of_each = (note for d in self.decisions for note in (*d.recalibration.notes, *d.notes))
-        parts += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]
-        rule = _fill(f"Decision rule: {self.rule_in_words}.")
+        parts = ["\n".join(_fold(line) for line in format_statement(d)) for d in self.decisions]
+        notes = [note for d in self.decisions for note in (*d.recalibration.notes, *d.notes)]
+        parts += [_fold(note) for note in dict.fromkeys([*notes, *self.notes])]
+        rule = _fold(f"Decision rule: {self.rule_in_words}.")
         return [rule, "", self.table(), *(f"\n{part}" for part in parts)]
 
 
-def worst_end(decision: Decision) -> float:
+def find_worst_end(decision: Decision) -> float:
     """Return the end of the estimate's range that is nearer to its limit."""
     low, high = decision.estimate
     return high if decision.tolerance.high - high <= low - decision.tolerance.low else low
 
 
-def _fill(text: str) -> str:
+def _fold(text: str) -> str:
     indent = "    " if text.startswith("  ") else "  "
     return ws.folded(text, indent)
 
@@ -292,7 +292,7 @@ def _format_acceptance(d: Decision) -> str:
     return f"{text} {ws.unit_label(d.unit)}".strip()
 
 
-def statement_lines(d: Decision) -> list[str]:
+def format_statement(d: Decision) -> list[str]:
     """Format a decision as lines: decision and risk, operating point, global risks, next calibration."""
     lines, worst_point = [f"{d.limit}: {d.decision}; {d.why}."], ""
     unit, u = ws.unit_label(d.unit), d.worst_uncertainty
@@ -347,9 +347,10 @@ RULES = {
 }
 # Risk of a guard band of one expanded uncertainty, k = 2, approximately (JCGM 106, 8.3.2; ILAC-G8 gives < 2.5 %).
 FALSE_ACCEPT = 0.025
-CONFORMITY = 0.95  # probability of conformity for a recalibration interval: the usual coverage
+MIN_CONFORMITY = 0.95  # probability of conformity for a recalibration interval: the usual coverage
 
 
+@ws.renamed(conformity="min_conformity")
 def decide(
     calibration: bc.Calibration,
     limits: str | Sequence[str],
@@ -357,7 +358,7 @@ def decide(
     rule: Rule = "guarded",
     false_accept: float = FALSE_ACCEPT,
     population: str | None = None,
-    conformity: float = CONFORMITY,
+    min_conformity: float = MIN_CONFORMITY,
     members: Mapping[str, str] | None = None,
     local_gravity: float = ws.STANDARD_GRAVITY,
 ) -> Decisions:
@@ -370,7 +371,7 @@ def decide(
         false_accept: maximum probability of false acceptance, and of false rejection, for "guarded".
         population: population of devices of this kind, for global risks of limits in its unit: "sd 0.2 °/s", "mean 0.1
             sd 0.2 °/s".
-        conformity: probability of conformity below which recalibration is due.
+        min_conformity: probability of conformity below which recalibration is due.
         members: the member of a group in use, such as {"device": "A17"}; members of other groups are new.
         local_gravity: m/s², for limits in m/s² on accelerations in g.
 
@@ -381,23 +382,21 @@ def decide(
     if rule not in RULES:
         raise bc.InputError(f"rule {rule!r} is unknown: choose {', '.join(RULES)}")
     if not 0 < false_accept < 0.5:
-        raise bc.InputError(
-            f"false_accept = {false_accept:g}: expected a probability above 0 and below 0.5, such as 0.025"
-        )
-    if not 0.5 <= conformity < 1:
-        raise bc.InputError(
-            f"conformity = {conformity:g}: expected a probability from 0.5 and below 1, such as 0.95"
-        )
-    stated = [limits] if isinstance(limits, str) else list(limits)
-    if not stated:
+        text = f"false_accept = {false_accept:g}"
+        raise bc.InputError(f"{text}: expected a probability above 0 and below 0.5, such as 0.025")
+    if not 0.5 <= min_conformity < 1:
+        text = f"min_conformity = {min_conformity:g}"
+        raise bc.InputError(f"{text}: expected a probability from 0.5 and below 1, such as 0.95")
+    texts = [limits] if isinstance(limits, str) else list(limits)
+    if not texts:
         raise bc.InputError('no limit is given: give one, such as "bias: ±0.5 °/s"')
     devices = None if population is None else parse_population(population)
     options: dict[str, Any] = {"members": members, "local_gravity": local_gravity}
     decisions = []
-    for text in stated:
+    for text in texts:
         quantity = find_quantity(calibration, parse_limit(text), **options)
         decisions.append(
-            _build_decision(calibration, quantity, rule, false_accept, conformity, devices)
+            _build_decision(calibration, quantity, rule, false_accept, min_conformity, devices)
         )
     if devices is not None and all(d.global_risks is None for d in decisions):
         raise bc.InputError(
@@ -419,7 +418,7 @@ def _build_decision(
     quantity: LimitedQuantity,
     rule: str,
     false_accept: float,
-    conformity: float,
+    min_conformity: float,
     devices: DevicePopulation | None,
 ) -> Decision:
     draws, limits = quantity.draw(), quantity.limits
@@ -458,7 +457,7 @@ def _build_decision(
         worst_at=replace(quantity, points=worst_points).operating_point,
         population=moments,
         global_risks=moments and compute_global_risks(*moments, uncertainty, limits, interval),
-        recalibration=compute_recalibration(quantity, limits, calibration, conformity),
+        recalibration=compute_recalibration(quantity, limits, calibration, min_conformity),
         notes=tuple(notes),
     )
 
@@ -475,14 +474,14 @@ def _decide_limit(
     limits, error = quantity.limits, draws.probability_error(p)
     if reason := ws.why_not(calibration):
         return UNDECIDED, NOT_RELIABLE.format(reason.rstrip("."))
-    if quantity.not_covered:
-        return UNDECIDED, "; ".join(quantity.not_covered)
+    if quantity.undecided_reasons:
+        return UNDECIDED, "; ".join(quantity.undecided_reasons)
     options = {"name": quantity.limit.quantity, "sd": draws.scatter, "max_inclusion": false_accept}
     if unmeasured := ws.find_prior_dominance(calibration, draws.values, **options):
         values, risk = unmeasured.update_by_readings(calibration, draws.values), false_accept
-        p2 = replace(draws, values=values).probability(limits)  # with the likelihood alone
-        is_same = (p >= 1 - risk) == (p2 >= 1 - risk) and (p <= risk) == (p2 <= risk)
-        if unmeasured.hyperparameter or not (is_same and abs(p - p2) <= risk):
+        q = replace(draws, values=values).probability(limits)  # with the likelihood alone
+        is_same = (p >= 1 - risk) == (q >= 1 - risk) and (p <= risk) == (q <= risk)
+        if unmeasured.hyperparameter or not (is_same and abs(p - q) <= risk):
             return UNDECIDED, f"{NOT_DETERMINED}: {unmeasured}. {unmeasured.cure}"
     count = f" (none of {len(draws.values)} posterior draws)" * (p in (0.0, 1.0))
     p_text, q_text = (format_percent(q, error) + count for q in (p, 1 - p))

@@ -32,7 +32,7 @@ class DecideCommand(ws.MemberOptions, ws.DecisionRule, ws.AsJson, ws.Command):
             self.limit,
             **self.decision_options(),
             population=self.population,
-            conformity=self.conformity,
+            min_conformity=self.conformity,
             members=self.members,
             local_gravity=self.local_gravity or ws.STANDARD_GRAVITY,
         )
@@ -43,19 +43,18 @@ class DecideCommand(ws.MemberOptions, ws.DecisionRule, ws.AsJson, ws.Command):
 
 def export_certificate(command: ws.ExportCommand) -> ws.Answer:
     """Export a digital calibration certificate, with decisions on conformity if limits are given."""
-    from bayescal._annexes.metrology.certificate import dcc_text
+    from bayescal._annexes.metrology.certificate import generate_dcc
 
     command.require_one()
     (path,), gravity, decisions = command.calibrations, command.gravity, None
     if command.certificate is None:
-        raise bc.InputError(
-            "a digital calibration certificate needs device, laboratory and customer: give --certificate FILE.toml"
-        )
+        needs = "a digital calibration certificate needs device, laboratory and customer"
+        raise bc.InputError(f"{needs}: give --certificate FILE.toml")
     calibration = ws.load_saved(path, command)
     if command.limit:
-        kwargs = command.decision_options() | {"members": command.members, "local_gravity": gravity}
-        decisions = bc.decide(calibration, command.limit, **kwargs)
-    text = dcc_text(calibration, command.certificate, gravity, decisions)
+        options = {"members": command.members, "local_gravity": gravity}
+        decisions = bc.decide(calibration, command.limit, **options, **command.decision_options())
+    text = generate_dcc(calibration, command.certificate, gravity, decisions)
     if command.out is not None:
         text = f"written: {ws.write_text(text, command.out)}"
     return ws.Answer(text.removesuffix("\n"))

@@ -20,10 +20,11 @@ DCC, ERROR = "{https://ptb.de/dcc}", "basic_measurementError"
 ROOT = f"{DCC}digitalCalibrationCertificate"
 REFERENCE, MEASURED = "basic_referenceValue", "basic_measuredValue"
 REF_TYPES = ERROR, REFERENCE, MEASURED
-EXPANDED, STANDARD = ("uncertainty", "valueExpandedMU"), ("standardUnc", "valueStandardMU")
+EXPANDED_ELEMENTS = "uncertainty", "valueExpandedMU"
+STANDARD_ELEMENTS = "standardUnc", "valueStandardMU"
 MAX_BYTES = 50_000_000  # size of a certificate, with its pictures
 MAX_POINTS = 14  # calibration points, limited by the length of a formula
-_UNITS = {name: ours for ours, name in D_SI.items() if ours != "uT"}
+_UNITS = {name: unit for unit, name in D_SI.items() if unit != "uT"}
 _UNITS |= {"degreecelsius": "degC", "degree": "deg", "one": "1"}
 _PREFIXES = {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "kilo": 1e3}
 _D_SI_PART = re.compile(r"\\(per\\)?(?:(milli|micro|nano|kilo)\\)?(\w+)(?:\\tothe\{([-+]?\d)\})?")
@@ -62,22 +63,22 @@ def read_dcc(path: str | Path, instrument: bc.Instrument, column: str = "tempera
     if len(points) > MAX_POINTS:
         raise _make_error(path, ERROR, f"{len(points)} points", f"at most {MAX_POINTS}")
     offset = f"{u!r} {'delta_degC' if unit == 'degC' else unit}"
-    formula, stated = "offset", {"offset": offset}
+    formula, arguments = "offset", {"offset": offset}
     if high > low:
         formula += f"+slope*(max(min(x,{high:.7g}),{low:.7g}){-0.5 * (low + high):+.7g})"
-        stated["slope"] = f"{2**0.5 * u / float(high - low)!r}"
+        arguments["slope"] = f"{2**0.5 * u / float(high - low)!r}"
     description = f"standard uncertainty {ws.number(u)} {label}, shared by all readings"
     if corrections.any():
-        kinks = np.diff([0.0, *(np.diff(corrections) / np.diff(points)), 0.0])
-        terms = (f"{k:+.5g}*max(x{-p:+.7g},0)" for k, p in zip(kinks, points, strict=True))
+        slope_changes = np.diff([0.0, *(np.diff(corrections) / np.diff(points)), 0.0])
+        terms = (f"{k:+.5g}*max(x{-p:+.7g},0)" for k, p in zip(slope_changes, points, strict=True))
         formula += f"+correction*({corrections[0]:.7g}{''.join(terms)})"
-        stated["correction"] = "1 ± 0"
-        ends = f"{corrections.min():.4g} to {corrections.max():.4g} {label}"
-        description = f"corrected by {ends} at {low:.6g} to {high:.6g} {label}; {description}"
-    number = root.findtext(f".//{DCC}uniqueIdentifier", "").strip()
-    source = f"{path.name}{f', certificate {number}' * bool(number)}: {description}"
-    stated |= {"x": column, "source": source} if "x" in formula else {"source": source}
-    effect = bc.effect(f"{column}.certificate", formula, instrument=instrument, **stated)
+        arguments["correction"] = "1 ± 0"
+        range_text = f"{corrections.min():.4g} to {corrections.max():.4g} {label}"
+        description = f"corrected by {range_text} at {low:.6g} to {high:.6g} {label}; {description}"
+    identifier = root.findtext(f".//{DCC}uniqueIdentifier", "").strip()
+    source = f"{path.name}{f', certificate {identifier}' * bool(identifier)}: {description}"
+    arguments |= {"x": column, "source": source} if "x" in formula else {"source": source}
+    effect = bc.effect(f"{column}.certificate", formula, instrument=instrument, **arguments)
     equation = "true = indicated + correction + e, e shared by all readings"
     return replace(effect, equation=equation, columns=(column,))
 
@@ -103,7 +104,7 @@ def _get_tag(element: ET.Element) -> str:
 
 
 def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray, ...] | None:
-    """Return indications, errors and standard uncertainties of a table; None if it states no errors."""
+    """Return indications, errors and standard uncertainties of a table, (n,) in `unit`; None if it states no errors."""
     columns: dict[str, np.ndarray] = {}  # (2, n): values and standard uncertainties
     for quantity in table.findall(f"{DCC}quantity"):
         for kind in quantity.get("refType", "").split():
@@ -120,7 +121,7 @@ def _parse_errors(path: Path, table: ET.Element, unit: str) -> tuple[np.ndarray,
         return None
     if not np.all(error[1] > 0):
         fault = "no coverage factor" if np.isnan(error[1]).any() else "no uncertainty"
-        expected = f"si:{' or si:'.join(EXPANDED)} with si:coverageFactor, or si:{STANDARD[0]}"
+        expected = f"si:{' or si:'.join(EXPANDED_ELEMENTS)} with si:coverageFactor, or si:{STANDARD_ELEMENTS[0]}"
         raise _make_error(path, f"dcc:quantity {ERROR}", fault, expected)
     points = columns.get(MEASURED, columns.get(REFERENCE, np.zeros((2, 1))))[0]
     if len(points) != error.shape[1]:
@@ -140,22 +141,22 @@ def _parse_values(quantity: ET.Element, unit: str, is_difference: bool) -> np.nd
         factor, source_unit = _parse_unit(*dict.fromkeys(texts.get("unit", [""])))
         if not (source_unit and ws.same_dimension(source_unit, unit)):
             continue
-        names = ("value", *EXPANDED, *STANDARD, "coverageFactor")
+        names = ("value", *EXPANDED_ELEMENTS, *STANDARD_ELEMENTS, "coverageFactor")
         numbers = {n: np.array(texts[n], float) for n in names if n in texts}
         if not all(np.all(np.isfinite(v)) for v in numbers.values()):
             raise ValueError("a number that is not finite")
         element = next((n for n in names[1:5] if n in numbers), "")
-        k = numbers.get("coverageFactor", np.nan) if element in EXPANDED else 1.0
+        k = numbers.get("coverageFactor", np.nan) if element in EXPANDED_ELEMENTS else 1.0
         sd = np.broadcast_to(numbers.get(element, 0.0) / k, numbers["value"].shape)
         pairs = (numbers["value"], is_difference), (sd, True)
         return np.array([ws.convert(v * factor, source_unit, unit, difference=d) for v, d in pairs])
     return None
 
 
-def _parse_unit(text: str, *others: str) -> tuple[float, str]:
-    """Convert a D-SI unit to a factor and a unit of bayescal, which is "" if it is unknown or there are several."""
+def _parse_unit(text: str, *further_texts: str) -> tuple[float, str]:
+    """Convert a D-SI unit to a factor and a unit of bayescal; the latter is "" if unknown, or with `further_texts`."""
     factor, names = 1.0, ["1"]
-    if others or _D_SI_PART.sub("", text):
+    if further_texts or _D_SI_PART.sub("", text):
         return 0.0, ""
     for per, prefix, word, power in _D_SI_PART.findall(text):
         p = int(power or 1) * (-1 if per else 1)

@@ -66,6 +66,7 @@ def load_clauses() -> dict[str, Any]:
     return tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))
 
 
+@ws.renamed(data="to_json_data")
 @dataclass(frozen=True)
 class ValidationRecord:
     """Result of a validation.
@@ -172,11 +173,9 @@ def _evaluate_clause(clause: dict[str, Any]) -> Iterator[Row]:
 
 def describe_installation() -> dict[str, str]:
     """Return date, versions, machine and digests."""
-    entries = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
-    entries |= ws.versions("jaxlib")
-    entries["machine"] = (
-        f"{platform.python_implementation()}, {platform.machine()}, {platform.platform()}"
-    )
+    entries = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **ws.versions("jaxlib")}
+    parts = platform.python_implementation(), platform.machine(), platform.platform()
+    entries["machine"] = ", ".join(parts)
     specs = (find_spec(name) for name in ("bayescal", "bayescal_models"))
     roots = [Path(str(spec.origin)).parent for spec in specs if spec is not None]
     entries["SHA-256 of the package's files"] = hash_folders(*roots)

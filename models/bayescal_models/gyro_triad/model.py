@@ -86,7 +86,7 @@ VECTOR = bc.Vector(
     acting=_compute_true_rate,
     common_scale=0.03,
     rig=(*TURN_SLOTS, *EARTH_RATES),
-    beside=GRAVITY_COLUMNS,
+    secondary_columns=GRAVITY_COLUMNS,
 )
 
 

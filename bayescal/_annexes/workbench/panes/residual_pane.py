@@ -76,7 +76,7 @@ class ResidualsOfState:
 
     def find_worst_range(self, name: str) -> tuple[float, float] | None:
         """Return the ends of a covariate's worst range; None if its log Bayes factor is not positive."""
-        entry = next((e for e in self.check.entries if e.against == name), None)
+        entry = next((e for e in self.check.entries if e.covariate == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
             return None
         low, high = entry.worst.low, entry.worst.high
@@ -87,7 +87,7 @@ class ResidualsOfState:
 
     def choose_columns(self) -> list[str]:
         """Return the initial columns: the two continuous covariates of largest log Bayes factor."""
-        ranked = [e.against for e in self.check.entries if not e.by_group]
+        ranked = [e.covariate for e in self.check.entries if not e.by_group]
         chosen = ranked[:2] or [n for n in self.covariates if n != PREDICTED][:2]
         return [n for n in self.covariates if n in chosen] or [PREDICTED]
 
@@ -101,7 +101,7 @@ class ResidualsOfState:
             return rms_text + "No log Bayes factor for a dependence on a column is above zero."
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
-            f"{rms_text}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
+            f"{rms_text}Against {worst.covariate} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} "
             f"on average, {ws.describe_region(worst.to_json_data(self.check.unit))} (z = {worst.worst.z:+.1f}; log "
             f"Bayes factor {worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
