@@ -34,13 +34,11 @@ class Sensor:
     """Channels of one sensor, which are sampled simultaneously, and its temperature."""
 
     time: np.ndarray  # of the samples, s, (n,)
-    channels: dict[
-        str, tuple[np.ndarray, str]
-    ]  # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,), unit
+    # name ("gyro_x", of a second gyroscope "gyro_x_1") → values (n,) and their unit
+    channels: dict[str, tuple[np.ndarray, str]]
     temperature: np.ndarray | None = None  # °C, (m,); None if the log has none for this sensor
-    temperature_time: np.ndarray | None = (
-        None  # its sampling times, s, (m,); None: those of the channels
-    )
+    # sampling times of the temperature, s, (m,); None if those of the channels
+    temperature_time: np.ndarray | None = None
     device: str | None = None  # identifier of the device in the log
 
 
