@@ -20,7 +20,8 @@ from bayescal import workshop as ws
 
 BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
 REST_QUANTILE = 0.1  # quantile of the blocks' scatter that is taken as the scatter at rest
-MAX_STATIC_RATIO = 6.0  # scatter or step of a static block over the scatter at rest
+# Scatter or step of a static block over the scatter at rest: means of blocks of filtered noise differ by 4 once in 10⁴.
+MAX_STATIC_RATIO = 6.0
 POSE_S = 2.0  # default minimum of a pose: eight blocks, whose means give the uncertainty of theirs
 BRIEF_POSE_S = 1.0  # the same for poses held by hand, if enough segments are that brief
 MIN_BRIEF_FRACTION = 0.25  # of all segments for that; fewer are brief pauses between longer poses
