@@ -9,7 +9,7 @@
         ),
     )
 
-A row is (canonical name `slot.cause`, factory, plausible size, unit) or these and a source that replaces the table's.
+A row is (canonical name `slot.cause`, factory, plausible size, unit), optionally with a source in place of the table's.
 The plausible size is the standard deviation of the prior or, for a group standard deviation, the scale of its prior.
 `make_common_effects` builds the effects of quantities that every test records: temperature, time, supply voltage. If
 two rows have the same name, the first is used. `effect` makes the factory of an effect of one instrument from a basis,
@@ -103,18 +103,18 @@ hysteresis, drift = _adapt(effects.hysteresis), _adapt(effects.drift)
 
 
 def deviation(name: str, size: float, unit: str, source: str) -> bc.Effect:
-    """Build a random effect with one deviation per group member, such as `bias.run`; their sd is estimated."""
+    """Build a random effect such as `bias.run`: a deviation per member, with estimated sd of the prior scale `size`."""
     slot, _, per = name.partition(".")
     return effects.deviation(slot, per, size, unit, source=source)
 
 
 def warm_up(low: float, high: float) -> Factory:
-    """Return a factory that creates a warm-up after each power-on, with a time constant from `low` to `high`, s."""
+    """Return a factory that creates a warm-up effect after power-on, with a time constant from `low` to `high`, s."""
     return _adapt(effects.warm_up, low=low, high=high)
 
 
 def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Factory:
-    """Return a factory that creates (T − T0) times a thermal lag, with a time constant from `low` to `high`, s."""
+    """Return a factory that creates c·(T − T0)·(T̃ − T) with a lag time constant from `low` to `high`, s."""
     return _adapt(effects.temperature_x_lag, low=low, high=high, column=column)
 
 
@@ -131,16 +131,16 @@ def thermal_lag(
     Args:
         low, high: limits of the time constant τ, s.
         start, start_unit: plausible contribution of the lag at the start of a run, and its unit.
-        rate: size, unit and source of c·dT/dt, the alternative form for short τ; empty: no such form.
+        rate: size, unit and, optionally, source of the alternative form for short τ, c·dT/dt; empty: no such form.
         options: further options of `effects.thermal_lag`.
     """
 
     def make_effect(name: str, size: float, unit: str, source: str) -> bc.Effect:
         slot, _, cause = name.partition(".")
-        fixed = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
+        fields = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
         if rate:
-            fixed["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
-        return effects.thermal_lag(slot, size, unit, source=source, **fixed, **options)
+            fields["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
+        return effects.thermal_lag(slot, size, unit, source=source, **fields, **options)
 
     return make_effect
 
@@ -165,7 +165,7 @@ def make_common_effects(
     per: str | None = None,
     source: str = "",
 ) -> tuple[bc.Effect, ...]:
-    """Build the effects of temperature, time and supply voltage on a slot; sizes follow from its plausible change.
+    """Build the effects of temperature, time and supply voltage on a slot; `size`, `span`, `pace` give their sizes.
 
     Args:
         slot: slot that the effects contribute to.
@@ -175,9 +175,10 @@ def make_common_effects(
         pace: plausible temperature rate, °C/min.
         column: column of the thermometer.
         order: highest power of the temperature; the fourth is nearly collinear with the second.
-        causes: effects to build, named without the slot; all if empty.
+        causes: effects to build, named without the slot; empty: all.
         per: group with one coefficient per member; None: one coefficient.
-        source: template of the source text, with two {} fields: the fraction of `size`, and the condition for it.
+        source: template of the source text, with two fields: `{:g}` for the fraction of `size` that an effect
+            plausibly contributes, `{}` for the condition of this contribution; empty: "assumed: …".
     """
     source = source or f"assumed: {{:g}} of {size:g} {unit}{{}}"
     half, q, slope = 0.5 * size, 0.25 * size, f"{unit}/degC"
@@ -227,7 +228,7 @@ def _evaluate_product(column: str, r: bc.Frame) -> Any:
 
 
 def _expand(base: bc.Effect, group: str | None) -> bc.Effect:
-    """Give an effect and its alternative forms one coefficient per member of a group; None: no change."""
+    """Return an effect whose forms have one set of coefficients per member of a group; None: the effect unchanged."""
     if group is None:
         return base
     coefficients = (c if c.per or c.known else replace(c, per=group) for c in base.coefficients)
@@ -256,12 +257,13 @@ def effect(
         basis: basis function, one column per coefficient.
         equation: equation of the contribution, for reports.
         columns: columns that the readings must have.
-        slot: slot; by default the one in the effect's name.
-        parts: names of the coefficients.
-        slots: slot of each coefficient, if they differ.
+        slot: slot of the effect; by default the one in its name.
+        parts: name of each coefficient.
+        slots: slot of each coefficient; empty: that of the effect.
         per: group with one set of coefficients per member.
-        group_sd_prior: type of the prior of the standard deviation between members; None: it is not estimated.
-        varies: columns that must vary; by default all except the time.
+        group_sd_prior: type of the prior of the standard deviation between members, whose scale is the effect's size;
+            None: this standard deviation is not estimated.
+        varies: columns that must vary; by default all of `columns` except the time.
         fields: further fields of `bc.Effect`.
     """
 
@@ -318,7 +320,7 @@ def centred(r: bc.Frame) -> Any:
 def explain_missing_reversal(
     column: str, dead_band: float, readings: bc.Measurements
 ) -> str | None:
-    """Return why readings do not identify a hysteresis: no rise or no fall above `dead_band`, °C; None if they do."""
+    """Return why readings do not identify a hysteresis: no rise or no fall by over `dead_band`, °C; None if they do."""
     has_rise = has_fall = False
     _, run = readings.groups("run")
     for k in np.unique(run):

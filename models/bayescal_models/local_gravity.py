@@ -1,4 +1,4 @@
-"""Unstated local gravity: nuisance effect of the relative error that it causes in outputs.
+"""Nuisance effect of an unstated local gravity: the relative error that it causes in outputs.
 
 At sea level gravity is 9.780 m/s² at the equator and 9.832 m/s² at a pole. Outputs in m/s² that were divided by a
 standard value have a common relative error with a rectangular distribution (JCGM 100:2008, 4.3.7) of standard deviation
@@ -26,8 +26,8 @@ def make_nuisance_effect(slot: str, size: float = SD_PPM, unit: str = "ppm") -> 
     """Return the nuisance effect of an unstated local gravity on an instrument with gravity as input.
 
     Args:
-        slot: slot of the input, or of its relative deviation.
-        size, unit: standard uncertainty of local gravity, in the slot's terms, and its unit.
+        slot: slot of the input's magnitude, or of its relative deviation.
+        size, unit: standard uncertainty of this slot from that of local gravity, and its unit.
     """
     return bc.Effect(
         f"{slot}.local_gravity",

@@ -34,12 +34,13 @@ def validate_effects(effects: Mapping[str, float], names: Collection[str], simul
         simulation: description of the simulation, such as "a gyro campaign".
 
     Raises:
-        ValueError: an unknown name, or a size that is not finite or so large that outputs may overflow.
+        ValueError: an unknown name, or a size that is not finite or whose magnitude is 1e100 or more.
     """
     for name, size in effects.items():
         choices = f"choose among {', '.join(names)}"
-        raise_if(name not in names, f"no effect {name!r} can be hidden in {simulation}: {choices}")
-        raise_if(not abs(size) < 1e100, f"the size of {name!r} is {size!r}: give one below 1e100")
+        raise_if(name not in names, f"unknown effect {name!r} for {simulation}: {choices}")
+        unlimited = f"the size of {name!r} is {size!r}: give a finite size below 1e100 in magnitude"
+        raise_if(not abs(size) < 1e100, unlimited)
 
 
 def raise_if(condition: Any, message: str) -> None:
@@ -49,7 +50,7 @@ def raise_if(condition: Any, message: str) -> None:
 
 
 def validate_options(plan: object, **choices: Collection[str]) -> None:
-    """Raise a ValueError if an option of a plan is not among its allowed values, given by the option's name."""
+    """Raise a ValueError if an attribute of a plan has a forbidden value; `choices`: attribute → allowed values."""
     for name, allowed in choices.items():
         option = f"{type(plan).__name__}({name}={getattr(plan, name)!r})"
         raise_if(getattr(plan, name) not in allowed, f"{option}: give one of {', '.join(allowed)}.")
@@ -73,14 +74,14 @@ class TimeGrid:
         return values[self.samples].mean(axis=1)
 
     def low_pass(self, drive: Array, time_constant: float, start: float | None = None) -> Array:
-        """Filter `drive` by a first-order low-pass of this time constant, s, from the state `start`; (m,)."""
+        """Return `drive` (m,) after a first-order low-pass; time constant in s; `start`: see `apply_low_pass`."""
         return apply_low_pass(drive, time_constant, self.step, start)
 
 
 def apply_low_pass(
     drive: Array, time_constant: float, step: float, start: float | None = None
 ) -> Array:
-    """Solve τ·dT/dt = drive − T for T on a uniform grid; exact for a piecewise linear drive.
+    """Solve τ·dT/dt = drive − T on a uniform grid, exactly for a piecewise linear drive; return T, (m,).
 
     Args:
         drive: input of the low-pass, any unit, (m,).
@@ -101,11 +102,11 @@ def apply_low_pass(
 def correlated_noise(
     generator: np.random.Generator, shape: int | tuple[int, int], time_constant: float, step: float
 ) -> Array:
-    """Simulate stationary Ornstein–Uhlenbeck noise of unit variance along the last axis.
+    """Simulate stationary Ornstein–Uhlenbeck noise of unit variance along the last axis; return an array of `shape`.
 
     Args:
         generator: random-number generator.
-        shape: shape of the array, time last.
+        shape: number of time steps (m,), or (number of records, number of time steps).
         time_constant: correlation time, s.
         step: time step, s.
     """
@@ -120,13 +121,13 @@ def correlated_noise(
 def compute_ramped_set_point(
     time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
 ) -> Array:
-    """Return a set point over time, °C, that approaches `goals` from their times `starts`, s, at `ramp` °C/min."""
+    """Return the set point at `time`, °C; it moves at `ramp` °C/min to each of `goals`, °C, from its `starts`, s."""
     knots, set_points = [float(starts[0])], [float(goals[0])]
-    per_second = ramp / 60.0
+    rate_per_s = ramp / 60.0
     for start, end, set_point in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
-        max_change = per_second * (end - start)
+        max_change = rate_per_s * (end - start)
         change = float(np.clip(set_point - set_points[-1], -max_change, max_change))
-        knots += [start, start + abs(change) / per_second]
+        knots += [start, start + abs(change) / rate_per_s]
         set_points += [set_points[-1], set_points[-1] + change]
     return np.interp(time, knots, set_points)
 
@@ -137,7 +138,7 @@ SUPPLY_V, SUPPLY_SD_V, SUPPLY_INTERVAL_S = 5.0, 0.1, 1200.0
 
 
 def compute_stick_slip_strain(temperature: Array) -> Array:
-    """Return the hysteretic strain of stick-slip joints: mean of several play operators (Prandtl–Ishlinskii)."""
+    """Return the strain of stick-slip joints, −1 … 1, (m,): mean of several play operators (Prandtl–Ishlinskii)."""
     mean_strain = np.zeros(temperature.size)
     for threshold in SLIP_THRESHOLDS_DEGC:
         play_position, strain = float(temperature[0]), np.empty(temperature.size)
@@ -149,7 +150,7 @@ def compute_stick_slip_strain(temperature: Array) -> Array:
 
 
 def simulate_supply(generator: np.random.Generator, time: Array) -> Array:
-    """Simulate a supply voltage, V, that varies slowly about 5 V, at times in s."""
+    """Return a simulated supply voltage, V, that varies slowly about 5 V, at these times, s, of any shape."""
     knots = np.arange(time.min(), time.max() + 2 * SUPPLY_INTERVAL_S, SUPPLY_INTERVAL_S)
     return np.interp(time, knots, SUPPLY_V + SUPPLY_SD_V * generator.standard_normal(knots.size))
 
@@ -158,20 +159,20 @@ SUPPLY_EFFECTS = {f"{s}.{e}" for s in ("bias", "zero") for e in ("supply", "temp
 
 
 def needs_supply_column(effects: Collection[str]) -> bool:
-    """Return whether one of these effects needs the column of the supply voltage."""
+    """Return whether any of these effects needs the column of the supply voltage."""
     return not SUPPLY_EFFECTS.isdisjoint(effects)
 
 
 def list_experiments(
-    columns: Callable[..., dict[str, Any]], campaigns: Mapping[str, Any]
+    simulator: Callable[..., dict[str, Any]], campaigns: Mapping[str, Any]
 ) -> tuple[tuple[str, Callable[[], dict[str, Any]]], ...]:
-    """Return (description, function that simulates the columns) for each feasible campaign.
+    """Return (description, function that simulates the columns with seed 0) for each feasible campaign.
 
     Args:
-        columns: simulator of the columns, with the arguments `seed` and `campaign`.
+        simulator: function that simulates columns, with the arguments `seed` and `campaign`.
         campaigns: description → campaign.
     """
-    return tuple((n, partial(columns, seed=0, campaign=c)) for n, c in campaigns.items())
+    return tuple((n, partial(simulator, seed=0, campaign=c)) for n, c in campaigns.items())
 
 
 class SimulatedTest(NamedTuple):
@@ -180,8 +181,8 @@ class SimulatedTest(NamedTuple):
     Attributes:
         columns: columns of the readings, by name.
         conditions: true conditions of the test.
-        contributions: true contributions of the baseline and of each effect, by name.
-        noise_free: output without noise and rounding, (n,).
+        contributions: true contributions of each effect, by name; some simulators sum those of the baseline.
+        noise_free: output without noise, in the instrument's unit, (n,).
     """
 
     columns: dict[str, NDArray[Any]]
@@ -191,7 +192,7 @@ class SimulatedTest(NamedTuple):
 
 
 def column_simulator(simulator: Callable[P, SimulatedTest]) -> Callable[P, dict[str, NDArray[Any]]]:
-    """Return a simulator of columns, which calls a simulator of tests and discards its true values."""
+    """Return a simulator of columns that calls a simulator of tests and discards the true values."""
 
     @wraps(simulator)
     def simulate_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
@@ -201,7 +202,7 @@ def column_simulator(simulator: Callable[P, SimulatedTest]) -> Callable[P, dict[
 
 
 def make_readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measurements]:
-    """Return a simulator of `Measurements`, which calls an instrument's simulator of columns."""
+    """Return a simulator of `Measurements` that calls an instrument's simulator of columns."""
     assert instrument.simulator is not None
 
     @wraps(instrument.simulator)
@@ -214,12 +215,12 @@ def make_readings_simulator(instrument: bc.Instrument) -> Callable[..., bc.Measu
 
 
 class ReferenceProblem(NamedTuple):
-    """Reference problem: the instrument's baseline model, unchanged, on readings of a small simulated campaign.
+    """Reference problem: the instrument's baseline model on readings of a small simulated campaign.
 
     Attributes:
         instrument: instrument of the problem.
         campaign: plan of its readings.
-        effect_plan: plan of readings with hidden effects, or a function of these effects.
+        effect_plan: plan of readings with hidden effects, or a function that returns it for given effects.
     """
 
     instrument: bc.Instrument

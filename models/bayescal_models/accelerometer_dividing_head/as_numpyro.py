@@ -24,11 +24,11 @@ G = 1e6  # µg
 
 def model(temperature, angle, T0, output=None) -> None:
     """Define the NumPyro model: temperature °C and angle rad (n,), T0 °C; output µg (n,), or None to simulate."""
-    change = temperature - T0
+    departure = temperature - T0
     k0 = numpyro.sample("bias.constant", Normal(0.0, 4000.0))  # µg
-    k0 += numpyro.sample("bias.temperature", Normal(0.0, 30.0)) * change
+    k0 += numpyro.sample("bias.temperature", Normal(0.0, 30.0)) * departure
     kappa = numpyro.sample("scale.constant", Normal(0.0, 20000.0))  # ppm
-    kappa += numpyro.sample("scale.temperature", Normal(0.0, 180.0)) * change
+    kappa += numpyro.sample("scale.temperature", Normal(0.0, 180.0)) * departure
     zero = numpyro.sample("zero.constant", Normal(0.0, 2000.0))  # µrad
     a = jnp.sin(angle + 1e-6 * zero)  # g
     noise = numpyro.sample("noise.white", HalfCauchy(10.0))  # µg
@@ -38,10 +38,8 @@ def model(temperature, angle, T0, output=None) -> None:
 def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
     """Return the arguments of `model` for these readings."""
     columns = {n: readings[n] for n in ("temperature", "output")}
-    return columns | {
-        "angle": readings["position_angle"],
-        "T0": np.round(columns["temperature"].mean()),
-    }
+    T0 = np.round(columns["temperature"].mean())
+    return columns | {"angle": readings["position_angle"], "T0": T0}
 
 
 equivalent_model = reference_problem.model  # a sum of named effects with the same posterior

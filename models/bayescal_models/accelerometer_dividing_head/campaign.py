@@ -1,4 +1,4 @@
-"""Plan of a tumble test on a dividing head: positions, temperatures, runs."""
+"""Plan of a tumble test on a dividing head."""
 
 from __future__ import annotations
 

@@ -33,9 +33,11 @@ class Conditions:
     Attributes:
         angle: set angle θ, rad.
         time, run_time: time since the start of the test and since the start of the run, s.
-        temperature: measured temperature of the device, °C; departure: T − T0, °C, T0 the mean of T rounded to 1 °C.
-        run: run index, from 0; run_deviates: slot → standard normal deviates, constant within a run.
-        approach: +1 if the temperature was reached from below, −1 from above, 0 at the first set point.
+        temperature: measured temperature T of the device, °C.
+        departure: T − T0, °C, with T0 the mean of T rounded to 1 °C.
+        run: run index, from 0.
+        run_deviates: slot → standard normal deviates, constant within a run.
+        approach_sign: +1 if the temperature was reached from below, −1 from above, 0 at the first set point.
     """
 
     def __init__(self, campaign: Campaign, generators: Mapping[str, np.random.Generator]) -> None:
@@ -51,7 +53,7 @@ class Conditions:
         noise = c.thermometer_noise * generators["temperature"].standard_normal(len(row))
         self.temperature = set_points[soak] + noise
         self.departure = self.temperature - round(float(self.temperature.mean()))
-        self.approach = np.sign(np.diff(set_points, prepend=set_points[:1]))[soak]
+        self.approach_sign = np.sign(np.diff(set_points, prepend=set_points[:1]))[soak]
         self.run_deviates = {
             name: generators["runs"].standard_normal(c.runs)[self.run]
             for name in ("bias", "scale", "zero")
@@ -67,7 +69,7 @@ LAWS: dict[str, Law] = {
     "bias.constant": ("bias", lambda test: np.ones_like(test.time)),
     "bias.temperature": ("bias", lambda test: test.departure),
     "bias.temperature_quadratic": ("bias", lambda test: test.departure**2),
-    "bias.hysteresis": ("bias", lambda test: test.approach),
+    "bias.hysteresis": ("bias", lambda test: test.approach_sign),
     "bias.warm_up": ("bias", lambda test: np.exp(-test.run_time / WARM_UP_S)),
     "bias.drift": ("bias", lambda test: test.progress),
     "bias.run": ("bias", lambda test: test.run_deviates["bias"]),
@@ -92,13 +94,13 @@ def simulate_arrays(
     """Simulate a tumble test with hidden effects.
 
     Args:
-        effects: canonical name → true size in the unit of the effect's coefficient; for random effects the standard
-            deviation. Baseline effects have the sizes of `BASELINE` unless given here.
+        effects: canonical name → true size in the unit of the effect's coefficient; of random effects the standard
+            deviation. Baseline effects have the sizes in `BASELINE` unless given here.
         seed: seed of the random-number generator.
         campaign: plan of the test; None: `Campaign()`.
 
     Raises:
-        ValueError: an unknown effect.
+        ValueError: an unknown effect, or a size that is not finite.
     """
     plan, sizes = campaign or Campaign(), {**BASELINE, **(effects or {})}
     validate_effects(sizes, LAWS, "a tumble on a dividing head")
@@ -108,8 +110,8 @@ def simulate_arrays(
         ("bias", "scale", "zero", "second_order", "third_order", "cross_coupling"), 0.0
     )
     contributions = {name: size * LAWS[name][1](test) for name, size in sizes.items()}
-    for name, part in contributions.items():
-        slots[LAWS[name][0]] = slots[LAWS[name][0]] + part
+    for name, contribution in contributions.items():
+        slots[LAWS[name][0]] = slots[LAWS[name][0]] + contribution
     a, p = np.sin(test.angle + slots["zero"]), np.cos(test.angle + slots["zero"])
     powers = slots["second_order"] * a**2 + slots["third_order"] * a**3
     signal = slots["bias"] + (1 + slots["scale"]) * G * a + powers + slots["cross_coupling"] * a * p

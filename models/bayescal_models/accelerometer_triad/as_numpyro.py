@@ -26,7 +26,7 @@ from bayescal_models.accelerometer_triad.model import INSTRUMENT
 
 
 def model(poses, output=None) -> None:
-    """Define the NumPyro model of a number of poses; output g (poses, 3), or None to simulate."""
+    """Define the NumPyro model: number of poses; outputs g (poses, 3), or None to simulate."""
 
     def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])

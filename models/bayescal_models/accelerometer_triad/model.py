@@ -94,7 +94,7 @@ EFFECTS = EffectTable.from_rows(
 
 
 def tailor_to_readings(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
-    """Return the instrument with a noise prior centred on the stated uncertainties of these poses."""
+    """Return the instrument with a noise prior from the stated uncertainties of poses; see `set_noise_prior`."""
     return set_noise_prior(INSTRUMENT, readings, **settings)
 
 

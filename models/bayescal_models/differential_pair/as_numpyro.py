@@ -30,7 +30,7 @@ from bayescal_models.differential_pair import reference_problem
 SENSITIVITY_SITE = "environment.shared[sensitivity]"
 CENTRED_SITES = ("u", "w", "scale.device", SENSITIVITY_SITE)  # determined by readings, not priors
 ORDERS, DEPARTURE_ORDERS = np.arange(9), np.arange(6)  # polynomial orders of u and departures
-DISTURBANCE = 1000.0  # µg rms over the record
+DISTURBANCE_UG = 1000.0  # µg, rms of u over the record
 RATIOS = 0.6**ORDERS  # relative prior sd of the orders of u
 
 
@@ -40,14 +40,14 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     Args:
         acceleration, sign, device: acceleration, µg, sign s and index of the device, (n,) each.
         devices, orders: number of devices; Legendre polynomials P_0 to P_8 of the time, (n, 9).
-        output: outputs, µg, (n,); None to draw them.
+        output: outputs, µg, (n,); None to simulate.
     """
     group_sds = {
         name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
         for name, size in (("scale.device", 5000.0), (SENSITIVITY_SITE, 0.2))
     }
     u = numpyro.sample(
-        "u", Normal(0.0, DISTURBANCE * RATIOS / np.sqrt(np.sum(RATIOS**2))).to_event(1)
+        "u", Normal(0.0, DISTURBANCE_UG * RATIOS / np.sqrt(np.sum(RATIOS**2))).to_event(1)
     )
     # Departures: rms relative to that of u, and ratio of the sds of successive orders.
     share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))
@@ -56,7 +56,7 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
     with numpyro.plate("devices", devices):
         kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, group_sds["scale.device"]))
         sensitivity = numpyro.sample(SENSITIVITY_SITE, Normal(1.0, group_sds[SENSITIVITY_SITE]))
-        departure_sd = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
+        departure_sd = DISTURBANCE_UG * share * powers / jnp.sqrt(jnp.sum(powers**2))
         mean = sensitivity[:, None] * u[: len(DEPARTURE_ORDERS)]
         w = numpyro.sample("w", Normal(mean, departure_sd).to_event(1))
     noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg

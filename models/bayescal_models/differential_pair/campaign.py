@@ -13,7 +13,7 @@ RADIUS = 1.0  # m, radius of the arm (our assumption)
 GRAVITY = 9.80665  # m/s²
 PROFILES = ("steps", "plateau")
 PLATEAU_LEVEL_G = 5.0  # g, level of a single plateau
-DISTURBANCE = 1000.0  # µg rms, of u over the record
+DISTURBANCE_UG = 1000.0  # µg, rms of u over the record
 SENSITIVITY_SD = 0.2  # standard deviation of λd over devices
 SCALE_SD_PPM = 2000.0  # standard deviation of scale factors over devices, ppm
 DEPARTURE_RATIO = 0.05  # rms of a device's departure v relative to that of u
@@ -28,7 +28,7 @@ class Campaign:
         duration: duration of the record, s.
         samples: number of readings of each device, each averaged over duration/samples.
         profile: "steps": plateaus at `levels` with ramps between them; "plateau": constant 5 g.
-        levels: accelerations of the plateaus, g; if monotonic, a slow disturbance resembles a scale factor error.
+        levels: accelerations of the plateaus, g; if they are monotonic, a slow disturbance resembles a scale error.
         ramp: duration of a change of level, s; the speed of the arm changes smoothly.
         noise: standard deviation of white noise averaged over 1 s, µg; of a reading averaged over τ s: noise/√τ.
         warming: temperature rise of the fixture, °C.

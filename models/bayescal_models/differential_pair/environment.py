@@ -2,9 +2,9 @@
 
 The environment of device k is λd_k·u(t) + v_k(t). Both u and v are smooth random functions: sums of Legendre
 polynomials over the record, of unit rms, with prior standard deviations that decrease by a constant ratio from order
-to order. For orders of u above the fifth, which are small, λd = 1 in every device. Size and ratio of v are estimated;
-its low orders are confounded with scale and sensitivity, and are bounded by its higher orders. The scale of u is
-fixed by the mean of λd, 1. Without v differencing would be exact for every pair (source 3: v = 0; we add departures).
+to order. For orders of u above the fifth, which are small, λd = 1 in every device. The rms and the ratio of v are
+estimated; its low orders are confounded with scale and sensitivity, and are bounded by its higher orders. The mean of
+λd, 1, fixes the scale of u. Without v differencing would be exact for every pair (source 3: v = 0; we add departures).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ORDERS = 6  # number of orders of v, and of u with a sensitivity per device
 SHARED_ORDERS = 9  # number of orders of u; error < 0.1 µg for transients as long as the record
 ORDER_SD_RATIO = 0.6  # ratio of the prior standard deviations of successive orders of u
 RATIO_RANGE = (0.25, 0.95)  # 95 % prior range of this ratio for v
-DISTURBANCE = 1000.0  # µg rms, of u
+DISTURBANCE_UG = 1000.0  # µg, rms of u
 SENSITIVITY_SD = 0.2  # standard deviation of λd over devices of one type
 SHARE_RANGE = (0.012, 0.21)  # 95 % prior range of the rms of v relative to that of u
 SOURCE = "source 3; sizes assumed by us"
@@ -31,13 +31,13 @@ DEPARTURE_SHARE_NAME = "departure.device.share"
 
 
 def compute_order_sds() -> NDArray[np.float64]:
-    """Return the prior sds of the polynomial orders of the environment u, µg; their squares sum to 1 mg²."""
-    falling = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
-    return DISTURBANCE * falling / np.sqrt(np.sum(falling**2))
+    """Return the prior sds of the polynomial orders of the environment u, µg, (9,); their squares sum to 1 mg²."""
+    powers = ORDER_SD_RATIO ** np.arange(SHARED_ORDERS)
+    return DISTURBANCE_UG * powers / np.sqrt(np.sum(powers**2))
 
 
 def evaluate_legendre_polynomials(progress: Any, count: int) -> list[Any]:
-    """Evaluate the Legendre polynomials of unit rms over the record, orders 0 to count − 1.
+    """Return the values of the Legendre polynomials of unit rms over the record, orders 0 to count − 1.
 
     Args:
         progress: (t − t̄)/(tmax − tmin), −½ … ½ on an even record; NumPy or JAX.
@@ -98,7 +98,7 @@ DEPARTURE = bc.Effect(
     "departure",
     basis=_evaluate_departure_basis,
     coefficients=tuple(
-        bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE), part=f"order {n}", per="device")
+        bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE_UG), part=f"order {n}", per="device")
         for n in range(ORDERS)
     ),
     # They scale the coefficients' priors, not the columns: otherwise the joint density of scale and coefficients would

@@ -62,7 +62,7 @@ def _evaluate_response(slots, r):
 
 
 def _evaluate_softening_columns(r: bc.Frame) -> Any:
-    """Return the columns of a softening spring, x/(1 − kx) = x + kx² + k²x³ + …, in the scale factor, (n, 3)."""
+    """Return the terms of a softening spring, x/(1 − kx) = x + kx² + k²x³ + …, in the scale factor, (n, 3)."""
     outward = compute_side_sign(r) * r["acceleration"]
     # A reading is a mean over its averaging time: k·⟨a²⟩ = k·(⟨a⟩² + var a). A parabola with the end values a₀, a₁ and
     # the mean ⟨a⟩ has the variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180.
@@ -75,7 +75,7 @@ def _evaluate_softening_columns(r: bc.Frame) -> Any:
 
 def _explain_radius(readings: bc.Measurements) -> str:
     return (
-        "is an exact alias of scale.device: an error of the radius has the effect of a scale factor deviation. "
+        "is an exact alias of scale.device: an error of the radius acts as a scale factor deviation. "
         "Measure the radii, or swap devices between positions"
     )
 

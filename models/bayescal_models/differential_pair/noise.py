@@ -22,14 +22,14 @@ SHARE_NAME = "noise.while_changing"
 def differentiate(r: bc.Frame, values: Any) -> Any:
     """Return the mean time derivative of a column within each reading, unit/s, (n,).
 
-    A reading lasts from the midpoint between its time and the previous one to the midpoint to the next one.
+    A reading lasts from the midpoint between its time and the previous reading's to the midpoint to the next reading's.
     """
     interval_before = xp.where(r.step > 0, r.step, 0.0)
     interval_after = xp.append(interval_before[1:], 0.0)
-    sides = (interval_before > 0).astype(float) + (interval_after > 0)
-    duration = xp.placed(r.order, (interval_before + interval_after) / xp.maximum(sides, 1.0))
-    before, after = end_values(r, values)
-    return (after - before) / xp.where(duration > 0, duration, 1.0)
+    count = (interval_before > 0).astype(float) + (interval_after > 0)  # of intervals
+    duration = xp.placed(r.order, (interval_before + interval_after) / xp.maximum(count, 1.0))
+    start_value, end_value = end_values(r, values)
+    return (end_value - start_value) / xp.where(duration > 0, duration, 1.0)
 
 
 def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""Reference problem of the differential pair: four devices on an arm (see `bayescal_models`)."""
+"""Reference problem (see `bayescal_models`) of the differential pair: four devices on an arm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CAMPAIGN = Campaign(outer=2, inner=2, samples=16, thermometer=None)
 
 
 def model() -> bc.Model:
-    """Return the baseline with a half-normal prior of the noise, whose draws are never extreme."""
+    """Return the baseline with a half-normal prior of the noise, which excludes extreme noise."""
     return INSTRUMENT.baseline().with_noise(bc.White(bc.HalfNormal(50.0)))
 
 

@@ -1,7 +1,7 @@
 """Simulator of batches of accelerometers on a centrifuge arm with hidden effects, and their true values.
 
 The test is simulated in ten steps per reading, which are averaged: an arm driven through plateaus, a fixture heated by
-windage, a slow disturbance shared by all devices, and one of each device. Disturbances are thermal transients and slow
+windage, a slow disturbance common to all devices, and one for each device. Disturbances are thermal transients and slow
 oscillations, not the polynomials of the model; their time runs from 0 to 1 over the record.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal_models.differential_pair.campaign import (
     DEPARTURE_RATIO,
-    DISTURBANCE,
+    DISTURBANCE_UG,
     GRAVITY,
     PLATEAU_LEVEL_G,
     RADIUS,
@@ -65,14 +65,14 @@ class Truth:
 def simulate_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Simulate a batch with hidden effects; return its columns, by name (see `simulate_batch`)."""
+    """Simulate a batch with hidden effects; return columns by name; arguments as of `simulate_batch`."""
     return simulate_batch(effects, seed=seed, campaign=campaign)[0]
 
 
 def simulate_batch(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> tuple[dict[str, Any], Truth]:
-    """Simulate a batch of devices with hidden effects; return columns by name, in the instrument's units, and truth.
+    """Simulate a batch with hidden effects; return columns by name, in the instrument's units, and the true values.
 
     Args:
         effects: canonical name → true size in the coefficient's unit: the standard deviation over devices for
@@ -93,8 +93,8 @@ def simulate_batch(
     progress = times / plan.duration
     sensitivity = 1.0 + SENSITIVITY_SD * rngs["devices"].standard_normal(count)
     scale = 1.0 + 1e-6 * SCALE_SD_PPM * rngs["devices"].standard_normal(count)
-    u = DISTURBANCE * simulate_shared_disturbance(rngs["environment"], progress)
-    v = DEPARTURE_RATIO * DISTURBANCE * simulate_departures(rngs["own"], progress, count)
+    u = DISTURBANCE_UG * simulate_shared_disturbance(rngs["environment"], progress)
+    v = DEPARTURE_RATIO * DISTURBANCE_UG * simulate_departures(rngs["own"], progress, count)
     if plan.alike:
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
     temperature = 25.0 + plan.warming * compute_temperature_rise(progress)
@@ -106,12 +106,12 @@ def simulate_batch(
     supply = simulate_supply(rngs["supply"], times)
     outputs = _simulate_outputs(plan, times, sign, scale, device_sizes) + env
     outputs = outputs + device_sizes["bias.supply"][:, None] * (supply - SUPPLY_V)
-    scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
-    deviates = rngs["noise"].standard_normal((count, plan.samples))
-    readings = average_steps(outputs) + scatter * deviates
+    noise_sd = plan.noise / np.sqrt(plan.duration / plan.samples)
+    noise = noise_sd * rngs["noise"].standard_normal((count, plan.samples))
+    readings = average_steps(outputs) + noise
     groups = np.repeat(["outer", "inner"], [plan.outer, plan.inner])
-    places = (*range(1, plan.outer + 1), *range(1, plan.inner + 1))
-    names = tuple(f"{group} {place}" for group, place in zip(groups, places, strict=True))
+    numbers = (*range(1, plan.outer + 1), *range(1, plan.inner + 1))
+    names = tuple(f"{group} {number}" for group, number in zip(groups, numbers, strict=True))
     commanded = average_steps(acceleration(plan, times))
     # Records of successive devices, as in a logger's file.
     columns = {
@@ -131,7 +131,7 @@ def simulate_batch(
 
 
 def acceleration(plan: Campaign, time: Array) -> Array:
-    """Return the acceleration at the devices over time, µg; the arm's speed changes smoothly between plateaus."""
+    """Return the acceleration at the devices at `time`, s, in µg; the arm's speed changes smoothly between plateaus."""
     if plan.profile == "plateau":
         return np.full(np.shape(time), PLATEAU_LEVEL_G * G)
     speeds = np.sqrt(np.asarray(plan.levels))
@@ -168,7 +168,7 @@ def _simulate_outputs(
 
 
 def _simulate_transient(rng: np.random.Generator, time: Array) -> Array:
-    """Simulate an exponential transient from 0 with asymptote 1 and a random time constant."""
+    """Simulate an exponential transient from 0 to the asymptote 1 with a random time constant."""
     return 1.0 - np.exp(-time / rng.uniform(0.2, 0.7))
 
 
@@ -178,7 +178,7 @@ def _simulate_wave(rng: np.random.Generator, time: Array) -> Array:
 
 
 def simulate_shared_disturbance(rng: np.random.Generator, time: Array) -> Array:
-    """Simulate the shared disturbance, of unit rms over the record."""
+    """Simulate the shared disturbance at `time`, 0 … 1 over the record; its rms is 1."""
     transient = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.6) * _simulate_transient(rng, time)
     waves = [rng.uniform(0.2, 0.7) * _simulate_wave(rng, time) for _ in range(2)]
     disturbance = transient + waves[0] + waves[1]
@@ -186,7 +186,7 @@ def simulate_shared_disturbance(rng: np.random.Generator, time: Array) -> Array:
 
 
 def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Array:
-    """Simulate the disturbances of devices, (count, times): offset, transient and oscillation; their rms is about 1."""
+    """Simulate a disturbance for each device, (count, times): offset, transient and oscillation, of rms about 1."""
     records = []
     for _ in range(count):
         offset, transient_size, wave_size = rng.standard_normal(3) / np.sqrt(3.0)
@@ -200,5 +200,5 @@ def simulate_departures(rng: np.random.Generator, time: Array, count: int) -> Ar
 
 
 def compute_temperature_rise(time: Array) -> Array:
-    """Return the fixture's temperature rise with asymptote 1, plus a slow oscillation of the room."""
+    """Return the fixture's temperature rise, with the asymptote 1, plus an oscillation of the room, amplitude 0.1."""
     return 1.0 - np.exp(-time / WARMING_TAU_RECORDS) + 0.1 * np.sin(2 * np.pi * time / 0.6)

@@ -24,7 +24,14 @@ from bayescal_models.gyro_triad.model import INSTRUMENT
 
 
 def model(rate, direction, across, uncertainty, mounting, mountings, output=None) -> None:
-    """Define the NumPyro model: rate and output (n,), °/s; unit vectors (n, 3); standard uncertainty of angles, rad."""
+    """Define the NumPyro model.
+
+    Args:
+        rate, direction: rate of the table, °/s, (n,), and its axis u in the body, unit vectors (n, 3).
+        across, uncertainty: axis of each output, unit vectors (n, 3); standard uncertainty u of θ, rad, (n,).
+        mounting, mountings: index of each reading's mounting, (n,), and number of mountings.
+        output: outputs, °/s, (n,); None to simulate.
+    """
 
     def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])
@@ -35,7 +42,7 @@ def model(rate, direction, across, uncertainty, mounting, mountings, output=None
     xy, xz, yz, yx, zx, zy = 1e-3 * sample_parts("misalignment.constant", pairs, 20.0)  # from mrad
     G = jnp.diag(scale) + jnp.array([[0.0, xy, xz], [yx, 0.0, yz], [zx, zy, 0.0]])
     with numpyro.plate("mountings", mountings):
-        mounting_deviates = sample_parts("turn.mounting", ("x", "y", "z"), 1.0)  # relative to u(θ)
+        mounting_deviates = sample_parts("turn.mounting", ("x", "y", "z"), 1.0)  # θ/u
     theta = uncertainty[:, None] * mounting_deviates.T[mounting]
     omega = rate[:, None] * direction
     y = omega + bias + omega @ G.T + rate[:, None] * jnp.cross(theta, direction)

@@ -1,4 +1,4 @@
-"""Plans of a rate-table test of a mounted gyro triad, and of rotations by hand between poses."""
+"""Plans of tests of a gyro triad: on a rate table, and rotated by hand between poses."""
 
 from __future__ import annotations
 

@@ -35,13 +35,13 @@ def simulate_log(
     """Simulate a log; return its columns: time (s), gyro_x, … (°/s), accel_x, … (g).
 
     Args:
-        effects: canonical name of an effect of the gyroscopes → true size, in the unit of its coefficients, or a size
-            for each of them; constant bias, scale and misalignment have default sizes.
+        effects: canonical name of an effect of the gyroscopes → true size in the unit of its coefficients (see
+            `gyro_triad.simulator.simulate_columns`).
         seed: seed of the random-number generator.
-        campaign: plan of the poses and rotations.
+        campaign: plan of the poses and rotations; None: `MovesByHand()`.
 
     Raises:
-        ValueError: an effect that the simulator does not have.
+        ValueError: an unknown effect, or a size that is not a finite number.
     """
     plan, counts = campaign or MovesByHand(), {name: MEMBER_COUNTS[name] for name in EFFECT_NAMES}
     sizes = expand_sizes(effects, counts, BASELINE)
@@ -69,7 +69,7 @@ def simulate_log(
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Simulate ground-relative rates, °/s, and specific force, g, (n, 3), and body-to-level matrices (n, 3, 3)."""
+    """Simulate rates relative to the ground, °/s, specific forces, g, (n, 3), and body-to-level matrices (n, 3, 3)."""
     substeps = SUBSTEPS
     rest_samples, move_samples = round(plan.still * plan.rate), round(plan.move * plan.rate)
     rates, forces, attitudes = [], [], []
@@ -106,7 +106,7 @@ def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.n
 
 
 def _compute_rotation_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix of a rotation vector, rad, by Rodrigues' formula."""
+    """Return the rotation matrix (3, 3) of a rotation vector (3,), rad, by Rodrigues' formula."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

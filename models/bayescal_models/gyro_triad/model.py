@@ -91,7 +91,7 @@ VECTOR = bc.Vector(
 
 
 def _evaluate_move_mean(slots, r):
-    """Return outputs averaged over rotations between poses, along directions fixed in space; linear in all slots."""
+    """Return mean outputs over rotations between poses, along directions fixed in space, °/s; linear in all slots."""
     identity = xp.eye(3).ravel()
     terms = (
         (SENSING_AXIS_COLUMNS, BIAS),

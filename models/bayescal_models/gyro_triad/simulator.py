@@ -1,6 +1,6 @@
 """Simulator of a rate-table test of three gyroscopes, mounted successively with different axes up.
 
-Each mounting has a small random rotation error, which tilts rate and gravity from their nominal axis. Outputs are
+Each mounting has a small random rotation error, which tilts rate and gravity away from their nominal axis. Outputs are
 computed reading by reading in NumPy, independently of the implementation of the instrument's equation.
 """
 
@@ -37,8 +37,8 @@ def simulate_columns(
 
     Args:
         effects: canonical name → true size in the unit of the effect's coefficients: a number, which
-            `triad.simulator.FACTORS` scales for each coefficient, or one size per coefficient. Constant bias,
-            scale and misalignment have default sizes.
+            `triad.simulator.FACTORS` scales for each coefficient, or one size per coefficient. Effects in `BASELINE`
+            have its sizes unless given here.
         seed: seed of the random-number generator.
         campaign: plan of the test; by default six mountings at five rates.
 
@@ -81,5 +81,5 @@ def simulate_columns(
 
 
 def _compute_upward_axis(mounting: str) -> np.ndarray:
-    """Return the unit vector that points up, in body axes, of a mounting such as "x" or "-z"."""
+    """Return the unit vector that points up, in body axes, in a mounting such as "x" or "-z"."""
     return (-1.0 if mounting.startswith("-") else 1.0) * np.eye(3)["xyz".index(mounting[-1])]

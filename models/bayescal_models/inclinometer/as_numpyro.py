@@ -20,7 +20,7 @@ from bayescal_models.inclinometer.model import INSTRUMENT
 
 
 def model(placement, axis, axes, run, runs, output=None) -> None:
-    """Define the NumPyro model: placement angle °, axis and run index (n,), their numbers; output arcsec or None."""
+    """Define the NumPyro model: placement angle °, index of axis and of run (n,), their numbers; output ″ or None."""
     with numpyro.plate("axes", axes):
         a = numpyro.sample("zero.constant", Normal(0.0, 1000.0))  # arcsec
         b = numpyro.sample("zero.placement", Normal(0.0, 2.0))  # arcsec/deg
@@ -35,11 +35,8 @@ def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
     """Return the arguments of `model` for these readings."""
     (axes, axis), (runs, run) = readings.groups("axis"), readings.groups("run")
     groups = {"axis": axis, "axes": len(axes), "run": run, "runs": len(runs)}
-    return {
-        "placement": np.degrees(readings["placement_angle"]),
-        **groups,
-        "output": readings["output"],
-    }
+    columns = {"placement": np.degrees(readings["placement_angle"]), "output": readings["output"]}
+    return columns | groups
 
 
 equivalent_model = INSTRUMENT.baseline  # a sum of named effects with the same posterior

@@ -56,8 +56,8 @@ class Campaign:
         angles: placement angles of a sweep, deg.
         runs: number of mountings of each axis.
         backward: whether each sweep is repeated in reverse order.
-        grid: tilts of a verification, deg; all pairs that are geometrically possible; empty: zero test.
-        exact: whether a verification has the exact placement angle; otherwise ω = y, as in source 4.
+        grid: tilts of a verification, deg, of which all geometrically possible pairs are set; empty: zero test.
+        exact: whether a verification is simulated with the exact placement angle; otherwise ω = y, as in source 4.
         interval: time between readings, s.
         pause: time between runs, s.
         noise: standard deviation of a reading, arcsec (source 4 states only the table's 2″).

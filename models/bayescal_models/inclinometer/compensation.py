@@ -3,7 +3,7 @@
     tilts = inclinometer.compensate(calibration, reading_x, reading_y)
     tilts.x, tilts.sd_x                rad
 
-There are two formulas (argument `law`):
+There are two laws (argument `law`):
 
 - "document" (source 4, with our sign): x' = x − S_x(y), y' = y − S_y(x), with the calibrated zero S at the
   *uncompensated* reading of the other axis. It neglects the change of S due to that axis' error (0.7″/deg times 100″ is
@@ -44,7 +44,7 @@ class CompensatedTilts:
     Attributes:
         x, y: tilts at the posterior mean.
         sd_x, sd_y: combined standard uncertainty of coefficients, mounting and noise.
-        passes: number of iterations; 1 for the formula "document".
+        passes: number of iterations; 1 for the law "document".
     """
 
     x: np.ndarray
@@ -59,13 +59,13 @@ Compensated = CompensatedTilts  # the former name
 
 @dataclass(frozen=True)
 class _Axis:
-    """Compensator of one accelerometer, with the values of further covariates of its effects, by name."""
+    """Compensator of one accelerometer, with the values of further covariates, by name."""
 
     compensator: bc.Compensator
     covariates: dict[str, Any]
 
     def tilt(self, reading: np.ndarray, cross: np.ndarray) -> Any:
-        """Compensate readings, rad, at the tilts of the other axis, rad."""
+        """Return the compensated readings, rad, at tilts of the other axis, rad; InputError: no tilt for a reading."""
         inputs = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
         compensated = self.compensator(**inputs, method="first order", warn=False)
         if np.any(is_invalid := ~np.isfinite(compensated.value)):
@@ -77,7 +77,7 @@ class _Axis:
         return compensated
 
     def zero(self, cross: np.ndarray) -> Any:
-        """Compensate readings of zero: the resulting tilt is minus the zero offset S, for any scale factor."""
+        """Return the compensated readings of zero: minus the zero offset S, for any scale factor."""
         return self.tilt(0.0 * cross, cross)
 
 
@@ -111,7 +111,7 @@ def compensate(
         covariates: further covariates of effects, such as temperature=23.0 (°C).
 
     Raises:
-        InputError: unknown axis or formula, a pair of readings that corresponds to no tilt, or a missing covariate.
+        InputError: unknown axis or law, a pair of readings that corresponds to no tilt, or a missing covariate.
     """
     rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
     if law not in ("exact", "document"):
@@ -136,7 +136,7 @@ def compensate(
 def _solve_tilts(
     axis_x: _Axis, axis_y: _Axis, rx: np.ndarray, ry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Solve for the tilts at the posterior mean, rad, and count iterations. InputError: no convergence."""
+    """Return both tilts at the posterior mean, rad, and the number of iterations; InputError: no convergence."""
     x, y = rx, ry
     for iteration in range(MAX_ITERATIONS):
         new_x, new_y = axis_x.tilt(rx, y).value, axis_y.tilt(ry, x).value

@@ -10,8 +10,8 @@ and at a tilt x, with the other axis at y,
 
     reading = arcsin[ (1 + κ)·( sin x + cos x·zero(ω) + m·sin y ) ]
 
-Source 4 takes ω = y, and a line for zero(ω); exact is ω = atan2(sin y, √(1 − sin²x − sin²y)) (`geometry.py`). S_e is
-not an angle of the axis, so cos x does not multiply it; here it is part of `zero`, and the effect
+Source 4 takes ω = y, and a line for zero(ω); the exact angle is ω = atan2(sin y, √(1 − sin²x − sin²y)) (`geometry.py`).
+S_e is not an angle of the axis, so cos x does not multiply it; here it is part of `zero`, and the effect
 `zero.electrical_tilt`, S_e·(1/cos x − 1), cancels the cosine.
 
 **One instrument, two tests.** A *zero test* has the columns `axis`, `run`, `placement_angle` and `output` (or
@@ -111,7 +111,7 @@ def _evaluate_exact_projections(r: bc.Frame) -> Any:
 
 
 def _evaluate_spline(r: bc.Frame) -> Any:
-    """Return the natural cubic cardinal splines: 1 at one knot, 0 at the others, linear outside the knots."""
+    """Return the natural cubic cardinal splines, (n, 7): 1 at one knot, 0 at the others, linear outside the knots."""
     spline = CubicSpline(KNOT_ANGLES_RAD, np.eye(KNOT_ANGLES_RAD.size), bc_type="natural")
     # Truncated power basis: a line from the first knot, plus the jumps of the third derivative at the knots.
     jumps = np.diff(spline.c[0], axis=0, prepend=0.0, append=0.0)
@@ -121,7 +121,7 @@ def _evaluate_spline(r: bc.Frame) -> Any:
 
 
 def _explain_missing_direction(readings: bc.Measurements) -> str | None:
-    """Return why the sweep directions of readings do not identify a hysteresis; None if they do."""
+    """Return why the readings' sweep directions do not identify a hysteresis; None if they do."""
     directions = set(readings.groups("direction")[0])
     if {"forward", "backward"} <= directions:
         return None
@@ -137,7 +137,7 @@ def _by_axis(basis: Any, equation: str, *columns: str, **fields: Any) -> Factory
 
 
 def _make_deviation(per: str, equation: str = "", basis: Any = one, *columns: str) -> Factory:
-    """Return a factory that creates random deviations of a group's members; constants unless a basis is given."""
+    """Return a factory that creates random deviations of the members of the group `per`, times `basis`."""
     required, varies = (columns, None) if columns else ((per,), ())
     text = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
     return effect(basis, text, *required, per=per, group_sd_prior=bc.HalfNormal, varies=varies)

@@ -36,16 +36,16 @@ class Conditions:
         device, axis, run: labels of device, accelerometer and mounting.
         placement_set, tilt: set placement angle (ω, or the other axis' tilt) and set tilt along the axis, rad.
         time: time since the start of the campaign, s.
-        forward: +1 in forward sweeps, −1 in backward ones.
+        sweep_sign: +1 in forward sweeps, −1 in backward ones.
         accelerometer: true errors of the reading's accelerometer, as arrays.
         cross: true tilt of the other axis or, in a zero test, true placement angle, rad.
         placement: true placement angle, rad.
         thermometer: reading of the thermometer, °C.
         hinge: temperature of the lagging hinge minus its mean, °C.
-        warm_up_deficit: remaining fraction of the warm-up after mounting.
+        warm_up_deficit: remaining fraction of the warm-up, 1 at the start of a mounting.
         supply: supply voltage, V.
         settlement: settlement of the base, from −½ to ½ over the campaign.
-        sweep_direction: direction of the sweep, −1 … 1, with gradual reversal.
+        hysteresis: state of the hysteresis, −1 … 1: `sweep_sign` with gradual reversals.
         mounting_deviation: random deviation of the mounting's zero, arcsec.
     """
 
@@ -64,7 +64,7 @@ class Conditions:
         self.device, self.axis, self.run, self.placement_set, self.tilt, *motion = map(
             np.concatenate, zip(*rows, strict=True)
         )
-        self.forward, since_reversal, self.time = motion
+        self.sweep_sign, since_reversal, self.time = motion
         phase = 2 * np.pi * self.time / plan.period + PHASES[0]
         tangent = 2 * np.pi * HINGE_TAU_S / plan.period  # of a first-order body's phase lag
         noise = 0.01 * generators["thermometer"].standard_normal(self.time.size)
@@ -78,7 +78,7 @@ class Conditions:
         self.placement = self.cross = self.placement_set + dividing_errors
         if plan.grid and plan.exact:
             self.placement = compute_placement_angle(self.tilt, self.cross, np)
-        self.sweep_direction = self.forward * (1 - 2 * np.exp(-since_reversal / REVERSAL_DEG))
+        self.hysteresis = self.sweep_sign * (1 - 2 * np.exp(-since_reversal / REVERSAL_DEG))
         self.accelerometer = self._draw_accelerometers(generators["device"])
         self.share = self.accelerometer.share
         _, codes = np.unique(self.run, return_inverse=True)
@@ -104,17 +104,17 @@ class Conditions:
 
 
 def _plan_zero_test(plan: Campaign, prefix: str):
-    """Yield labels (axis, run) and columns (placement, tilt, rad; direction; deg since reversal) of each mounting."""
+    """Yield labels (axis, run) and columns (placement, tilt, rad; sweep sign; ° since reversal) of each mounting."""
     sweep = np.asarray(plan.angles, dtype=float)
-    angles, forward, since_reversal = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
+    angles, sweep_sign, since_reversal = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
     if plan.backward:
         angles = np.concatenate([sweep, sweep[::-1]])
-        forward = np.concatenate([forward, -forward])
+        sweep_sign = np.concatenate([sweep_sign, -sweep_sign])
         since_reversal = np.concatenate([since_reversal, np.abs(sweep[::-1] - sweep[-1])])
     zero_tilt = np.zeros(angles.size)
     for (axis, _), run in product(plan.axes, range(1, plan.runs + 1)):
         labels = [axis] * angles.size, [f"{prefix}{axis}{run}"] * angles.size
-        yield labels, (np.deg2rad(angles), zero_tilt, forward, since_reversal)
+        yield labels, (np.deg2rad(angles), zero_tilt, sweep_sign, since_reversal)
 
 
 def _plan_grid(plan: Campaign, prefix: str):
@@ -128,7 +128,7 @@ def _plan_grid(plan: Campaign, prefix: str):
 
 
 class _Terms(NamedTuple):
-    """Contributions to the terms of the measurement equation: angles in arcsec, κ in ppm."""
+    """Contributions to the terms of the measurement equation: angles in arcsec, scale factor deviation κ in ppm."""
 
     zero: Any = 0.0
     electrical: Any = 0.0
@@ -142,12 +142,12 @@ def _make_zero_law(law: Callable[[Conditions], Any]) -> Callable[[Conditions, fl
 
 
 def _evaluate_electrical_law(test: Conditions, size: float) -> _Terms:
-    """Return the contributions of an electrical zero; the mechanical zero is reduced by the same amount."""
+    """Return the contributions of an electrical zero of this size; the mechanical zero is reduced by the same size."""
     return _Terms(zero=-test.share * size, electrical=test.share * size)
 
 
 def _evaluate_spindle_wobble(test: Conditions) -> np.ndarray:
-    """Return the wobble of the spindle axis: first and second harmonics, sines and cosines of amplitude 1."""
+    """Return the wobble of the spindle: first and second harmonics, cosines and sines of amplitude 1, (n,)."""
     return np.sqrt(2.0) * (np.cos(test.cross - np.pi / 4) + np.cos(2 * test.cross - np.pi / 4))
 
 
@@ -159,7 +159,7 @@ _LAWS: dict[str, Callable[[Conditions, float], _Terms]] = {
     "zero.warm_up": _make_zero_law(lambda test: test.warm_up_deficit),
     "zero.supply": _make_zero_law(lambda test: test.supply - SUPPLY_V),
     "zero.temperature_x_supply": _make_zero_law(lambda test: test.hinge * (test.supply - SUPPLY_V)),
-    "zero.hysteresis": _make_zero_law(lambda test: test.sweep_direction),
+    "zero.hysteresis": _make_zero_law(lambda test: test.hysteresis),
     "zero.cross_axis": lambda test, size: _Terms(cross_axis=test.share * size * np.sin(test.cross)),
     "zero.electrical_tilt": _evaluate_electrical_law,
     "zero.exact_placement": _make_zero_law(
@@ -207,12 +207,12 @@ def simulate_columns(
     if campaign.grid:
         columns["true_angle"] = test.tilt
     else:
-        columns["direction"] = np.where(test.forward > 0, "forward", "backward")
+        columns["direction"] = np.where(test.sweep_sign > 0, "forward", "backward")
     return columns
 
 
 def _compute_output(test: Conditions, effects: Mapping[str, float]) -> np.ndarray:
-    """Return the noise-free output of each reading, arcsec."""
+    """Return the noise-free output of each reading, arcsec, (n,)."""
     accelerometer = test.accelerometer
     mechanical = accelerometer.mechanical(test.placement) + test.mounting_deviation
     total = _Terms(mechanical, accelerometer.electrical, accelerometer.scale)

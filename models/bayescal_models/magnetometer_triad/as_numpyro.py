@@ -23,7 +23,7 @@ from bayescal_models.magnetometer_triad.model import INSTRUMENT
 
 
 def model(magnitude, output=None) -> None:
-    """Define the NumPyro model: field magnitude µT (n,); output µT (n, 3), or None to simulate."""
+    """Define the NumPyro model: field magnitude µT (n,); outputs µT (n, 3), or None to simulate."""
 
     def sample_parts(name: str, labels: tuple[str, ...], sd: float) -> Any:
         return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, sd)) for part in labels])

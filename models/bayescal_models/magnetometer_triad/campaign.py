@@ -1,14 +1,14 @@
-"""Plan of poses of a magnetometer triad: `triad.campaign` with noise and field of an electronic compass."""
+"""Plan of poses of a magnetometer triad: `triad.campaign` with the noise and the field of an electronic compass."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.triad.campaign import Campaign as _Poses
+from bayescal_models.triad.campaign import Campaign as _TriadCampaign
 
 
 @dataclass(frozen=True)
-class Campaign(_Poses):
+class Campaign(_TriadCampaign):
     """Plan of 100 readings in random directions, noise 0.3 µT, in a field of 50 µT."""
 
     poses: int = 100

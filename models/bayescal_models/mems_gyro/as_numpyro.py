@@ -36,15 +36,9 @@ def model(temperature, run, runs, T0, output=None) -> None:
 def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
     """Return the arguments of `model` for these readings."""
     runs, run = readings.groups("run")
-    temperature = readings["temperature"]
-    T0 = np.round(temperature.mean())
-    return {
-        "temperature": temperature,
-        "run": run,
-        "runs": len(runs),
-        "T0": T0,
-        "output": readings["output"],
-    }
+    columns = {name: readings[name] for name in ("temperature", "output")}
+    T0 = np.round(columns["temperature"].mean())
+    return columns | {"run": run, "runs": len(runs), "T0": T0}
 
 
 def equivalent_model() -> bc.Model:

@@ -22,8 +22,8 @@ class Campaign:
         temperatures: chamber set points in the order of the first run, °C.
         dwell: time at each set point, s.
         runs: number of repetitions of the series.
-        alternate: whether every second run has the set points in reverse order (up, down, up).
-        pause: time with the power off between runs, s; the chamber moves to the next start.
+        alternate: whether every second run has the set points in reverse order.
+        pause: time with the power off between runs, s; the chamber moves to the first set point of the next run.
         chamber_time: first-order time constant of the chamber's air, s.
         chamber_ramp: largest rate of the chamber's set point, °C/min.
         average: averaging time of a reading, s, a multiple of `LOGGING_INTERVAL_S`.
@@ -39,7 +39,7 @@ class Campaign:
         lag_time: time constant of the die's lag behind the ambient thermometer, s.
 
     Raises:
-        ValueError: a time that is not a multiple of its divisor.
+        ValueError: `pause`, `average` or `dwell` is not a multiple of `STEP_S`, `LOGGING_INTERVAL_S` or `average`.
     """
 
     temperatures: tuple[float, ...] = tuple(float(t) for t in range(30, 81, 5))
@@ -60,7 +60,7 @@ class Campaign:
     lag_time: float = 300.0
 
     def __post_init__(self) -> None:
-        # Times of the plan, and the times that divide them.
+        # Attribute → the time of which it is a multiple.
         divisors = {"pause": STEP_S, "dwell": self.average, "average": LOGGING_INTERVAL_S}
         for name, divisor in divisors.items():
             time = getattr(self, name)

@@ -100,7 +100,7 @@ THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer 
 
 
 def _add_powers(*orders: str, with_error: bool = False) -> bc.Model:
-    """Build a polynomial model of temperature, optionally with thermometer errors (errors in variables)."""
+    """Return the baseline plus terms such as "quadratic", optionally with thermometer errors (errors in variables)."""
     model = INSTRUMENT.baseline()
     for order in orders:
         model = model + f"bias.temperature_{order}"

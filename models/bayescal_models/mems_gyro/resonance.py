@@ -21,7 +21,7 @@ def compute_denominator(change: Any, k_drive: Any, k_sense: Any, ratio: Any, qua
 
     Args:
         change: temperature change T − T0 of the structure, °C, any shape.
-        k_drive, k_sense: K_ET of each mode, 1/°C.
+        k_drive, k_sense: K_ET of the drive and the sense mode, 1/°C.
         ratio: r = ω_s0/ω_d0 at T0, dimensionless.
         quality: Q = ω_d0/b_s at T0, dimensionless.
     """

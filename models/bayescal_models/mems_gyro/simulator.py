@@ -32,7 +32,7 @@ from bayescal_models.simulated import (
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 VARSHNI_TEMPERATURE_K = 500.0  # characteristic temperature of silicon in Varshni's law; assumed
-SATURATION = 60.0  # °C, temperature change at which a built-in compensation saturates; assumed
+SATURATION_DEGC = 60.0  # °C, temperature change at which a built-in compensation saturates; assumed
 PACKAGE_TAU_S = 20.0  # s, thermal time constant of the package
 SLOW_TAU_S = 2400.0  # s, time constant of a slow body, such as the chamber's load
 BOARD_TAU_S, BOARD_HEATING_DEGC = 480.0, 2.0  # time constant, self-heating of the electronics board
@@ -42,7 +42,7 @@ CORRELATED_NOISE_SD, NOISE_TAU_S = 0.05, 300.0  # °/s and s, sd and time consta
 
 
 class Conditions(TimeGrid):
-    """Conditions in a test; arrays have one value per grid point, (m,), if not stated otherwise.
+    """True conditions of a test; arrays have one value per grid point, (m,), unless stated otherwise.
 
     Attributes:
         plan: plan of the test.
@@ -106,7 +106,7 @@ class Conditions(TimeGrid):
 
 
 def _compute_chamber_set_point(plan: Campaign, time: Array) -> Array:
-    """Return the chamber's set point over time, °C: ramp-limited steps."""
+    """Return the chamber's set point, °C, at times in s: steps of limited rate."""
     starts: list[float] = []
     set_points: list[float] = []
     for k, start in enumerate(plan.run_starts):
@@ -123,29 +123,30 @@ def _compute_chamber_set_point(plan: Campaign, time: Array) -> Array:
 
 
 def _evaluate_quadratic(test: Conditions) -> Array:
-    """Return Varshni's modulus `E = E0 − s/(e^(Θ/T)−1)` minus its tangent at T0, scaled to about ΔT², °C².
+    """Return Varshni's modulus `E = E0 − s/(e^(Θ/T)−1)` minus its tangent at T0, scaled to ΔT² at small ΔT, °C².
 
     Source: Y. P. Varshni, Phys. Rev. B 2 (1970) 3952.
     """
     theta, kelvin = VARSHNI_TEMPERATURE_K, test.plan.T0 + 273.15
     departure = test.departure
     e = np.exp(theta / kelvin)
-    at_T0 = 1.0 / (e - 1.0)
+    value_at_T0 = 1.0 / (e - 1.0)
     slope = theta / kelvin**2 * e / (e - 1.0) ** 2
     curvature = slope * (theta / kelvin**2 * (e + 1.0) / (e - 1.0) - 2.0 / kelvin) / 2.0
-    softening = 1.0 / np.expm1(theta / (kelvin + departure)) - at_T0 - slope * departure
+    softening = 1.0 / np.expm1(theta / (kelvin + departure)) - value_at_T0 - slope * departure
     return _mix_terms(test, departure**2, softening / curvature)
 
 
 def _evaluate_cubic(test: Conditions) -> Array:
     """Return the residual of a tanh compensation of a linear error, scaled to slightly less than ΔT³, °C³."""
     departure = test.departure
-    full_law = 3.0 * SATURATION**3 * (departure / SATURATION - np.tanh(departure / SATURATION))
+    ratio = departure / SATURATION_DEGC
+    full_law = 3.0 * SATURATION_DEGC**3 * (ratio - np.tanh(ratio))
     return _mix_terms(test, departure**3, full_law)
 
 
 def _evaluate_drift(test: Conditions) -> Array:
-    """Return ageing that is logarithmic in time, from 0 to 1 over the whole test."""
+    """Return an ageing drift, logarithmic in time, from 0 to 1 over the whole test."""
     elapsed_fraction = test.time / test.time[-1]
     return _mix_terms(test, elapsed_fraction, np.log2(1.0 + elapsed_fraction))
 
@@ -206,16 +207,14 @@ def simulate_arrays(
             correlated noise.
 
     Raises:
-        ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
+        ValueError: an unknown effect or noise law, a baseline effect, or a size that is not finite.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     choices = ", ".join(NOISE_LAWS)
     raise_if(noise_law not in NOISE_LAWS, f"noise law {noise_law!r} is not one of {choices}")
     baseline_names = effects.keys() & {"bias.temperature", "bias.constant"}
-    raise_if(
-        baseline_names,
-        f"{', '.join(baseline_names)}: a baseline effect; set Campaign(slope=…, constant=…).",
-    )
+    baseline_text = f"{', '.join(baseline_names)}: give the size of a baseline effect as"
+    raise_if(baseline_names, f"{baseline_text} Campaign(slope=…, constant=…)")
     simulated.validate_effects(effects, LAWS, "a gyro campaign")
     names = ("noise", "wander", "thermometer", "run", "humidity", "supply")
     generators = simulated.spawn_generators(names, seed)
@@ -230,11 +229,11 @@ def simulate_arrays(
     noise_free = np.sum(list(contributions.values()), axis=0)
     output = noise_free + _draw_noise(test, generators, noise_law)
 
-    error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
+    errors = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
     columns: dict[str, NDArray[Any]] = {
         "run": np.array([str(k + 1) for k in test.run]),
         "time": test.average(test.time),
-        "temperature": test.average(test.ambient) + error,
+        "temperature": test.average(test.ambient) + errors,
         "board_temperature": test.average(test.board),
     }
     if campaign.rate_input is not None:
@@ -261,8 +260,8 @@ def _draw_noise(
     white_noise = campaign.noise * generator.standard_normal(readings)
     if noise_law == "white":
         return white_noise
-    drift, rng = np.empty(readings), generators["wander"]
+    wander, rng = np.empty(readings), generators["wander"]
     for k in range(campaign.runs):  # correlated noise is independent between runs
         record = test.average(correlated_noise(rng, len(test.time), NOISE_TAU_S, STEP_S))
-        drift[test.run == k] = record[test.run == k]
-    return white_noise + CORRELATED_NOISE_SD * drift
+        wander[test.run == k] = record[test.run == k]
+    return white_noise + CORRELATED_NOISE_SD * wander

@@ -1,4 +1,4 @@
-"""Path of the file with source 1's table of zero-rate output against temperature."""
+"""Path of the table of zero-rate output against temperature of source 1."""
 
 from pathlib import Path
 

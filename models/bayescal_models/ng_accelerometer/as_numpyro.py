@@ -36,7 +36,7 @@ TIDES = {  # period, h; prior standard deviation of each cosine and sine, nrad
 
 
 def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
-    """Define the NumPyro model: temperature, T0 °C, time s, tilt, angle rad, cell index (n,); output µg or None."""
+    """Define the NumPyro model: temperature °C, time s, tilt and angle rad, cell index (n,); output µg or None."""
 
     def constant(name: str, mean: float, sd: float) -> Any:
         return numpyro.sample(name, Normal(mean, sd))
@@ -56,16 +56,12 @@ def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
                 ) * wave(phase)
         return 1e-9 * tilt_sum
 
-    temperature_change = temperature - T0
-    K0 = (
-        constant("bias.constant", 850.0, 200.0)
-        + constant("bias.temperature", 10.0, 5.0) * temperature_change
-    )  # µg
+    departure = temperature - T0
+    K0 = constant("bias.constant", 850.0, 200.0)  # µg
+    K0 += constant("bias.temperature", 10.0, 5.0) * departure
     K0 += deviation("bias.cell", 5.0)[cell]
-    kappa = (
-        constant("scale.constant", 1500.0, 2000.0)
-        + constant("scale.temperature", 60.0, 100.0) * temperature_change
-    )
+    kappa = constant("scale.constant", 1500.0, 2000.0)
+    kappa += constant("scale.temperature", 60.0, 100.0) * departure
     kappa = 1e-6 * (kappa + deviation("scale.cell", 50.0)[cell])  # from ppm
     fixture_tilt = 1e-6 * (
         constant("fixture_tilt.constant", 0.0, 291.0) + deviation("fixture_tilt.cell", 5.0)[cell]

@@ -41,7 +41,7 @@ TRUTH_A: Mapping[str, float] = MappingProxyType(
 
 
 class SetUp(NamedTuple):
-    """Tilt γ and position θ of the table, rad, during a run of fixed-point heating."""
+    """Tilt γ and position θ of the table in one set-up, rad."""
 
     tilt: float
     position: float
@@ -64,10 +64,10 @@ class Campaign:
         alternate: whether every second run has the set points in reverse order.
         soak: time at a set point before the first reading, s.
         ramp: rate of the chamber's set point, °C/min.
-        pause: time between runs with the power off, s; the chamber moves to the next start.
+        pause: time between runs with the power off, s; the chamber moves to the first set point of the next run.
         noise: standard deviation of the noise of a reading, µg.
         thermometer_noise: standard deviation of the error of an averaged temperature, °C.
-        chamber_wander: standard deviation of the chamber's temperature, °C (source 0: stable to 0.1 °C).
+        chamber_wander: standard deviation of the chamber's temperature about its set point, °C (source 0: 0.1 °C).
         laboratory: mean laboratory temperature, °C (source 0: 23 ± 1).
         laboratory_wander: standard deviation of the laboratory temperature from hour to hour, °C.
         laboratory_daily: amplitude of the daily variation of the laboratory temperature, °C.
@@ -113,10 +113,10 @@ INSTRUMENT_A = Campaign()
 
 
 def fixed_point_heating(campaign: Campaign = INSTRUMENT_A, readings: int = 12) -> Campaign:
-    """Plan fixed-point heating, the older method: a run of temperature steps at each of 0, + and − full scale.
+    """Plan fixed-point heating, the older method: a run of temperature steps at each of the inputs 0 and ±g·sin γ.
 
     Args:
-        campaign: campaign with the tilt (the first of its tilts), temperatures and true coefficients.
+        campaign: campaign whose first tilt γ, temperatures and true coefficients are used.
         readings: number of readings at each temperature.
     """
     tilt = campaign.tilts[0]

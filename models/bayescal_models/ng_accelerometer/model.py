@@ -140,14 +140,14 @@ def evaluate_harmonics(r: bc.Frame, factor: Float[Any, "n"] | float = 1.0) -> Fl
 
 
 def evaluate_tidal_waves(r: bc.Frame) -> Float[Any, "n 20"]:
-    """Return cosine and sine of every tidal constituent, for each of the two base tilt components in turn."""
+    """Return the cosine and sine of each tidal constituent, first for one base tilt component, then for the other."""
     phase = [2 * xp.pi * r["time"] / (period_h * HOUR) for period_h, _ in CONSTITUENTS.values()]
     waves = [wave(p) for p in phase for wave in (xp.cos, xp.sin)]
     return xp.stack([*waves, *waves], axis=-1)
 
 
 def evaluate_temperature_direction(r: bc.Frame) -> Float[Any, "n"]:
-    """Return the sign of the last temperature change within the run that exceeded the dead band; 0 before the first.
+    """Return the sign of the last temperature change in the run that exceeded the dead band; 0 before the first one.
 
     For readings at soaked temperature points this is the sign of the temperature difference from the previous cell.
     """
@@ -214,10 +214,8 @@ def _build_tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
 # The standard deviation between cells is known a priori to within one or two orders of magnitude.
 CELL_TERMS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
 CELL_OPTIONS: dict[str, Any] = {"per": "cell", "group_sd_prior": bc.HalfCauchy, "varies": ()}
-CELL_EFFECT, BASE_CELL_EFFECT = (
-    effect(one, *CELL_TERMS, **CELL_OPTIONS),
-    _base(one, *CELL_TERMS, **CELL_OPTIONS),
-)
+CELL_EFFECT = effect(one, *CELL_TERMS, **CELL_OPTIONS)
+BASE_CELL_EFFECT = _base(one, *CELL_TERMS, **CELL_OPTIONS)
 SETTING = effect(one, "c, added to γ like γ2⊥", "tilt", slot="base_tilt_perp", varies=())
 LAG_EFFECT = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
 HYSTERESIS_EFFECT = effect(

@@ -2,7 +2,7 @@
 
 A body of mass M at distance d and zenith distance z causes the horizontal tidal acceleration ³⁄₂·(GM·r/d³)·sin 2z
 towards itself, r the Earth's radius; divided by g it is the tilt of the plumb line. The low-precision ephemerides
-are good to a few arc minutes. The tilt response of a laboratory is known less well: sizes are given as a monthly peak.
+are good to a few arcminutes. The tilt response of a laboratory is less well known: sizes are given as monthly peaks.
 
 Source: J. Meeus, Astronomical Algorithms, ch. 25 and 47, leading terms; the peak of ±200 nrad: source 0.
 """
@@ -28,7 +28,7 @@ PEAK_PERIOD_DAYS = 30.0  # days over which the peak of a tide is computed
 
 
 def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
-    """Return the plumb line's tidal tilt to east and north, rad, on a rigid Earth; days since 2000-01-01 12 h UT."""
+    """Return the tidal tilts of the plumb line to east and north, rad, of a rigid Earth; days since 2000-01-01 12 h."""
     days = np.asarray(days, dtype=float)
     phi = np.radians(LATITUDE_DEG)
     sidereal_angle = np.radians(280.46062 + 360.98564737 * days + LONGITUDE_DEG)
@@ -53,7 +53,7 @@ def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
 
 
 def compute_tide(time: ArrayLike) -> tuple[Array, Array]:
-    """Return east and north tilt of the plumb line relative to their monthly peaks; time in s from the test's start."""
+    """Return the east and north tilts of the plumb line relative to their monthly peaks; time in s from test start."""
     east, north = plumb_line_tilt(TEST_START_DAY + np.asarray(time, dtype=float) / DAY_S)
     peak = _compute_monthly_peak()
     return east / peak[0], north / peak[1]

@@ -1,4 +1,4 @@
-"""Reference problem: a small model and test for checks of interval coverage and of the agreement of methods."""
+"""Reference problem (see `bayescal_models`) of the ng accelerometer: 72 readings, with priors of a recalibration."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ CAMPAIGN = replace(INSTRUMENT_A, temperatures=(20.0, 30.0, 40.0), runs=2, pause=
 
 
 def model() -> bc.Model:
-    """Return the baseline with proper priors that are as narrow as for a recalibration."""
+    """Return the baseline with proper priors, as narrow as those of a recalibration."""
     return bc.Model(INSTRUMENT, tuple(_narrow_priors(e) for e in INSTRUMENT.effects), NOISE)
 
 
 def readings(seed: int = 0) -> bc.Measurements:
-    """Simulate 72 readings: 12 positions, three temperatures, two runs."""
+    """Simulate 72 readings, µg: 12 positions at three temperatures in two runs."""
     return INSTRUMENT.simulate(seed=seed, campaign=CAMPAIGN)
 
 

@@ -72,18 +72,18 @@ def _evaluate_expansion(test: Conditions) -> Array:
 
 
 def _harmonics(test: Conditions) -> Array:
-    """Return the second and third harmonics of the rotation angle, with weaker fourth and fifth ones."""
+    """Return the sum of the second and third harmonics of the rotation angle and weaker fourth and fifth ones."""
     waves = [wave(m * test.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
     return sum(waves) + HARMONIC_AMPLITUDE * (np.cos(4 * test.angle) + np.sin(5 * test.angle))
 
 
 def _evaluate_settlement(test: Conditions) -> Array:
-    """Return the settlement of a foundation, exponential in time, from 0 to 1 over the test."""
+    """Return the settlement of the base, exponential in time, from 0 to 1 over the test."""
     return np.expm1(-2 * test.elapsed_fraction) / np.expm1(-2.0)
 
 
 def _evaluate_eccentricity_error(test: Conditions) -> Array:
-    """Return the angle error of an eccentrically mounted divided circle, relative to its amplitude."""
+    """Return the angle error of an eccentric divided circle, arcsec: the amplitude is √2″, the phase π/4."""
     eccentricity = np.sqrt(2) * ARCSEC
     angle = test.angle + np.pi / 4
     return np.arctan2(eccentricity * np.sin(angle), 1 + eccentricity * np.cos(angle)) / ARCSEC
@@ -101,7 +101,7 @@ def _ones(test: Conditions) -> Array:
 def _make_random(
     name: str, group: str, factor: Callable[[Conditions], Array] = _ones
 ) -> Callable[[Conditions], Array]:
-    """Return a law with a standard normal deviate for each cell or run, multiplied by `factor`."""
+    """Return a law: standard normal deviate of `name` in each cell or run (`group`) times `factor`."""
 
     def curve(test: Conditions) -> Array:
         deviates = test.cell_deviates if group == "cell" else test.run_deviates
@@ -136,7 +136,7 @@ _LAWS = {
     ),
     "bias.supply": Law("bias", "ug", _overvoltage),
     "bias.temperature_x_supply": Law("bias", "ug", lambda test: _change(test) * _overvoltage(test)),
-    "bias.hysteresis": Law("bias", "ug", lambda test: test.direction),
+    "bias.hysteresis": Law("bias", "ug", lambda test: test.hysteresis),
     "fixture_tilt.temperature": Law("fixture_tilt", "urad", _evaluate_expansion),
     "fixture_tilt.run": Law("fixture_tilt", "urad", _make_random("fixture_tilt", "run")),
     "fixture_tilt.run_temperature": Law(
@@ -190,12 +190,12 @@ def simulate_arrays(
     """Simulate a test with hidden effects.
 
     The same seed gives the same noise, temperatures and random deviations for any effects, so that two simulations
-    differ by the effects alone. Each contribution is a tuple of (slot, array (n, m) in the slot's unit).
+    differ by the effects alone. Each contribution is a tuple of pairs (slot, array (n, m) in the slot's unit).
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, which all have this value (see
-            the module's docstring for base tilt and tide). Baseline effects have the sizes of `campaign.truth`
-            unless given here.
+        effects: canonical name → true size, in the unit of the effect's coefficients, which all have this size (base
+            tilt and tide: see the module's docstring). Baseline effects have the sizes in `campaign.truth` unless
+            given here.
         seed: seed of the random-number generator.
         campaign: plan of the test.
 
@@ -232,7 +232,7 @@ simulate_columns = simulated.column_simulator(simulate_arrays)
 
 
 def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:
-    """Return the noise-free output at each instant, µg, (n, m)."""
+    """Return the noise-free output at each instant, µg, (n, m); `contributions`: see `simulate_arrays`."""
     slots: dict[str, Array] = {}
     for name in contributions:
         for slot, contribution in contributions[name]:
@@ -254,7 +254,7 @@ def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array
 
 
 def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple[Array, Array]:
-    """Compute the specific force along the input axis, µg, and the table's normal, g, by successive rotations.
+    """Compute the specific force along the input axis, µg, and along the table's normal, g, by successive rotations.
 
     The vertical (0, 0, 1) is rotated into the frame of the face by the tilt about e0 and the base tilt about e90; the
     input axis is tilted by the fixture and then rotated with the table.

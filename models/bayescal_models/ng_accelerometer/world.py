@@ -36,7 +36,7 @@ MOVE_DURATION_S = 60.0  # s, time to rotate to a position and come to rest
 
 
 class Conditions:
-    """Conditions that effects depend on: a row per reading, a column per instant of the reading's averaging time.
+    """True conditions of a test: one row per reading, one column per instant within the reading's averaging time.
 
     Attributes:
         plan: plan of the test.
@@ -48,10 +48,10 @@ class Conditions:
         device, element, fixture, base: temperatures, °C.
         temperature_rate: temperature rate of the device, °C/h.
         laboratory, foundation: temperature of the laboratory, and of the foundation that follows it, °C.
-        direction: state of the hysteresis, −1 … 1.
-        warm_up_deficit: fraction of the self-heating not yet reached, 1 at power-on.
+        hysteresis: state of the hysteresis, −1 … 1.
+        warm_up_deficit: remaining fraction of the warm-up, 1 at power-on.
         supply: supply voltage, V.
-        tide: tilts ∥ (towards east) and ⊥ (towards north), each relative to its monthly peak.
+        tide: tidal tilts ∥ (towards east) and ⊥ (towards north), each relative to its monthly peak.
         cell_deviates, run_deviates: quantity → standard normal deviates (n, 1), constant within a cell or run.
     """
 
@@ -93,7 +93,7 @@ class Conditions:
         self.fixture = low_pass(air, FIXTURE_TAU_S)[index]
         self.base = low_pass(air, BASE_TAU_S)[index]
         self.temperature_rate = (np.gradient(device) * HOUR / STEP_S)[index]
-        self.direction = _integrate(grid, low_pass(mean_air, DEVICE_TAU_S), schedule.power)[index]
+        self.hysteresis = _integrate(grid, low_pass(mean_air, DEVICE_TAU_S), schedule.power)[index]
         noise = correlated_noise(generators["laboratory"], grid.size, LAB_NOISE_TAU_S, STEP_S)
         daily_course = plan.laboratory_daily * np.cos(2 * np.pi * (TEST_START_DAY + grid / DAY_S))
         laboratory = plan.laboratory + plan.laboratory_wander * noise - daily_course
@@ -143,7 +143,7 @@ class _Schedule:
 
 
 def _integrate(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
-    """Integrate the hysteresis of a joint with friction: dh = (sign(dT) − h)·|dT|/`REVERSAL_DEGC`.
+    """Return the hysteresis h of a joint with friction, dh = (sign(dT) − h)·|dT|/`REVERSAL_DEGC`, at grid times, s.
 
     It decays while the power is off. `temperature` has no chamber noise, which is too small to move a joint.
     """

@@ -43,7 +43,7 @@ CONSTANT_SDS = {"bias": 2e4, "scale": 5e3}
 
 
 def model(columns, acceleration, output=None) -> None:
-    """Define the NumPyro model: columns (n, 15) ordered as `PRIOR_SDS`, acceleration µg (n,); output µg or None."""
+    """Define the NumPyro model: columns (n, 15) in the order of `PRIOR_SDS`; acceleration, output (n,), µg, or None."""
 
     def sample_polynomial(slot: str) -> Any:
         total = 0.0
@@ -62,19 +62,17 @@ def model(columns, acceleration, output=None) -> None:
 
 def model_arguments(readings: bc.Measurements) -> dict[str, Any]:
     """Return the arguments of `model` for these readings."""
-    raw = [readings[f"temperature_{place}"] for place in ("circuit", "head")]
-    T0 = np.round(raw[1].mean())
-    (t1, t2), (rate1, rate2) = (t - T0 for t in raw), (_rate(readings, t) for t in raw)
+    temperatures = [readings[f"temperature_{place}"] for place in ("circuit", "head")]
+    T0 = np.round(temperatures[1].mean())
+    t1, t2 = (t - T0 for t in temperatures)
+    rate1, rate2 = (_compute_rate(readings, t) for t in temperatures)
     ones, d = np.ones_like(t1), t1 - t2
     columns = (ones, ones, d, d**2, t1, t1**2, t1**3, t2, t2**2, t2**3, d**3, rate1, rate2)
-    return {
-        "columns": np.stack([*columns, t2 * rate2, t2 * d], axis=1),
-        "acceleration": readings["acceleration"],
-        "output": readings["output"],
-    }
+    basis = np.stack([*columns, t2 * rate2, t2 * d], axis=1)
+    return {"columns": basis} | {name: readings[name] for name in ("acceleration", "output")}
 
 
-def _rate(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
+def _compute_rate(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
     """Return the rate of change since the previous reading of the run, per minute; 0 at the first reading."""
     time, run = readings["time"], readings.groups("run")[1]
     order = np.lexsort((time, run))

@@ -1,4 +1,4 @@
-"""Plan of a test: soaked four-position tumbles, and continuous ramps at several attitudes.
+"""Plan of a test: four-position tumbles after soaks, and continuous temperature ramps at several attitudes.
 
     Campaign()                                    # both kinds, −40 … +70 °C
     Campaign(attitudes=())                        # soaked points only
@@ -29,8 +29,8 @@ class Campaign:
     """Plan of a test and properties of the simulated device. The defaults give 563 readings in five runs.
 
     Every run begins with power-on at room temperature, after a pause without power. A tumble run has one reading
-    at power-on, which dates it, then a soak at each temperature and readings in four positions. A ramp run has
-    one attitude, readings at a constant interval, and temperatures room → coldest → hottest → room.
+    at power-on, which records its time, then a soak at each temperature and readings in four positions. A ramp run
+    has one attitude, readings at a constant interval, and temperatures room → coldest → hottest → room.
 
     Attributes:
         temperatures: soak temperatures in the order of the first run, °C; ramps span them.
@@ -48,8 +48,8 @@ class Campaign:
             is the true model unless effects are hidden; "beams": two beams with lags and different temperature
             coefficients, and a circuit, whose errors are no polynomials.
         noise: standard deviation of the white noise of a reading, µg.
-        noise_law: "white", or "ornstein_uhlenbeck": white plus correlated noise of the same size, time constant 300 s.
-        thermometer_noise: standard deviation of the white error of both thermometers, °C.
+        noise_law: "white", or "ornstein_uhlenbeck": plus correlated noise of equal variance and time constant 300 s.
+        thermometer_noise: standard deviation of the white error of each thermometer, °C.
         frequency_sum: whether the sum of both beams' frequencies is recorded, Hz.
         T0: reference temperature of all simulated effects, °C.
 

@@ -4,8 +4,8 @@ Measurement equation, a the known input in local g, Kn the nominal scale factor,
 
     f = Kn·[ b + (1 + κ)·a + K2·a² ]
 
-The output is the difference of the two beams' frequencies in Hz; it becomes µg by Kn = 100 Hz/g (assumed; another with
-a nominal scale of your own). Thermometers: t1 at the drive circuit, t2 in the head; δt = t1 − t2.
+The output is the difference of the two beams' frequencies in Hz; it becomes µg by Kn = 100 Hz/g (assumed; state a
+nominal scale to replace it). Thermometers: t1 at the drive circuit, t2 in the head; δt = t1 − t2.
 
 Both b and κ are, after source 2, sums of 15 columns (its `b_com = b0 − [ … ]`, here the bracket itself):
 
@@ -70,7 +70,7 @@ def gradient(r: bc.Frame) -> Any:
 
 
 def _evaluate_indicated_temperature(r: bc.Frame) -> Any:
-    """Return the temperature change that the frequency sum indicates, °C."""
+    """Return the temperature change that the frequency sum indicates, °C, (n,)."""
     return (r["frequency_sum"] - FREQUENCY_SUM_HZ) / FREQUENCY_TEMPCO
 
 
@@ -91,7 +91,7 @@ def _multiply_gradient(quantity: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
 
 
 def _evaluate_backlash(r: bc.Frame) -> Any:
-    """Return the play (backlash) operator (t2 − centre)/`PLAY_DEGC`, −1 … 1, reset at the start of each run."""
+    """Return the play (backlash) operator (t2 − s)/`PLAY_DEGC`, −1 … 1, (n,); s = t2 at the start of each run."""
     temperature = r["temperature_head"][r.order]
     is_run_start = r.step < 0
 
@@ -111,9 +111,9 @@ Factories = dict[str, Factory]
 
 
 def _make_pair(basis: Callable[..., Any], equation: str, *columns: str, **fields: Any) -> Factories:
-    """Return the factories of one effect on bias and scale factor, by slot; the latter needs an acceleration."""
-    required = {"bias": columns, "scale": (*columns, "acceleration")}
-    return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in required.items()}
+    """Return the factories of an effect on bias and on scale factor, by slot; the latter needs an acceleration."""
+    names = {"bias": columns, "scale": (*columns, "acceleration")}
+    return {s: effect(basis, equation, *n, **{"along": "", **fields}) for s, n in names.items()}
 
 
 def _make_circuit_power(n: int) -> Factories:
@@ -259,7 +259,7 @@ EFFECTS = EffectTable.from_rows(
 
 
 def _build_model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
-    """Add effects, given by cause or row, on both bias and scale factor to a base model (default: no effects)."""
+    """Return a base model (default: no effects) plus effects on bias and scale factor, given by cause or table row."""
     names = [cause if isinstance(cause, str) else cause[0] for cause in causes]
     model = base or bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
     for slot in ("bias", "scale"):
@@ -268,17 +268,17 @@ def _build_model(*causes: Any, base: bc.Model | None = None) -> bc.Model:
 
 
 def of_circuit(order: int) -> bc.Model:
-    """Return the model with bias and scale factor as polynomials of the circuit's temperature t1 (source 2)."""
+    """Return the model with polynomials of t1 for bias and scale factor: the first earlier method in source 2."""
     return _build_model("constant_circuit", *CIRCUIT_ROWS[:order])
 
 
 def with_rate() -> bc.Model:
-    """Return the model with a cubic in t1, dt1/dt and t1·dt1/dt: the second earlier method in source 2."""
+    """Return the model with a cubic in t1 and terms dt1/dt and t1·dt1/dt: the second earlier method in source 2."""
     return _build_model("rate_circuit", "temperature_x_rate_circuit", base=of_circuit(3))
 
 
 def of_frequency_sum(order: int = 3) -> bc.Model:
-    """Return the model with polynomials of the frequency sum's temperature: the third earlier method in source 2."""
+    """Return the model with polynomials of the frequency sum, in °C: the third earlier method in source 2."""
     return _build_model("constant_head", *SUM_ROWS[:order])
 
 
@@ -286,7 +286,7 @@ def two_thermometers(crossed_by: str = "head") -> bc.Model:
     """Return the model of source 2: 15 columns of rank 12 for each of bias and scale factor.
 
     Args:
-        crossed_by: thermometer of t in the products t·dt/dt and t·δt, "head" or "circuit".
+        crossed_by: thermometer of t in the products t·dt/dt and t·δt: "head" or "circuit".
     """
     products = PRODUCT_ROWS if crossed_by == "head" else CIRCUIT_PRODUCTS
     circuit_causes = ("constant_circuit", *CIRCUIT_ROWS[:3])

@@ -35,7 +35,7 @@ LAG_MISMATCH = 0.005  # relative difference of the two beams' lags
 KELVIN_OFFSET = 273.15
 EINSTEIN_TEMPERATURE_K = 400.0  # K, of the oscillators in the circuit's quadratic law; assumed
 LEAKAGE_SCALE_DEGC = 80.0  # °C, temperature rise that multiplies leakage currents by e; assumed
-STIFFENING_DEGC = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
+BOWING_DEGC = 60.0  # °C, gradient at which a bowed plate stiffens; assumed
 NOISE_TAU_S, LAG_TAU_S = 300.0, 600.0  # s, of correlated noise and of the hidden lag
 RANDOM_STREAMS = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
@@ -56,7 +56,7 @@ CUBIC: Mapping[str, float] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Truth:
-    """True values at each reading (n,): bias, µg; scale factor deviation, ppm; sum of the beams' frequencies, Hz."""
+    """True values at readings, (n,) each: bias, µg; scale factor deviation, ppm; sum of the beams' frequencies, Hz."""
 
     bias: Array
     scale: Array
@@ -64,11 +64,11 @@ class Truth:
 
 
 def compute_device_truth(test: Conditions, coefficients: Mapping[str, float]) -> Truth:
-    """Return the true bias, scale factor and frequency sum of the device in a test.
+    """Return the true bias, scale factor and frequency sum of the device without hidden effects.
 
     Args:
         test: conditions of the test.
-        coefficients: coefficients of the cubic device; not used for "beams".
+        coefficients: coefficients of the device "cubic" by name, as in `CUBIC`; not used for "beams".
     """
     if test.plan.device == "beams":
         return _compute_beam_truth(test)
@@ -82,7 +82,7 @@ def compute_device_truth(test: Conditions, coefficients: Mapping[str, float]) ->
 
 
 def _compute_frequency(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
-    """Return the relative frequency change of a beam for a temperature change, °C."""
+    """Return a beam's relative frequency change by a temperature change, °C; coefficients per °C, °C² and °C³."""
     return change * (tempco + change * (curvature + change * cubic))
 
 
@@ -101,15 +101,15 @@ def _compute_beam_truth(test: Conditions) -> Truth:
     terms = (BEAM_TEMPCO, -0.02e-6, 0.0)
     f_pulled = _compute_frequency(first, *(c + u for c, u in zip(terms, differences, strict=True)))
     f_pushed = _compute_frequency(second, *terms)
-    delta = test.delta
-    stress = 10.0 * delta * (1 + 0.01 * (test.head - test.plan.T0))
+    gradient = test.gradient
+    stress = 10.0 * gradient * (1 + 0.01 * (test.head - test.plan.T0))
     phase = 4.0 * (test.circuit - test.plan.T0)
     joint = 20.0 * np.tanh((beam - 50.0) / 20.0)
     bias = 2500.0 + BEAM_FREQUENCY_HZ * (f_pulled - f_pushed) / hz_per_ug + stress + phase + joint
     scale = (
         800.0
         + first * (6.0 + first * (0.04 + first * 0.0003))
-        + delta * (1.0 + 0.01 * first)
+        + gradient * (1.0 + 0.01 * first)
         - 0.2 * (test.circuit - test.plan.T0)  # by the frequency counter's clock
     )
     frequencies = _sum_frequencies(first, second)
@@ -140,18 +140,20 @@ LAWS: Mapping[str, Callable[[Conditions], Array]] = MappingProxyType(
         "temperature_circuit_quadratic": _evaluate_einstein_energy,
         "temperature_circuit_cubic": _evaluate_leakage_difference,
         # strain of the mount by heat flow from circuit to head
-        "gradient": lambda test: test.delta,
+        "gradient": lambda test: test.gradient,
         # bowing of a plate with a temperature gradient of either sign, which stiffens
         "gradient_quadratic": lambda test: (
-            2.0 * STIFFENING_DEGC**2 * (np.sqrt(1.0 + (test.delta / STIFFENING_DEGC) ** 2) - 1.0)
+            2.0 * BOWING_DEGC**2 * (np.sqrt(1.0 + (test.gradient / BOWING_DEGC) ** 2) - 1.0)
         ),
-        "gradient_cubic": lambda test: test.delta**3 / (1.0 + (test.delta / STIFFENING_DEGC) ** 2),
+        "gradient_cubic": lambda test: (
+            test.gradient**3 / (1.0 + (test.gradient / BOWING_DEGC) ** 2)
+        ),
         # strain of the circuit board by the heat flow into it: true temperature rate, °C/min
         "rate_circuit": lambda test: test.circuit_rate,
         "rate_head": lambda test: test.head_rate,
         # strain by heat flow, with a mismatch of thermal expansion that grows with temperature
         "temperature_x_rate": lambda test: (test.head - test.plan.T0) * test.head_rate,
-        "temperature_x_gradient": lambda test: (test.head - test.plan.T0) * test.delta,
+        "temperature_x_gradient": lambda test: (test.head - test.plan.T0) * test.gradient,
         "thermal_lag": lambda test: test.low_pass(test.head, LAG_TAU_S) - test.head,
         "hysteresis": lambda test: simulated.compute_stick_slip_strain(test.head),
         "warm_up": lambda test: 1.0 - test.warm_up_fraction,
@@ -181,7 +183,7 @@ RANDOM: Mapping[str, Callable[[Conditions, Mapping[str, Array]], Array]] = Mappi
         ),
     }
 )
-"""Laws of random effects: standard normal deviate of each reading's run or cell, by name without the slot."""
+"""Laws of random effects: a standard normal deviate for each run or cell, by name without the slot."""
 
 
 def simulate_columns(
@@ -192,11 +194,11 @@ def simulate_columns(
     The same seed gives the same noise and turn-on offsets for any effects.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient; for random effects (`*.run`,
-            `*.cell`) the standard deviation. The coefficients of bias and scale factor, cubic polynomials of the
-            head temperature about `campaign.T0`, can be replaced by name.
+        effects: canonical name → true size, in the unit of the effect's coefficient; of random effects (`*.run`,
+            `*.cell`) the standard deviation. For the device "cubic", names in `CUBIC` replace the coefficients of
+            the polynomials of bias and scale factor in the head's temperature minus `campaign.T0`.
         seed: seed of the random-number generator.
-        campaign: plan of the test.
+        campaign: plan of the test; None: `Campaign()`.
 
     Raises:
         ValueError: an unknown effect, or a size that is not a finite number.
@@ -228,7 +230,7 @@ def simulate_columns(
 def true_values(
     campaign: Campaign, effects: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> Truth:
-    """Return the true bias, scale factor and frequency sum at the readings that `simulate` returns."""
+    """Return the true bias, scale factor and frequency sum at the readings that `simulate` returns; same arguments."""
     return _truth(Conditions(campaign), dict(effects or {}), seed)[1]
 
 
@@ -259,7 +261,7 @@ def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> di
 
 
 def _draw_noise(test: Conditions, generators: Mapping[str, np.random.Generator]) -> Array:
-    """Draw the noise of each reading, µg."""
+    """Draw the noise of each reading, µg, (n,)."""
     white_noise = test.plan.noise * generators["noise"].standard_normal(test.run.size)
     if test.plan.noise_law == "white":
         return white_noise

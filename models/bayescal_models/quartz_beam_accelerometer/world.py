@@ -17,19 +17,20 @@ from bayescal_models.simulated import SUPPLY_V, TimeGrid
 CIRCUIT_TAU_S, HEAD_TAU_S = 300.0, 720.0  # s, thermal time constants τ_c, τ_h
 POSITION_INTERVAL_S = 180.0  # s, time per position of a tumble
 ROOM_TEMPERATURE_DEGC = 25.0  # °C, at power-on
-COUPLING = 0.15  # thermal coupling of the head to the circuit; the remainder is to air
-SELF_HEATING = 4.0  # °C, final temperature rise of the powered circuit
+COUPLING = 0.15  # k, thermal coupling of the head to the circuit; to air it is 1 − k
+SELF_HEATING = 4.0  # °C, h, final temperature rise of the powered circuit
 WARM_UP_S = 900.0  # s, time constant of the warm-up
 
 
 class Conditions(TimeGrid):
-    """Conditions of a test at simulation steps (m,), and at the readings (n,).
+    """True conditions of a test, at simulation steps (m,) and, from `run` on, at readings (n,).
 
     Attributes:
         plan: plan of the test.
-        circuit, head: temperatures, °C; `delta`: circuit minus head.
-        circuit_rate, head_rate: true temperature rates, °C/min.
-        supply: supply voltage, V; nominal unless replaced by a varying one.
+        circuit, head: temperatures of circuit and head, °C.
+        gradient: temperature of the circuit minus that of the head, °C.
+        circuit_rate, head_rate: temperature rates of circuit and head, °C/min.
+        supply: supply voltage, V; nominal until the simulator replaces it.
         warm_up_fraction: completed fraction of the warm-up, 0 at power-on … 1.
         run: run index of each reading, from 0.
         point: soak temperature of each reading, °C, NaN on ramps.
@@ -41,7 +42,7 @@ class Conditions(TimeGrid):
 
     def __init__(self, plan: Campaign) -> None:
         self.plan, schedule = plan, _Schedule(plan)
-        self.time = STEP_S * np.arange(int(np.ceil(schedule.now / STEP_S)) + 1, dtype=np.float64)
+        self.time = STEP_S * np.arange(int(np.ceil(schedule.clock / STEP_S)) + 1, dtype=np.float64)
         knots, set_points = np.array(schedule.knots).T
         air = self.low_pass(np.interp(self.time, knots, set_points), plan.air_time)
         powered = np.zeros(self.time.size)
@@ -51,7 +52,7 @@ class Conditions(TimeGrid):
         self.circuit = self.low_pass(circuit_drive, CIRCUIT_TAU_S, start=air[0])
         head_drive = (1 - COUPLING) * air + COUPLING * self.circuit
         self.head = self.low_pass(head_drive, HEAD_TAU_S)
-        self.delta = self.circuit - self.head
+        self.gradient = self.circuit - self.head
         self.circuit_rate = 60.0 * (circuit_drive - self.circuit) / CIRCUIT_TAU_S
         self.head_rate = 60.0 * (head_drive - self.head) / HEAD_TAU_S
         self.supply = np.full(self.time.size, SUPPLY_V)
@@ -71,7 +72,7 @@ class _Schedule:
     """Schedule of a campaign, times in s: `knots` (time, set point °C), `power` (on, off), and `readings`."""
 
     def __init__(self, plan: Campaign) -> None:
-        self.plan, self.now, self.set_point = plan, 0.0, ROOM_TEMPERATURE_DEGC
+        self.plan, self.clock, self.set_point = plan, 0.0, ROOM_TEMPERATURE_DEGC
         self.knots: list[tuple[float, float]] = [(0.0, ROOM_TEMPERATURE_DEGC)]
         self.power: list[tuple[float, float]] = []
         self.readings: list[tuple[float, int, float, float]] = []  # end, run, point, acceleration
@@ -85,39 +86,39 @@ class _Schedule:
                 run += 1
 
     def _wait(self, seconds: float) -> None:
-        self.now += seconds
-        self.knots.append((self.now, self.set_point))
+        self.clock += seconds
+        self.knots.append((self.clock, self.set_point))
 
     def _ramp_to(self, target: float, rate: float) -> None:
         """Ramp the set point to `target`, °C, at `rate`, °C/min."""
-        self.now += 60.0 * abs(target - self.set_point) / rate
+        self.clock += 60.0 * abs(target - self.set_point) / rate
         self.set_point = target
-        self.knots.append((self.now, self.set_point))
+        self.knots.append((self.clock, self.set_point))
 
     def _add_tumble(self, run: int, temperatures: tuple[float, ...]) -> None:
-        power_on = self.now
+        power_on = self.clock
         self._wait(self.plan.average)
-        self.readings.append((self.now, run, np.nan, TUMBLE_G[0]))
+        self.readings.append((self.clock, run, np.nan, TUMBLE_G[0]))
         for temperature in temperatures:
             self._ramp_to(temperature, self.plan.chamber_speed)
             self._wait(self.plan.soak)
             for acceleration in TUMBLE_G:
                 self._wait(POSITION_INTERVAL_S)
-                self.readings.append((self.now, run, temperature, acceleration))
+                self.readings.append((self.clock, run, temperature, acceleration))
         self._switch_off(power_on)
 
     def _add_ramp(self, run: int, attitude: float, rate: float) -> None:
-        plan, power_on = self.plan, self.now
+        plan, power_on = self.plan, self.clock
         self._wait(plan.hold)
         for target in (min(plan.temperatures), max(plan.temperatures)):
             self._ramp_to(target, rate)
             self._wait(plan.hold)
         self._ramp_to(ROOM_TEMPERATURE_DEGC, rate)
-        for end in np.arange(power_on + plan.interval, self.now + 1e-6, plan.interval):
-            self.readings.append((float(end), run, np.nan, attitude))
+        for end_time in np.arange(power_on + plan.interval, self.clock + 1e-6, plan.interval):
+            self.readings.append((float(end_time), run, np.nan, attitude))
         self._switch_off(power_on)
 
     def _switch_off(self, power_on: float) -> None:
-        self.power.append((power_on, self.now))
+        self.power.append((power_on, self.clock))
         self._ramp_to(ROOM_TEMPERATURE_DEGC, self.plan.chamber_speed)
         self._wait(self.plan.pause)

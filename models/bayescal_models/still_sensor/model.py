@@ -64,19 +64,19 @@ def instrument(
 
     Args:
         unit: unit of the output, such as "ug", "deg/s" or "V".
-        size: plausible change of the output over the record, in `unit`.
+        size: plausible size of the output's change over the record, in `unit`.
         constant: prior standard deviation of the output's constant, in `unit`; by default 10·size.
         span: half the temperature range, °C; 0 if it is constant or was not recorded.
         pace: plausible temperature rate, °C/min.
 
     Raises:
-        InputError: a size is not positive, or the unit is unknown.
+        InputError: a size is not positive and finite, or the unit is unknown.
     """
     constant = 10 * size if constant is None else constant
     settings = {"size": size, "constant": constant, "span": span, "pace": pace}
     for name, value in settings.items():
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
-            raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
+            raise bc.InputError(f"still_sensor({name}={value}): give a positive, finite number")
     line, *candidates = catalogue.make_common_effects(
         "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=SIZE_SOURCE
     )
@@ -108,7 +108,7 @@ def tailor_to_readings(readings: bc.Measurements, **settings: Any) -> bc.Instrum
 
     Args:
         readings: readings of any channel.
-        settings: settings of `instrument` that replace estimates.
+        settings: arguments of `instrument` that replace estimates.
 
     Raises:
         InputError: the output does not change, or its square overflows, so that no size can be estimated.
@@ -136,15 +136,15 @@ def tailor_to_readings(readings: bc.Measurements, **settings: Any) -> bc.Instrum
 
 
 def _compute_mean_temperature_rate(readings: bc.Measurements) -> float:
-    """Return the mean absolute temperature change from minute to minute within runs, °C/min."""
+    """Return the mean absolute temperature change from minute to minute within runs, °C/min; 1 if there is none."""
     _, codes = readings.groups("run")
-    total_change, minutes = 0.0, 0
+    total_change, minute_count = 0.0, 0
     for run in np.unique(codes):
         time, temperature = readings["time"][codes == run], readings["temperature"][codes == run]
         grid = np.arange(time[0], time[-1], MINUTE)
         total_change += float(np.abs(np.diff(np.interp(grid, time, temperature))).sum())
-        minutes += max(grid.size - 1, 0)
-    return total_change / minutes if total_change > 0 else 1.0
+        minute_count += max(grid.size - 1, 0)
+    return total_change / minute_count if total_change > 0 else 1.0
 
 
 INSTRUMENT = replace(instrument(), columns=COLUMNS, tailor=tailor_to_readings, settings=())

@@ -1,4 +1,4 @@
-"""Reference problem of the sensor at rest: a record on temperature ramps (see `bayescal_models`)."""
+"""Reference problem (see `bayescal_models`) of the sensor at rest: a record on temperature ramps."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Conditions:
         run_time: time since the start of a run, s, (m,).
         ambient: air temperature T, °C, (m,), the same in every run.
         departure: T − T0, °C, (m,), with T0 the mean of T rounded to 1 °C.
-        start: start time of each run, s, (runs, 1).
+        run_starts: start time of each run, s, (runs, 1).
         run_deviates: standard normal deviate of each run, (runs, 1).
         supply: supply voltage, V, (runs, m).
     """
@@ -48,9 +48,11 @@ class Conditions:
         self.run_time = np.arange(60.0 * minutes[-1] + 1)
         self.ambient = self.low_pass(np.interp(self.run_time, 60 * minutes, targets), CHAMBER_TAU_S)
         self.departure = self.ambient - round(float(self.ambient.mean()))
-        self.start = np.arange(len(run_deviates))[:, None] * (self.run_time[-1] + PAUSE_S)
+        self.run_starts = np.arange(len(run_deviates))[:, None] * (self.run_time[-1] + PAUSE_S)
         self.run_deviates = run_deviates[:, None]
-        self.supply = simulate_supply(np.random.default_rng([seed, 1]), self.start + self.run_time)
+        self.supply = simulate_supply(
+            np.random.default_rng([seed, 1]), self.run_starts + self.run_time
+        )
 
     def low_pass(self, drive: np.ndarray, time_constant: float) -> np.ndarray:
         return apply_low_pass(drive, time_constant, 1.0)
@@ -68,7 +70,7 @@ class Conditions:
     @property
     def progress(self) -> np.ndarray:
         """Return the normalised time (t − t̄)/(tmax − tmin) of all runs, (runs, m)."""
-        elapsed = self.start + self.run_time
+        elapsed = self.run_starts + self.run_time
         return (elapsed - elapsed.mean()) / np.ptp(elapsed)
 
 
@@ -104,7 +106,7 @@ def simulate_columns(
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficient. Baseline effects have the
-            sizes 2000 and 40 per °C unless given here.
+            sizes in `BASELINE` unless given here.
         seed: seed of the random-number generators.
         unit: unit of the output, of sizes and of the noise (20).
         runs: number of repetitions of the ramps, an hour apart.
@@ -112,7 +114,7 @@ def simulate_columns(
         noise_law: "white", or "ornstein_uhlenbeck": white plus correlated noise, time constant 300 s.
 
     Raises:
-        ValueError: an unknown effect or noise law.
+        ValueError: an unknown effect or noise law, or a size that is not finite.
     """
     sizes = {**BASELINE, **(effects or {})}
     validate_effects(sizes, _LAWS, "a sensor at rest")
@@ -130,7 +132,7 @@ def simulate_columns(
     count = test.run_time[log_slice].size
     columns = {
         "run": np.repeat(np.arange(1, runs + 1), count).astype(str),
-        "time": (test.start + test.run_time)[:, log_slice].ravel(),
+        "time": (test.run_starts + test.run_time)[:, log_slice].ravel(),
         "temperature": np.tile(test.ambient[log_slice], runs),
         f"output [{unit}]": (signal + noise)[:, log_slice].ravel(),
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from bayescal_models.simulated import validate_options
 
 POSE_KINDS = ("random", "six", "twelve", "planar", "level")  # of directions
-# Two sessions at several temperatures in known directions.
+# Options of a plan of two sessions at several temperatures.
 TWO_SESSIONS = {"poses": 14, "temperatures": (-20.0, 0.0, 25.0, 50.0, 70.0), "runs": 2}
 
 

@@ -1,4 +1,4 @@
-"""Column declarations of three-axis instruments: session, three components, and readings computed from outputs."""
+"""Column declarations of three-axis instruments: sessions, components, and readings computed from the outputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def triple(
         unit: unit of the three columns.
         description: description, with `{axis}` for the axis.
         aliases: other column names in files, with `{axis}` for the axis.
-        options: options of `bc.Column`.
+        options: further options of `bc.Column`.
     """
     return tuple(
         bc.Column(
@@ -44,7 +44,7 @@ def triple(
 
 
 def derived_columns(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...]:
-    """Declare the columns of readings computed from three outputs, with these descriptions."""
+    """Declare the columns of readings computed from three outputs; `across`, `axis`, `output`: their descriptions."""
     return (
         *triple("across", "1", across, required=False),
         bc.Column("axis", None, axis, required=False),

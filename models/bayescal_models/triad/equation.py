@@ -27,7 +27,7 @@ CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
 def make_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
-    """Return the bias, scale factor and misalignment slots of three axes; `unit` is that of the outputs."""
+    """Return the bias, scale factor and misalignment slots of three axes; `unit`: of the outputs."""
     return (
         *(bc.Slot(name, unit, f"output of axis {name[-1]} at zero {input_name}") for name in BIAS),
         *(bc.Slot(name, "1", f"scale factor deviation of axis {name[-1]}") for name in SCALE),
@@ -39,7 +39,7 @@ def make_slots(unit: str, input_name: str) -> tuple[bc.Slot, ...]:
 
 
 def make_higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
-    """Return the slots of second- and third-order terms; `unit` is that of the input and outputs."""
+    """Return the slots of the second- and third-order terms of three axes; `unit`: of input and outputs."""
     return (
         *(
             bc.Slot(name, f"1/{unit}", f"second-order coefficient of axis {name[-1]}")
@@ -57,7 +57,7 @@ def make_higher_order_slots(unit: str) -> tuple[bc.Slot, ...]:
 
 
 def build_equation(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
-    """Return the function from inputs (n, 3) to outputs (n, 3), in the output unit, at given values of the slots."""
+    """Return the function from inputs (n, 3) to outputs (n, 3), both in the output unit, at values of the slots."""
 
     def stack_slots(names: Sequence[str]) -> Any:
         return xp.stack([values[name] for name in names], axis=-1).reshape(r.size, 3, -1)

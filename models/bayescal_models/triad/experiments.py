@@ -24,15 +24,15 @@ def _plan_columns(count: int, temperatures: tuple[float, ...]) -> dict[str, Any]
 
 
 def poses(magnitude: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Return the columns of one pose in each of `DIRECTIONS` at each temperature, with an input of this magnitude."""
+    """Return the columns of a pose in each of `DIRECTIONS` at each temperature, °C, with an input of this magnitude."""
     columns = _plan_columns(len(DIRECTIONS), temperatures) | {"magnitude": magnitude}
-    units = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None]
-    outputs = np.tile(magnitude * units, (len(temperatures), 1))
+    unit_vectors = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1)[:, None]
+    outputs = np.tile(magnitude * unit_vectors, (len(temperatures), 1))
     return columns | {f"output_{a}": outputs[:, i] for i, a in enumerate("xyz")}
 
 
 def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
-    """Return the columns of rotation at ±`rate`, °/s, with each axis up and down, at each temperature."""
+    """Return the columns of rotations at ±`rate`, °/s, with each axis up and down, at each temperature, °C."""
     axis = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 2, axis=0)
     columns = _plan_columns(len(axis), temperatures)
     axis = np.tile(axis, (len(temperatures), 1))
@@ -44,7 +44,7 @@ def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
 
 
 def list_pose_experiments(magnitude: float) -> tuple[tuple[str, Any], ...]:
-    """Return (description, columns) of the pose experiments, with inputs of this magnitude."""
+    """Return (description, function that returns the columns) of experiments in poses; `magnitude`: of the input."""
     return (
         ("26 directions at 25 °C", partial(poses, magnitude, (25.0,))),
         ("26 directions at −20, 25 and 70 °C", partial(poses, magnitude, SOAK_DEGC)),

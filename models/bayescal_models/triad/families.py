@@ -1,6 +1,6 @@
 """Effects on several slots of a triad, with one coefficient for each axis or pair of axes.
 
-They are effects of the catalogue; a thermal lag has one time constant for all slots (dies lag behind the thermometer).
+Factories as in `catalogue`. A thermal lag has one time constant for all slots: the dies lag behind the thermometer.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def _evaluate_lag_columns(count: int, r: bc.Frame, tau: Any) -> Any:
 
 def explain_unknown_rotation(readings: bc.Measurements) -> str | None:
     """Return why readings do not identify a rotation of the triad in its body; None if they do."""
-    text = "needs poses of known direction (direction_x, …, pose_uncertainty)"
-    return None if readings.has("across_x") else text
+    reason = "needs poses of known direction (columns direction_x, …, pose_uncertainty)"
+    return None if readings.has("across_x") else reason
 
 
 def triad_rotation(slots: Sequence[str]) -> Factory:

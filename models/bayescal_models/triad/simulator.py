@@ -40,10 +40,10 @@ def expand_sizes(
     """Return the true coefficients of every effect, by canonical name; those of absent effects are zero.
 
     Args:
-        effects: canonical name → size, multiplied by `FACTORS` for the coefficients; or one size per coefficient.
+        effects: canonical name → size: a number, which `FACTORS` scales for each coefficient, or one per coefficient.
         counts: number of coefficients of each effect.
         baseline: coefficients of baseline effects, replaced by those in `effects`.
-        names: effects that the simulator accepts; None: all of `counts`.
+        names: names of the effects that the simulator accepts; None: all of `counts`.
 
     Raises:
         ValueError: an unknown effect, or a size that is not a finite number.
@@ -74,10 +74,10 @@ def axis_bias(
     lag: np.ndarray,
     run_deviates: np.ndarray,
 ) -> np.ndarray:
-    """Return the bias of each axis at each reading, (n, 3), in the unit of its effects.
+    """Return the bias of each axis at each reading, (n, 3), in the unit of `bias.constant`.
 
     Args:
-        sizes: effect name → true coefficient on each axis (3,).
+        sizes: effect name → true coefficient of each axis, (3,).
         temperature, lag: temperature, and temperature of the dies minus that of the thermometer, °C, (n,).
         progress: (t − t̄)/duration of the test, (n,).
         run_deviates: standard normal deviates (n, 3), constant within a run.
@@ -96,9 +96,9 @@ def make_pose_simulator(
 
     Args:
         baseline: true coefficients of baseline effects, by canonical name.
-        names: effects that the simulator accepts.
+        names: names of the effects that the simulator accepts.
         bias_unit: unit of biases and higher-order coefficients in output units, such as 10⁻³ for mg.
-        plan: class of campaigns; an instance without options is the default campaign.
+        plan: class of campaigns; without options, it gives the default campaign.
     """
 
     def simulate_columns(
@@ -141,11 +141,11 @@ def _simulate_poses(
     bias = axis_bias(sizes, temperature, progress, lag, run_deviates[run])
     scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * departure)
     upper = 1e-3 * (sizes["misalignment.constant"] + sizes["misalignment.temperature"] * departure)
-    lower = np.tile(1e-3 * sizes["misalignment.frame"], (count, 1))
+    frame_angles = np.tile(1e-3 * sizes["misalignment.frame"], (count, 1))
     products = np.stack([force[:, i] * force[:, j] for i, j in AXIS_PAIRS], axis=1)
     higher_order = sizes["square.constant"] * force**2 + sizes["cube.constant"] * force**3
     higher_order = higher_order + products @ sizes["cross.constant"].reshape(3, 3).T
-    matrix = axis_matrix(scale, np.hstack([upper, lower]))
+    matrix = axis_matrix(scale, np.hstack([upper, frame_angles]))
     output = np.einsum("nij,nj->ni", matrix, force) + bias_unit * (bias + higher_order)
     output += campaign.noise * noise
     table: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
@@ -173,7 +173,7 @@ def die_lag(temperature: np.ndarray, run: np.ndarray, interval: np.ndarray) -> n
 
 
 def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw or list unit vectors (count, 3).
+    """Return the directions of poses, unit vectors (count, 3).
 
     Args:
         kind: "random": uniform on the sphere; "six": each axis up and down, in turn; "twelve": halfway between two
@@ -205,6 +205,6 @@ def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarr
 
 
 def perturb_directions(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
-    """Rotate directions (n, 3) by random angles with standard deviation `angle`, rad, about each cross axis."""
+    """Return directions (n, 3) rotated by random angles with standard deviation `angle`, rad, about each cross axis."""
     perturbed = direction + angle * rng.standard_normal(direction.shape)
     return perturbed / np.linalg.norm(perturbed, axis=1)[:, None]

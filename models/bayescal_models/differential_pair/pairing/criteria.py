@@ -25,7 +25,7 @@ def fit_polynomial(time: Array, records: Array) -> Array:
 
 
 def ratio_variance(coefficients: Array, n_outer: int) -> Array:
-    """Return the variance over i of c_i(outer)/c_i(inner), polynomial coefficients, of every pair, (…, outer, inner).
+    """Return the variance over i of the coefficient ratio c_i(outer)/c_i(inner) of every pair, (…, outer, inner).
 
     Args:
         coefficients: c_i of each device, outer first, (…, K, 4).
@@ -50,18 +50,19 @@ def compute_residual_rms(environment: Array, scale: Array, ratio: Array) -> Arra
     products = environment @ np.swapaxes(environment, -1, -2) / environment.shape[-1]
     squares = np.diagonal(products, axis1=-2, axis2=-1)
     outer_values, inner_values = squares[..., :n_outer, None], squares[..., None, n_outer:]
-    square = outer_values - 2 * ratio * products[..., :n_outer, n_outer:] + ratio**2 * inner_values
+    mean_square = outer_values - 2 * ratio * products[..., :n_outer, n_outer:]
+    mean_square = mean_square + ratio**2 * inner_values
     divisor = scale[..., :n_outer, None] + ratio * scale[..., None, n_outer:]
-    return np.sqrt(np.maximum(square, 0.0)) / np.abs(divisor)
+    return np.sqrt(np.maximum(mean_square, 0.0)) / np.abs(divisor)
 
 
 def compute_ratio_of_sums(environment: Array, n_outer: int) -> Array:
     """Return the environment ratio Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) of every pair (source 3, step 2).
 
-    It is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
+    The estimate is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
 
     Args:
-        environment: records without known contributions, outer devices first, (K, T).
+        environment: records without known contributions, outer devices first, µg, (K, T).
         n_outer: number of outer devices.
     """
     total = environment.sum(axis=-1)

@@ -13,7 +13,7 @@ import bayescal as bc
 from bayescal_models.differential_pair.environment import (
     DEPARTURE,
     DEPARTURE_SHARE_NAME,
-    DISTURBANCE,
+    DISTURBANCE_UG,
     ORDERS,
     SENSITIVITY_NAME,
     SHARED,
@@ -37,14 +37,14 @@ class Devices:
         time: times of the readings, s, (T,).
         scale: 1 + κ, (d, K).
         sensitivity: λd, (d, K).
-        shared: u(t), mean over devices with the temperature effect if it was fitted, µg, (d, T).
+        shared: u(t), with the temperature effect if it was fitted, averaged over devices, µg, (d, T).
         environment: λd·u + v, µg, (d, K, T).
         departure: rms of a device's departure v over a record, µg, (d,).
         bias: bias of each device, µg, (d, K).
         noise: standard deviation of the noise of a reading, µg, (d,).
         commanded: commanded acceleration a(t), µg, (T,).
         records: outputs, µg, (K, T).
-        known: fitted outputs without environment, posterior mean, µg, (K, T).
+        known: posterior mean of the outputs without the environment, µg, (K, T).
         others: names of the model's effects that the equation of a pair does not contain.
     """
 
@@ -77,7 +77,7 @@ class Devices:
         group = self.names[: self.outer] if is_outer else self.names[self.outer :]
         if name not in group:
             side = "outer" if is_outer else "inner"
-            raise bc.InputError(f"{name!r} is not an {side} device; these are: {', '.join(group)}")
+            raise bc.InputError(f"no {side} device {name!r}: choose among {', '.join(group)}")
         return self.names.index(name)
 
 
@@ -135,7 +135,7 @@ def _draw_v(samples: Mapping[str, Array], records: _Records, basis: Array) -> tu
         return zero[:, None, None], zero
     share = np.asarray(samples[DEPARTURE_SHARE_NAME])
     orders = np.stack([samples[n][:, records.order] for n in list_order_names(DEPARTURE)], axis=-1)
-    return orders @ basis[:ORDERS], share * DISTURBANCE
+    return orders @ basis[:ORDERS], share * DISTURBANCE_UG
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,8 @@ def _arrange_records(readings: bc.Measurements) -> _Records:
     sides_by_device = [np.unique(groups[codes == i]).tolist() for i in range(len(names))]
     if len(runs) > 1 or set(map(len, sides_by_device)) != {1} or len(np.unique(groups)) < 2:
         raise bc.InputError(
-            f"{readings.file}, column 'group': a pair is one outer and one inner device, each in one group, in one "
-            f"run; these readings have {len(runs)} runs and {dict(zip(names, sides_by_device, strict=True))}"
+            f"{readings.file}, column 'group': pairs need one run, outer and inner devices, and each device in one "
+            f"group; there are {len(runs)} runs, and the groups {dict(zip(names, sides_by_device, strict=True))}"
         )
     sides = {i: side for i, (side,) in enumerate(sides_by_device)}
     order = np.array(sorted(sides, key=lambda i: sides[i] == "inner"))

@@ -6,8 +6,8 @@
     result = dp.measure(devices, *dp.select(devices).best, outer_output, inner_output)
 
 a10 and a20 are the outputs of the outer and the inner device, λ1 and λ2 their scale factors, λ1w·w1 and λ2w·w2 their
-biases, and λbd is the calibrated environment ratio, the posterior median. The uncertainty includes the environment that
-remains in a new record, whose u and v are assumed to have the rms of the calibration's.
+biases, and λbd is the posterior median of the environment ratio. The uncertainty includes the environment that remains
+in a new record; u and v are assumed to have the same rms there as in the calibration.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class PairMeasurement:
 
     Attributes:
         acceleration: outward acceleration along the arm, µg, (n,).
-        sd: standard uncertainty of the acceleration, µg, (n,): scale factors and biases, environment that remains
-            after differencing (rms over a record), and noise of the two outputs.
+        sd: standard uncertainty of the acceleration, µg, (n,), from scale factors and biases, the environment that
+            remains after differencing (rms over a record), and the noise of the two outputs.
         ratio: environment ratio λbd of the pair.
     """
 
@@ -57,14 +57,14 @@ def measure(
         outer_output, inner_output: outputs of the two devices at the same times, µg, (n,).
 
     Raises:
-        InputError: unknown device names, outputs of unequal length, or a model with effects that the equation
-            in the module's docstring does not contain.
+        InputError: unknown device names, outputs that are not vectors of equal length, or a model with effects that
+            the equation in the module's docstring does not contain.
     """
     devices = batch if isinstance(batch, Devices) else devices_of(batch)
     if devices.others:
         raise bc.InputError(
-            f"the model has {', '.join(devices.others)}, which the pair's equation does not contain: "
-            "correct the outputs for these effects first, and calibrate the baseline"
+            f"the model has effects that the equation of a pair does not contain ({', '.join(devices.others)}): "
+            "correct the outputs for them, then fit the baseline"
         )
     i, j = devices.device_index(outer, is_outer=True), devices.device_index(inner, is_outer=False)
     y1, y2 = (np.asarray(a, dtype=float) for a in (outer_output, inner_output))
@@ -78,8 +78,8 @@ def measure(
     divisor = devices.scale[:, i] + ratio * devices.scale[:, j]
     bias = devices.bias[:, i] - ratio * devices.bias[:, j]
     draws = ((y1 - ratio * y2)[None, :] - bias[:, None]) / divisor[:, None]
-    size = np.mean(devices.shared**2, axis=1)  # mean square of u over a record
-    residual = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * size
+    mean_square = np.mean(devices.shared**2, axis=1)  # of u over a record
+    residual = (sensitivity[:, i] - ratio * sensitivity[:, j]) ** 2 * mean_square
     residual = residual + (devices.departure**2 + devices.noise**2) * (1 + ratio**2)
     variance = draws.var(axis=0) + np.mean(residual / divisor**2)
     return PairMeasurement(draws.mean(axis=0), np.sqrt(variance), ratio)

@@ -16,8 +16,8 @@ from bayescal.workshop import as_json, plain_table
 Array = NDArray[np.float64]
 
 UNIT = "ug"
-WIDTH = 110  # characters per line of a remark
-PRINTED_PAIRS = 12  # pairs in the printed table
+REMARK_WIDTH = 110  # characters per line of a remark
+MAX_PRINTED_PAIRS = 12  # in the printed table
 MIN_RELATIVE_VARIATION = 0.01  # smallest relative range of a varying commanded acceleration
 
 
@@ -28,8 +28,8 @@ class Ratio:
     Attributes:
         median, low, high: posterior median, and limits of the 95 % credible interval.
         sd: robust posterior standard deviation, (q84 − q16)/2, since a ratio may have no variance.
-        document: estimate by the sums of source 3, step 2.
-        document_reliable: whether the denominator of this estimate, Σu, differs significantly from zero.
+        document: estimate by the ratio of sums in source 3, step 2.
+        document_reliable: whether the denominator of this estimate differs significantly from zero.
     """
 
     median: float
@@ -47,12 +47,12 @@ class Pair:
     Attributes:
         outer, inner: names of the devices.
         probability_residual: probability that the pair has the smallest residual.
-        probability_ratio_variance: probability of the smallest ratio variance, commanded acceleration removed.
-        probability_ratio_variance_raw: probability of the smallest ratio variance on raw records.
+        probability_ratio_variance: the same for the ratio variance without the commanded acceleration.
+        probability_ratio_variance_raw: the same for the ratio variance of raw records.
         expected_residual: posterior mean of the residual, µg.
         expected_loss: expected excess of the residual over that of the best pair, µg.
         ratio_variance, ratio_variance_raw: ratio variances computed from the records (source 3).
-        orders_near_zero: polynomial orders whose denominator, the inner device's coefficient, is near zero.
+        orders_near_zero: polynomial orders at which the ratio's denominator, of the inner device, is near zero.
         environment_ratio: environment ratio λbd.
     """
 
@@ -95,7 +95,7 @@ class PairTable:
     """Table of all pairs, the best pair, and the best disjoint set; printable.
 
     Attributes:
-        pairs: all pairs, the best first by the criterion.
+        pairs: all pairs, the best by the criterion first.
         best: names of the outer and the inner device of the best pair.
         matching: the best set of disjoint pairs.
         criterion: name of the ranking criterion.
@@ -117,7 +117,9 @@ class PairTable:
         for pair in self.pairs:
             if (pair.outer, pair.inner) == (outer, inner):
                 return pair
-        raise bc.InputError(f"{outer!r} and {inner!r} are not a pair")
+        raise bc.InputError(
+            f"{outer!r} and {inner!r} are no pair: give an outer and an inner device"
+        )
 
     def to_json_data(self) -> dict[str, Any]:
         """Return the table as JSON data."""
@@ -133,9 +135,10 @@ class PairTable:
     def __str__(self) -> str:
         best = self.of(*self.best)
         ratio = best.environment_ratio
-        cells = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:PRINTED_PAIRS]]
+        printed_pairs = self.pairs[:MAX_PRINTED_PAIRS]
+        cells = [[format_cell(pair) for format_cell in _CELLS.values()] for pair in printed_pairs]
         lines = str(plain_table([*_CELLS], cells, left=2)).splitlines()
-        omitted_count = len(self.pairs) - PRINTED_PAIRS
+        omitted_count = len(self.pairs) - len(printed_pairs)
         if omitted_count > 0:
             lines.append(f"… and {omitted_count} more")
         lines += [
@@ -150,8 +153,8 @@ class PairTable:
             "best set of pairs: "
             + "; ".join(f"{outer} with {inner}" for outer, inner in self.matching),
         ]
-        notes = [textwrap.fill(remark, WIDTH, subsequent_indent="  ") for remark in self.remarks]
-        return "\n".join([*lines, "", *notes])
+        remarks = [textwrap.fill(s, REMARK_WIDTH, subsequent_indent="  ") for s in self.remarks]
+        return "\n".join([*lines, "", *remarks])
 
 
 def list_remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:

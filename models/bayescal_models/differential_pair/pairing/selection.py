@@ -27,13 +27,13 @@ NEAR_ZERO_SDS = 3.0  # sds from zero, below which a ratio's denominator counts a
 
 
 def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> PairTable:
-    """Evaluate and rank all pairs.
+    """Evaluate all pairs of an outer and an inner device, and rank them by a criterion.
 
     Args:
         batch: calibration of a batch, or its devices.
         criterion: ranking criterion (equations: `pairing.criteria`): "residual", the expected rms of the environment
-            that remains in a pair; "ratio-variance", by the variance over orders of the ratio of the devices'
-            polynomial coefficients, commanded acceleration removed; "ratio-variance-raw", the same of raw records.
+            that remains in a pair's measurement; "ratio-variance", the probability of the smallest ratio variance
+            without the commanded acceleration; "ratio-variance-raw", the same for raw records.
 
     Raises:
         InputError: the readings cannot be paired, or an unknown criterion.
@@ -65,16 +65,16 @@ class Scores(NamedTuple):
 
 
 def evaluate_pairs(devices: Devices) -> Scores:
-    """Evaluate the criteria of all pairs in every posterior draw, and summarise them."""
+    """Evaluate the criteria of all pairs in every posterior draw; return probabilities, means and quantiles."""
     outer, time = devices.outer, devices.time
     ratios = devices.sensitivity[:, :outer, None] / devices.sensitivity[:, None, outer:]
     median = np.median(ratios, axis=0)
     residual = criteria.compute_residual_rms(devices.environment, devices.scale, median)
-    env = criteria.fit_polynomial(time, devices.environment)
+    env_terms = criteria.fit_polynomial(time, devices.environment)
     scale_deviation = devices.scale - devices.scale.mean(axis=0)  # between draws
-    known = criteria.fit_polynomial(time, devices.known)
-    commanded = criteria.fit_polynomial(time, devices.commanded)
-    raw = known + (devices.sign * scale_deviation)[..., None] * commanded + env
+    known_terms = criteria.fit_polynomial(time, devices.known)
+    commanded_terms = criteria.fit_polynomial(time, devices.commanded)
+    scale_terms = (devices.sign * scale_deviation)[..., None] * commanded_terms
     env_records = devices.records - devices.known
     pair_fields = {
         "probability_residual": _find_fraction(residual),
@@ -82,8 +82,8 @@ def evaluate_pairs(devices: Devices) -> Scores:
         "expected_loss": residual.mean(axis=0) - residual.min(axis=(1, 2)).mean(),
     }
     for name, draws, records in (
-        ("ratio_variance", env, env_records),
-        ("ratio_variance_raw", raw, devices.records),
+        ("ratio_variance", env_terms, env_records),
+        ("ratio_variance_raw", known_terms + scale_terms + env_terms, devices.records),
     ):
         pair_fields[f"probability_{name}"] = _find_fraction(criteria.ratio_variance(draws, outer))
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
@@ -97,11 +97,11 @@ def evaluate_pairs(devices: Devices) -> Scores:
         "document": criteria.compute_ratio_of_sums(env_records, outer),
         "document_reliable": np.broadcast_to(np.logical_not(near_zero_sum), median.shape),
     }
-    return Scores(pair_fields, ratio_fields, residual, near_zero=_is_near_zero(env[:, outer:]))
+    return Scores(pair_fields, ratio_fields, residual, _is_near_zero(env_terms[:, outer:]))
 
 
 def _is_near_zero(draws: Array) -> Array:
-    """Return whether quantities are near zero relative to their sd, from draws (d, …)."""
+    """Return whether posterior means are near zero relative to the posterior sds, from draws (d, …)."""
     return np.abs(draws.mean(axis=0)) < NEAR_ZERO_SDS * draws.std(axis=0)
 
 
@@ -132,7 +132,7 @@ def _build_pair(devices: Devices, scores: Scores, i: int, j: int) -> Pair:
 
 
 def _match_pairs(devices: Devices, scores: Scores, criterion: str) -> tuple[tuple[str, str], ...]:
-    """Find the set of disjoint pairs with the smallest total residual, or the largest total probability."""
+    """Return the set of disjoint pairs with the smallest total residual or, by other criteria, largest probability."""
     probability = scores.pair_fields[f"probability_{criterion.replace('-', '_')}"]
     cost = scores.pair_fields["expected_residual"] if criterion == "residual" else -probability
     rows, columns = linear_sum_assignment(cost)
