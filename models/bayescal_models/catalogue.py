@@ -70,9 +70,9 @@ class EffectTable:
             for row in rows:
                 e = row if isinstance(row, bc.Effect) else _make_effect(source, *row)
                 by_name.setdefault(e.name, e)
-            effects = tuple(e for name, e in by_name.items() if name not in used_names)
+            built = tuple(e for name, e in by_name.items() if name not in used_names)
             used_names.update(by_name)
-            return effects
+            return built
 
         return cls(build_effects(baseline), build_effects(candidates), build_effects(others))
 
@@ -189,26 +189,26 @@ def make_common_effects(
     short_lag = thermal_lag(*SHORT_LAG_S, q, unit, rate=rate, column=column)
     power = partial(_adapt, column=column, name=column)
     slow_lag = thermal_lag(*LONG_LAG_S, q, unit, column=column)
-    lag_cross = temperature_x_lag(*SHORT_LAG_S, column)
+    cross_lag = temperature_x_lag(*SHORT_LAG_S, column)
     backlash = _adapt(effects.hysteresis, column=column, widths=(0.01 * span, 0.5 * span, "degC"))
-    supply = effect(_evaluate_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
+    supply_factory = effect(_evaluate_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
     product = effect(partial(_evaluate_product, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
-    powers: tuple[tuple[str, Factory, float, str, float, str], ...] = (
+    power_rows: tuple[tuple[str, Factory, float, str, float, str], ...] = (
         (column, power(effects.linear), size / span, slope, 1.0, end),
         (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{slope}^2", 0.5, end),
         (f"{column}_cubic", power(effects.cubic), q / span**3, f"{slope}^3", 0.25, end),
         (f"{column}_quartic", power(effects.quartic), q / span**4, f"{slope}^4", 0.25, end),
     )
     rows = (
-        *powers[:order],
+        *power_rows[:order],
         ("thermal_lag", short_lag, q / (pace * LAG_MIN), slope, 0.25, lag_text),
         ("thermal_lag_slow", slow_lag, q / (pace * SLOW_MIN), slope, 0.25, slow_text),
-        ("temperature_x_lag", lag_cross, q / (pace * LAG_MIN * span), f"{slope}^2", 0.25, lag_text),
+        ("temperature_x_lag", cross_lag, q / (pace * LAG_MIN * span), f"{slope}^2", 0.25, lag_text),
         ("hysteresis", backlash, q, unit, 0.25, ""),
         ("warm_up", warm_up(2 * MINUTE, 40 * MINUTE), half, unit, 0.5, ""),
         ("drift", drift, half, unit, 0.5, ""),
         ("run", deviation, q, unit, 0.25, ""),
-        ("supply", supply, size, f"{unit}/V", 1.0, " at 1 V"),
+        ("supply", supply_factory, size, f"{unit}/V", 1.0, " at 1 V"),
         ("temperature_x_supply", product, half / span, f"{slope}/V", 0.5, f" at 1 V{end}"),
     )
     return tuple(
@@ -219,7 +219,7 @@ def make_common_effects(
 
 
 def _evaluate_supply(r: bc.Frame) -> Any:
-    low, high = (r.reference[f"{SUPPLY.name}_{end}"] for end in ("low", "high"))
+    low, high = (r.reference[f"{SUPPLY.name}_{limit}"] for limit in ("low", "high"))
     return r[SUPPLY.name] - 0.5 * (low + high)
 
 

@@ -38,13 +38,13 @@ G = 1e6  # µg
 def _evaluate_response(slots, r):
     angle = r["position_angle"] + slots["zero"]
     gravity = 1 + slots["gravity"]
-    a, across = gravity * xp.sin(angle), gravity * xp.cos(angle)
-    return _evaluate_axial_output(a, slots) + slots["cross_coupling"] * a * across
+    a, a_cross = gravity * xp.sin(angle), gravity * xp.cos(angle)
+    return _evaluate_axial_output(a, slots) + slots["cross_coupling"] * a * a_cross
 
 
 def _evaluate_axial_output(a, slots):
-    powers = slots["second_order"] * a**2 + slots["third_order"] * a**3
-    return slots["bias"] + (1 + slots["scale"]) * G * a + powers
+    nonlinear_terms = slots["second_order"] * a**2 + slots["third_order"] * a**3
+    return slots["bias"] + (1 + slots["scale"]) * G * a + nonlinear_terms
 
 
 def _use_output(acceleration, slots, r):

@@ -41,19 +41,19 @@ class Conditions:
     """
 
     def __init__(self, campaign: Campaign, generators: Mapping[str, np.random.Generator]) -> None:
-        c, count = campaign, len(campaign.temperatures)
+        c, soak_count = campaign, len(campaign.temperatures)
         duration = c.soak + c.positions * c.dwell
-        row, self.run = np.meshgrid(np.arange(count * c.positions), np.arange(c.runs))
-        self.run, row = self.run.ravel(), row.ravel()
-        soak, position = row // c.positions, row % c.positions
-        self.run_time = soak * duration + c.soak + position * c.dwell
-        self.time = self.run * (count * duration + 24 * 3600.0) + self.run_time
-        self.angle = 2 * np.pi * position / c.positions
+        row_index, self.run = np.meshgrid(np.arange(soak_count * c.positions), np.arange(c.runs))
+        self.run, row_index = self.run.ravel(), row_index.ravel()
+        soak_index, position_index = row_index // c.positions, row_index % c.positions
+        self.run_time = soak_index * duration + c.soak + position_index * c.dwell
+        self.time = self.run * (soak_count * duration + 24 * 3600.0) + self.run_time
+        self.angle = 2 * np.pi * position_index / c.positions
         set_points = np.array(c.temperatures)
-        noise = c.thermometer_noise * generators["temperature"].standard_normal(len(row))
-        self.temperature = set_points[soak] + noise
+        noise = c.thermometer_noise * generators["temperature"].standard_normal(len(row_index))
+        self.temperature = set_points[soak_index] + noise
         self.departure = self.temperature - round(float(self.temperature.mean()))
-        self.approach_sign = np.sign(np.diff(set_points, prepend=set_points[:1]))[soak]
+        self.approach_sign = np.sign(np.diff(set_points, prepend=set_points[:1]))[soak_index]
         self.run_deviates = {
             name: generators["runs"].standard_normal(c.runs)[self.run]
             for name in ("bias", "scale", "zero")

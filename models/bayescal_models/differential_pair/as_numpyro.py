@@ -50,13 +50,13 @@ def model(acceleration, sign, device, devices, orders, output=None) -> None:
         "u", Normal(0.0, DISTURBANCE_UG * RATIOS / np.sqrt(np.sum(RATIOS**2))).to_event(1)
     )
     # Departures: rms relative to that of u, and ratio of the sds of successive orders.
-    share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))
+    relative_rms = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))
     order_ratio = numpyro.sample("departure.device.falling", LogNormal(np.log(0.4873), 0.3406))
     powers = order_ratio**DEPARTURE_ORDERS
     with numpyro.plate("devices", devices):
         kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, group_sds["scale.device"]))
         sensitivity = numpyro.sample(SENSITIVITY_SITE, Normal(1.0, group_sds[SENSITIVITY_SITE]))
-        departure_sd = DISTURBANCE_UG * share * powers / jnp.sqrt(jnp.sum(powers**2))
+        departure_sd = DISTURBANCE_UG * relative_rms * powers / jnp.sqrt(jnp.sum(powers**2))
         mean = sensitivity[:, None] * u[: len(DEPARTURE_ORDERS)]
         w = numpyro.sample("w", Normal(mean, departure_sd).to_event(1))
     noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg

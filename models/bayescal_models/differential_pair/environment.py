@@ -55,8 +55,8 @@ def list_order_names(effect: bc.Effect) -> list[str]:
 
 
 def _evaluate_shared_basis(r: bc.Frame) -> Any:
-    parts = evaluate_legendre_polynomials(r.progress, SHARED_ORDERS)
-    return xp.stack([1.0 + 0.0 * parts[0], *parts], axis=-1)
+    polynomials = evaluate_legendre_polynomials(r.progress, SHARED_ORDERS)
+    return xp.stack([1.0 + 0.0 * polynomials[0], *polynomials], axis=-1)
 
 
 def _evaluate_departure_basis(r: bc.Frame) -> Any:

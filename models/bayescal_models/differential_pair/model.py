@@ -63,14 +63,14 @@ def _evaluate_response(slots, r):
 
 def _evaluate_softening_columns(r: bc.Frame) -> Any:
     """Return the terms of a softening spring, x/(1 − kx) = x + kx² + k²x³ + …, in the scale factor, (n, 3)."""
-    outward = compute_side_sign(r) * r["acceleration"]
+    axial_input = compute_side_sign(r) * r["acceleration"]
     # A reading is a mean over its averaging time: k·⟨a²⟩ = k·(⟨a⟩² + var a). A parabola with the end values a₀, a₁ and
     # the mean ⟨a⟩ has the variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180.
-    begin, end = end_values(r, r["acceleration"])
-    curvature = 3.0 * (begin + end - 2.0 * r["acceleration"])
-    variance = (end - begin) ** 2 / 12.0 + curvature**2 / 180.0
+    start_value, end_value = end_values(r, r["acceleration"])
+    curvature = 3.0 * (start_value + end_value - 2.0 * r["acceleration"])
+    variance = (end_value - start_value) ** 2 / 12.0 + curvature**2 / 180.0
     variance_term = compute_side_sign(r) * variance / xp.maximum(r["acceleration"], 1.0)
-    return xp.stack([outward, outward**2, variance_term], axis=-1)
+    return xp.stack([axial_input, axial_input**2, variance_term], axis=-1)
 
 
 def _explain_radius(readings: bc.Measurements) -> str:

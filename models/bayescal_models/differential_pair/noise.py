@@ -51,9 +51,9 @@ def end_values(r: bc.Frame, values: Any) -> tuple[Any, Any]:
 
     weights = {j: SPLINE_DECAY ** abs(j) for j in range(-NEIGHBOUR_COUNT, NEIGHBOUR_COUNT + 1)}
     norm = 2.0 * sum(weights.values())
-    begin = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / norm
-    end = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / norm
-    return xp.placed(r.order, begin), xp.placed(r.order, end)
+    starts = sum(w * (shift_values(j - 1) + shift_values(j)) for j, w in weights.items()) / norm
+    ends = sum(w * (shift_values(j) + shift_values(j + 1)) for j, w in weights.items()) / norm
+    return xp.placed(r.order, starts), xp.placed(r.order, ends)
 
 
 class NoiseWhileChanging(bc.Noise):
@@ -86,6 +86,6 @@ class NoiseWhileChanging(bc.Noise):
         return "1/g^2" if name == SHARE_NAME else output
 
     def variance(self, parameters: Any, frame: bc.Frame) -> Any:
-        begin, end = end_values(frame, frame["acceleration"])
-        change = (end - begin) / G
+        start, end = end_values(frame, frame["acceleration"])
+        change = (end - start) / G
         return parameters["noise.white"] ** 2 * (1.0 + (parameters[SHARE_NAME] * change**2) ** 2)

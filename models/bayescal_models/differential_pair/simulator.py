@@ -99,12 +99,12 @@ def simulate_batch(
         sensitivity, scale, v = np.ones(count), np.ones(count), 0.0 * v
     temperature = 25.0 + plan.warming * compute_temperature_rise(progress)
     u = u + sizes.get("environment.temperature", 0.0) * (temperature - temperature.mean())
-    env = sensitivity[:, None] * u + v
+    environment = sensitivity[:, None] * u + v
     sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
     deviates = {name: rngs["hidden"].standard_normal(count) for name in EFFECT_NAMES}
     device_sizes = {name: sizes.get(name, 0.0) * z for name, z in deviates.items()}
     supply = simulate_supply(rngs["supply"], times)
-    outputs = _simulate_outputs(plan, times, sign, scale, device_sizes) + env
+    outputs = _simulate_outputs(plan, times, sign, scale, device_sizes) + environment
     outputs = outputs + device_sizes["bias.supply"][:, None] * (supply - SUPPLY_V)
     noise_sd = plan.noise / np.sqrt(plan.duration / plan.samples)
     noise = noise_sd * rngs["noise"].standard_normal((count, plan.samples))
@@ -124,9 +124,9 @@ def simulate_batch(
     if needs_supply_column(sizes):
         columns["supply_voltage"] = np.tile(average_steps(supply), count)
     if plan.thermometer is not None:
-        error = plan.thermometer * rngs["thermometer"].standard_normal(plan.samples)
-        columns["temperature"] = np.tile(average_steps(temperature) + error, count)
-    truth = Truth(names, plan.outer, scale, sensitivity, average_steps(env), commanded)
+        thermometer_errors = plan.thermometer * rngs["thermometer"].standard_normal(plan.samples)
+        columns["temperature"] = np.tile(average_steps(temperature) + thermometer_errors, count)
+    truth = Truth(names, plan.outer, scale, sensitivity, average_steps(environment), commanded)
     return columns, truth
 
 
@@ -135,10 +135,10 @@ def acceleration(plan: Campaign, time: Array) -> Array:
     if plan.profile == "plateau":
         return np.full(np.shape(time), PLATEAU_LEVEL_G * G)
     speeds = np.sqrt(np.asarray(plan.levels))
-    edges = plan.duration * np.arange(1, len(speeds)) / len(speeds)
+    switch_times = plan.duration * np.arange(1, len(speeds)) / len(speeds)
     speed = np.full(np.shape(time), speeds[0])
-    for edge, speed_change in zip(edges, np.diff(speeds), strict=True):
-        fraction = np.clip((time - edge) / plan.ramp + 0.5, 0.0, 1.0)
+    for switch_time, speed_change in zip(switch_times, np.diff(speeds), strict=True):
+        fraction = np.clip((time - switch_time) / plan.ramp + 0.5, 0.0, 1.0)
         speed = speed + speed_change * 0.5 * (1.0 - np.cos(np.pi * fraction))
     return speed**2 * G
 
@@ -159,8 +159,8 @@ def _simulate_outputs(
     softening = 1e-6 * device_sizes["scale.second_order"][:, None] * true_input / G
     output = scale[:, None] * true_input / (1.0 - softening)
     step = 1e-3  # s, step of the finite difference of the arm's speed
-    ends = [np.sqrt(acceleration(plan, times + d) / G * GRAVITY / RADIUS) for d in (-step, step)]
-    tangential = RADIUS * (ends[1] - ends[0]) / (2 * step) / GRAVITY * G
+    speeds = [np.sqrt(acceleration(plan, times + d) / G * GRAVITY / RADIUS) for d in (-step, step)]
+    tangential = RADIUS * (speeds[1] - speeds[0]) / (2 * step) / GRAVITY * G
     tilt = np.sin(1e-3 * device_sizes["misalignment.device"])[:, None]
     ageing = np.log2(1.0 + times / plan.duration)
     drift = device_sizes["bias.drift"][:, None] * (ageing - ageing.mean())

@@ -109,8 +109,8 @@ def _compute_rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the rotation matrix (3, 3) of a rotation vector (3,), rad, by Rodrigues' formula."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross_matrix = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-9:
-        return np.eye(3) + cross
-    first_order, second_order = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
-    return np.eye(3) + first_order * cross + second_order * cross @ cross
+        return np.eye(3) + cross_matrix
+    sine_term, cosine_term = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
+    return np.eye(3) + sine_term * cross_matrix + cosine_term * cross_matrix @ cross_matrix

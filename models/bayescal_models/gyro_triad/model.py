@@ -92,7 +92,7 @@ VECTOR = bc.Vector(
 
 def _evaluate_move_mean(slots, r):
     """Return mean outputs over rotations between poses, along directions fixed in space, °/s; linear in all slots."""
-    identity = xp.eye(3).ravel()
+    flat_identity = xp.eye(3).ravel()
     terms = (
         (SENSING_AXIS_COLUMNS, BIAS),
         (MEAN_RATE, FIRST_ORDER),
@@ -100,7 +100,7 @@ def _evaluate_move_mean(slots, r):
         (SQUARED_RATE_COLUMNS, SQUARE),
         (EARTH_RATES, EARTH_RATES),
     )
-    total = xp.sum(_stack_all(r, MEAN_RATE) * identity, axis=-1)
+    total = xp.sum(_stack_all(r, MEAN_RATE) * flat_identity, axis=-1)
     for columns, slot_names in terms:
         total = total + xp.sum(_stack_all(r, columns) * _stack_all(slots, slot_names), axis=-1)
     return total

@@ -48,9 +48,9 @@ def simulate_columns(
     plan, sizes = campaign or Campaign(), expand_sizes(effects, MEMBER_COUNTS, BASELINE)
     rng = np.random.default_rng(seed)
     shape = (plan.runs, len(plan.mountings), len(plan.temperatures), len(plan.rates))
-    run, mount, soak, dwell = np.indices(shape).reshape(4, -1)
-    temperature, rate = np.array(plan.temperatures)[soak], np.array(plan.rates)[dwell]
-    interval = np.where(dwell == 0, plan.soak, plan.interval)
+    run, mount, soak_index, rate_index = np.indices(shape).reshape(4, -1)
+    temperature, rate = np.array(plan.temperatures)[soak_index], np.array(plan.rates)[rate_index]
+    interval = np.where(rate_index == 0, plan.soak, plan.interval)
     time = np.cumsum(interval) + 3600.0 * run
     run_deviates = rng.standard_normal((plan.runs, 3))
     errors = MOUNTING_SD_RAD * rng.standard_normal((plan.runs, len(plan.mountings), 3))[run, mount]

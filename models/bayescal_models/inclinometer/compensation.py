@@ -64,9 +64,9 @@ class _Axis:
     compensator: bc.Compensator
     covariates: dict[str, Any]
 
-    def tilt(self, reading: np.ndarray, cross: np.ndarray) -> Any:
+    def tilt(self, reading: np.ndarray, cross_tilt: np.ndarray) -> Any:
         """Return the compensated readings, rad, at tilts of the other axis, rad; InputError: no tilt for a reading."""
-        inputs = {"output": reading / ARCSEC, "placement_angle": cross, **self.covariates}
+        inputs = {"output": reading / ARCSEC, "placement_angle": cross_tilt, **self.covariates}
         compensated = self.compensator(**inputs, method="first order", warn=False)
         if np.any(is_invalid := ~np.isfinite(compensated.value)):
             row = int(np.argmax(is_invalid))
@@ -76,9 +76,9 @@ class _Axis:
             )
         return compensated
 
-    def zero(self, cross: np.ndarray) -> Any:
+    def zero(self, cross_tilt: np.ndarray) -> Any:
         """Return the compensated readings of zero: minus the zero offset S, for any scale factor."""
-        return self.tilt(0.0 * cross, cross)
+        return self.tilt(0.0 * cross_tilt, cross_tilt)
 
 
 def _make_axis(

@@ -27,8 +27,8 @@ def compute_placement_angle(tilt: Any, cross: Any, xp: ModuleType) -> Any:
         cross: tilt along the other axis, rad.
         xp: `numpy` or `jax.numpy`.
     """
-    upright = 1 - xp.sin(tilt) ** 2 - xp.sin(cross) ** 2
-    return xp.arctan2(xp.sin(cross), xp.sqrt(xp.maximum(upright, 1e-12)))
+    cosine_squared = 1 - xp.sin(tilt) ** 2 - xp.sin(cross) ** 2
+    return xp.arctan2(xp.sin(cross), xp.sqrt(xp.maximum(cosine_squared, 1e-12)))
 
 
 def are_compatible_tilts(tilt: Any, cross: Any) -> Any:

@@ -73,8 +73,8 @@ class Conditions:
         self.supply = simulated.simulate_supply(generators["supply"], self.time)
         settlement = 1 - np.exp(-(self.time - self.time.min()) / SETTLING_TAU_S)
         self.settlement = settlement / max(float(settlement.max()), 1e-300) - 0.5
-        limit = ARCSEC * DIVIDING_LIMIT_ARCSEC
-        dividing_errors = generators["table"].uniform(-limit, limit, self.time.size)
+        error_limit = ARCSEC * DIVIDING_LIMIT_ARCSEC
+        dividing_errors = generators["table"].uniform(-error_limit, error_limit, self.time.size)
         self.placement = self.cross = self.placement_set + dividing_errors
         if plan.grid and plan.exact:
             self.placement = compute_placement_angle(self.tilt, self.cross, np)
@@ -89,17 +89,17 @@ class Conditions:
 
     def _draw_accelerometers(self, generator: np.random.Generator) -> Accelerometer:
         by_axis = dict(self.plan.axes)
-        parameters = [by_axis[axis] for axis in self.axis]
+        accelerometers = [by_axis[axis] for axis in self.axis]
         fields = {
-            f: np.array([getattr(parameter, f) for parameter in parameters])
+            f: np.array([getattr(accelerometer, f) for accelerometer in accelerometers])
             for f in Accelerometer.__dataclass_fields__
         }
         for device in np.unique(self.device)[1:]:
             for axis in by_axis:
-                shift, slope = generator.standard_normal(2)
+                constant_deviate, slope_deviate = generator.standard_normal(2)
                 is_selected = (self.device == device) & (self.axis == axis)
-                fields["constant"][is_selected] += DEVICE_SD * shift
-                fields["slope"][is_selected] += DEVICE_SLOPE_SD * slope
+                fields["constant"][is_selected] += DEVICE_SD * constant_deviate
+                fields["slope"][is_selected] += DEVICE_SLOPE_SD * slope_deviate
         return Accelerometer(**fields)  # pyright: ignore[reportArgumentType]
 
 
@@ -119,12 +119,12 @@ def _plan_zero_test(plan: Campaign, prefix: str):
 
 def _plan_grid(plan: Campaign, prefix: str):
     points = plan.pairs()
-    ones, infinite = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
+    ones, infinities = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
     for run in range(1, plan.runs + 1):
         axis = ["x"] * len(points) + ["y"] * len(points)
         labels = axis, [f"{prefix}{a}{run}" for a in axis]
         tilt, cross = points.T.ravel(), points[:, ::-1].T.ravel()
-        yield labels, (cross, tilt, ones, infinite)
+        yield labels, (cross, tilt, ones, infinities)
 
 
 class _Terms(NamedTuple):
@@ -214,8 +214,8 @@ def simulate_columns(
 def _compute_output(test: Conditions, effects: Mapping[str, float]) -> np.ndarray:
     """Return the noise-free output of each reading, arcsec, (n,)."""
     accelerometer = test.accelerometer
-    mechanical = accelerometer.mechanical(test.placement) + test.mounting_deviation
-    total = _Terms(mechanical, accelerometer.electrical, accelerometer.scale)
+    mechanical_zero = accelerometer.mechanical(test.placement) + test.mounting_deviation
+    total = _Terms(mechanical_zero, accelerometer.electrical, accelerometer.scale)
     for name, size in effects.items():
         parts = zip(total, _LAWS[name](test, size), strict=True)
         total = _Terms(*(subtotal + term for subtotal, term in parts))

@@ -99,17 +99,17 @@ LINEAR, RESONANCE, RESONANCE_FORCE = (
 THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
 
 
-def _add_powers(*orders: str, with_error: bool = False) -> bc.Model:
+def _add_powers(*orders: str, include_error: bool = False) -> bc.Model:
     """Return the baseline plus terms such as "quadratic", optionally with thermometer errors (errors in variables)."""
     model = INSTRUMENT.baseline()
     for order in orders:
         model = model + f"bias.temperature_{order}"
-    return model + THERMOMETER if with_error else model
+    return model + THERMOMETER if include_error else model
 
 
-def _build_resonance(law: bc.Effect, with_error: bool = False) -> bc.Model:
+def _build_resonance(law: bc.Effect, include_error: bool = False) -> bc.Model:
     model = INSTRUMENT.baseline() - LINEAR + law
-    return model + THERMOMETER if with_error else model
+    return model + THERMOMETER if include_error else model
 
 
 def _build_quantised() -> bc.Model:
@@ -135,10 +135,10 @@ INSTRUMENT = bc.Instrument(
         ("cubic", lambda: _add_powers("quadratic", "cubic")),
         ("resonance", lambda: _build_resonance(RESONANCE)),
         ("resonance, force held", lambda: _build_resonance(RESONANCE_FORCE)),
-        ("line, thermometer error", lambda: _add_powers(with_error=True)),
-        ("quadratic, thermometer error", lambda: _add_powers("quadratic", with_error=True)),
-        ("cubic, thermometer error", lambda: _add_powers("quadratic", "cubic", with_error=True)),
-        ("resonance, thermometer error", lambda: _build_resonance(RESONANCE, with_error=True)),
+        ("line, thermometer error", lambda: _add_powers(include_error=True)),
+        ("quadratic, thermometer error", lambda: _add_powers("quadratic", include_error=True)),
+        ("cubic, thermometer error", lambda: _add_powers("quadratic", "cubic", include_error=True)),
+        ("resonance, thermometer error", lambda: _build_resonance(RESONANCE, include_error=True)),
         ("line, voltage rounded", _build_quantised),
     ),
     simulator=simulate_columns,

@@ -112,20 +112,20 @@ def _evaluate_response(slots, r):
         slots["base_tilt_perp"],
     )
     a, ap = a * (1 + slots["gravity"]), ap * (1 + slots["gravity"])
-    mg = a / 1e3
+    a_mg = a / 1e3
     return (
         slots["bias"]
         + (1 + slots["scale"]) * a
-        + slots["second_order"] * mg**2
-        + slots["third_order"] * mg**3
+        + slots["second_order"] * a_mg**2
+        + slots["third_order"] * a_mg**3
         + slots["cross_coupling"] * a * ap
     )
 
 
 def _use_output(a, slots, r):
     """Return the output, µg, of the instrument in use, without the table, for an acceleration `a`, µg."""
-    mg = a / 1e3
-    nonlinear_terms = slots["second_order"] * mg**2 + slots["third_order"] * mg**3
+    a_mg = a / 1e3
+    nonlinear_terms = slots["second_order"] * a_mg**2 + slots["third_order"] * a_mg**3
     return slots["bias"] + (1 + slots["scale"]) * a + nonlinear_terms
 
 

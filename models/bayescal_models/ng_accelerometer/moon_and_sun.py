@@ -42,10 +42,10 @@ def plumb_line_tilt(days: ArrayLike) -> tuple[Array, Array]:
         y = np.cos(OBLIQUITY_RAD) * ecliptic_y - np.sin(OBLIQUITY_RAD) * np.sin(latitude)
         z = np.sin(OBLIQUITY_RAD) * ecliptic_y + np.cos(OBLIQUITY_RAD) * np.sin(latitude)
         hour_angle = sidereal_angle - np.arctan2(y, x)
-        equatorial = np.hypot(x, y)
-        to_east = -equatorial * np.sin(hour_angle)
-        to_north = np.cos(phi) * z - np.sin(phi) * equatorial * np.cos(hour_angle)
-        to_zenith = np.sin(phi) * z + np.cos(phi) * equatorial * np.cos(hour_angle)
+        equatorial_distance = np.hypot(x, y)
+        to_east = -equatorial_distance * np.sin(hour_angle)
+        to_north = np.cos(phi) * z - np.sin(phi) * equatorial_distance * np.cos(hour_angle)
+        to_zenith = np.sin(phi) * z + np.cos(phi) * equatorial_distance * np.cos(hour_angle)
         tilt_scale = 3.0 * gm * EARTH_RADIUS_M / distance**3 / GRAVITY_M_S2 * to_zenith
         tilt[0] += tilt_scale * to_east
         tilt[1] += tilt_scale * to_north
@@ -68,18 +68,18 @@ def _compute_monthly_peak() -> tuple[float, float]:
 def _find_moon(days: Array) -> tuple[Array, Array, Array]:
     """Return ecliptic longitude and latitude, rad, and distance, m, of the Moon."""
     mean_longitude = np.radians(218.316 + 13.17639648 * days)
-    anomaly = np.radians(134.963 + 13.06499295 * days)
+    mean_anomaly = np.radians(134.963 + 13.06499295 * days)
     elongation = np.radians(297.850 + 12.19074912 * days)
     argument = np.radians(93.272 + 13.22935024 * days)
     correction = (
-        6.289 * np.sin(anomaly)
-        + 1.274 * np.sin(2 * elongation - anomaly)
+        6.289 * np.sin(mean_anomaly)
+        + 1.274 * np.sin(2 * elongation - mean_anomaly)
         + 0.658 * np.sin(2 * elongation)
     )
     distance = 1e3 * (
         385001.0
-        - 20905.0 * np.cos(anomaly)
-        - 3699.0 * np.cos(2 * elongation - anomaly)
+        - 20905.0 * np.cos(mean_anomaly)
+        - 3699.0 * np.cos(2 * elongation - mean_anomaly)
         - 2956.0 * np.cos(2 * elongation)
     )
     return mean_longitude + np.radians(correction), np.radians(5.128 * np.sin(argument)), distance

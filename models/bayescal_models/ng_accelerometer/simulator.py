@@ -237,23 +237,23 @@ def outputs(test: Conditions, contributions: Mapping[str, tuple[tuple[str, Array
     for name in contributions:
         for slot, contribution in contributions[name]:
             slots[slot] = slots.get(slot, 0.0) + contribution
-    zero = np.zeros_like(test.time)
+    zeros = np.zeros_like(test.time)
     a, ap = gravity(
-        test.tilt + slots.get("base_tilt_perp", zero),
-        slots.get("base_tilt_parallel", zero),
-        test.angle + slots.get("rotation", zero),
-        slots.get("fixture_tilt", zero),
+        test.tilt + slots.get("base_tilt_perp", zeros),
+        slots.get("base_tilt_parallel", zeros),
+        test.angle + slots.get("rotation", zeros),
+        slots.get("fixture_tilt", zeros),
     )
     return (
-        slots.get("bias", zero)
-        + (1 + slots.get("scale", zero)) * a
-        + slots.get("second_order", zero) * (a / 1e3) ** 2
-        + slots.get("third_order", zero) * (a / 1e3) ** 3
-        + slots.get("cross_coupling", zero) * a * ap
+        slots.get("bias", zeros)
+        + (1 + slots.get("scale", zeros)) * a
+        + slots.get("second_order", zeros) * (a / 1e3) ** 2
+        + slots.get("third_order", zeros) * (a / 1e3) ** 3
+        + slots.get("cross_coupling", zeros) * a * ap
     )
 
 
-def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple[Array, Array]:
+def gravity(tilt: Array, parallel: Array, angle: Array, fixture_tilt: Array) -> tuple[Array, Array]:
     """Compute the specific force along the input axis, µg, and along the table's normal, g, by successive rotations.
 
     The vertical (0, 0, 1) is rotated into the frame of the face by the tilt about e0 and the base tilt about e90; the
@@ -262,19 +262,19 @@ def gravity(tilt: Array, parallel: Array, angle: Array, fixture: Array) -> tuple
     Args:
         tilt, parallel: tilt of the face about e0, and of the base about e90, rad.
         angle: rotation angle of the table, rad.
-        fixture: tilt of the input axis out of the face, rad.
+        fixture_tilt: tilt of the input axis out of the face, rad.
     """
-    zero = np.zeros_like(angle + tilt)
-    up = _rotate(_rotate((zero, zero, zero + 1.0), 1, parallel), 0, -tilt)
-    axis = _rotate(_rotate((zero + 1.0, zero, zero), 1, -fixture), 2, angle)
-    axial_force = sum((u * s for u, s in zip(up, axis, strict=True)), start=zero)
+    zeros = np.zeros_like(angle + tilt)
+    up = _rotate(_rotate((zeros, zeros, zeros + 1.0), 1, parallel), 0, -tilt)
+    axis = _rotate(_rotate((zeros + 1.0, zeros, zeros), 1, -fixture_tilt), 2, angle)
+    axial_force = sum((u * s for u, s in zip(up, axis, strict=True)), start=zeros)
     return G * axial_force, up[2]
 
 
 def _rotate(vector: tuple[Array, ...], axis_index: int, angle: Array) -> tuple[Array, ...]:
     """Rotate a vector counter-clockwise about coordinate axis `axis_index` by `angle`, rad."""
-    first, second = (axis_index + 1) % 3, (axis_index + 2) % 3
+    first_axis, second_axis = (axis_index + 1) % 3, (axis_index + 2) % 3
     rotated = list(vector)
-    rotated[first] = np.cos(angle) * vector[first] - np.sin(angle) * vector[second]
-    rotated[second] = np.sin(angle) * vector[first] + np.cos(angle) * vector[second]
+    rotated[first_axis] = np.cos(angle) * vector[first_axis] - np.sin(angle) * vector[second_axis]
+    rotated[second_axis] = np.sin(angle) * vector[first_axis] + np.cos(angle) * vector[second_axis]
     return tuple(rotated)

@@ -120,16 +120,16 @@ class _Schedule:
         angles = [2 * np.pi * k / plan.positions for k in range(plan.positions)]
         all_set_ups = [SetUp(tilt, angle) for tilt in plan.tilts for angle in angles]
         for run, set_ups in enumerate([[s] for s in plan.set_ups] or [all_set_ups] * plan.runs):
-            order = plan.temperatures
-            order = order[::-1] if plan.alternate and run % 2 else order
-            for point_index, point in enumerate(order):
+            set_points = plan.temperatures
+            set_points = set_points[::-1] if plan.alternate and run % 2 else set_points
+            for point_index, point in enumerate(set_points):
                 if point_index == 0:
                     self.set_points.append((previous_end, point))
                     clock += plan.soak
                     self.power.append((max(clock - POWER_ON_LEAD_S, 0.0), clock))
                 else:
                     self.set_points.append((clock, point))
-                    clock += abs(point - order[point_index - 1]) / plan.ramp * 60.0 + plan.soak
+                    clock += abs(point - set_points[point_index - 1]) / plan.ramp * 60.0 + plan.soak
                 for set_up in set_ups:
                     clock += MOVE_DURATION_S
                     for _ in range(plan.repeats):
@@ -151,9 +151,9 @@ def _integrate(grid: Array, temperature: Array, power: list[tuple[float, float]]
     for power_on, power_off in power:
         is_powered |= (grid >= power_on) & (grid <= power_off)
     state, states = 0.0, np.zeros(grid.size)
-    for k, step in enumerate(np.diff(temperature, prepend=temperature[0])):
-        step_fraction = -np.expm1(-abs(step) / REVERSAL_DEGC)
-        state += (np.sign(step) - state) * step_fraction
+    for k, change in enumerate(np.diff(temperature, prepend=temperature[0])):
+        step_fraction = -np.expm1(-abs(change) / REVERSAL_DEGC)
+        state += (np.sign(change) - state) * step_fraction
         state *= 1.0 if is_powered[k] else np.exp(-STEP_S / HYSTERESIS_DECAY_TAU_S)
         states[k] = state
     return states

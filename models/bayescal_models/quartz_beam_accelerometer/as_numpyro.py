@@ -46,14 +46,14 @@ def model(columns, acceleration, output=None) -> None:
     """Define the NumPyro model: columns (n, 15) in the order of `PRIOR_SDS`; acceleration, output (n,), µg, or None."""
 
     def sample_polynomial(slot: str) -> Any:
-        total = 0.0
+        polynomial = 0.0
         for i, (name, size) in enumerate(PRIOR_SDS.items()):
             if name.startswith("constant"):
                 size = CONSTANT_SDS[slot]
             elif slot == "scale":
                 size = SCALE_SIZE_RATIO * size
-            total += numpyro.sample(f"{slot}.{name}", Normal(0.0, size)) * columns[:, i]
-        return total
+            polynomial += numpyro.sample(f"{slot}.{name}", Normal(0.0, size)) * columns[:, i]
+        return polynomial
 
     bias, kappa = sample_polynomial("bias"), 1e-6 * sample_polynomial("scale")
     noise = numpyro.sample("noise.white", HalfCauchy(20.0))  # µg

@@ -204,10 +204,10 @@ def simulate_columns(
         ValueError: an unknown effect, or a size that is not a finite number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    test, true = _truth(Conditions(campaign), effects, seed)
+    test, truth = _truth(Conditions(campaign), effects, seed)
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     g = test.acceleration
-    output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
+    output = truth.bias + (1e6 + truth.scale) * g + effects.get("second_order", 0.0) * g**2
     output = output + _draw_noise(test, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
     columns: dict[str, Any] = {
@@ -222,8 +222,8 @@ def simulate_columns(
     if simulated.needs_supply_column(effects):
         columns["supply_voltage"] = test.average(test.supply)
     if campaign.frequency_sum:
-        jitter = 0.005 * generators["frequency"].standard_normal(g.size)  # Hz
-        columns["frequency_sum"] = true.frequency_sum + jitter
+        frequency_noise = 0.005 * generators["frequency"].standard_normal(g.size)  # Hz
+        columns["frequency_sum"] = truth.frequency_sum + frequency_noise
     return columns
 
 
@@ -240,8 +240,8 @@ def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[C
     simulated.validate_effects(effects, names, f"a {test.plan.device!r} device")
     generators = simulated.spawn_generators(RANDOM_STREAMS, seed)
     test.supply = simulated.simulate_supply(generators["supply"], test.time)
-    device = compute_device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
-    values = {"bias": device.bias, "scale": device.scale}
+    device_values = compute_device_truth(test, {n: effects.get(n, v) for n, v in CUBIC.items()})
+    values = {"bias": device_values.bias, "scale": device_values.scale}
     slot_draws = {slot: _draw_group_deviates(generators[slot], test) for slot in values}
     for name, size in effects.items():
         slot, cause = by_name.get(name, ("bias", ""))
@@ -251,7 +251,7 @@ def _truth(test: Conditions, effects: Mapping[str, float], seed: int) -> tuple[C
             values[slot] = values[slot] + size * test.average(BIAS_LAWS[name](test))
         elif cause in RANDOM:
             values[slot] = values[slot] + size * RANDOM[cause](test, slot_draws[slot])
-    return test, Truth(values["bias"], values["scale"], device.frequency_sum)
+    return test, Truth(values["bias"], values["scale"], device_values.frequency_sum)
 
 
 def _draw_group_deviates(generator: np.random.Generator, test: Conditions) -> dict[str, Array]:

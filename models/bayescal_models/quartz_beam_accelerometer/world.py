@@ -45,10 +45,10 @@ class Conditions(TimeGrid):
         self.time = STEP_S * np.arange(int(np.ceil(schedule.clock / STEP_S)) + 1, dtype=np.float64)
         knots, set_points = np.array(schedule.knots).T
         air = self.low_pass(np.interp(self.time, knots, set_points), plan.air_time)
-        powered = np.zeros(self.time.size)
+        power_state = np.zeros(self.time.size)
         for power_on, power_off in schedule.power:
-            powered[(self.time > power_on) & (self.time <= power_off)] = 1.0
-        circuit_drive = air + SELF_HEATING * powered
+            power_state[(self.time > power_on) & (self.time <= power_off)] = 1.0
+        circuit_drive = air + SELF_HEATING * power_state
         self.circuit = self.low_pass(circuit_drive, CIRCUIT_TAU_S, start=air[0])
         head_drive = (1 - COUPLING) * air + COUPLING * self.circuit
         self.head = self.low_pass(head_drive, HEAD_TAU_S)
@@ -56,15 +56,15 @@ class Conditions(TimeGrid):
         self.circuit_rate = 60.0 * (circuit_drive - self.circuit) / CIRCUIT_TAU_S
         self.head_rate = 60.0 * (head_drive - self.head) / HEAD_TAU_S
         self.supply = np.full(self.time.size, SUPPLY_V)
-        self.warm_up_fraction = self.low_pass(powered, WARM_UP_S)
+        self.warm_up_fraction = self.low_pass(power_state, WARM_UP_S)
         end_times, run, self.point, self.acceleration = map(
             np.array, zip(*schedule.readings, strict=True)
         )
         self.run, last_samples = run.astype(np.intp), np.rint(end_times / STEP_S).astype(np.intp)
         self.samples = last_samples[:, None] - np.arange(round(plan.average / STEP_S))[::-1]
         is_soaked = ~np.isnan(self.point)
-        pairs = np.column_stack([self.run, np.where(is_soaked, self.point, 0.0)])
-        _, codes = np.unique(pairs, axis=0, return_inverse=True)
+        cells = np.column_stack([self.run, np.where(is_soaked, self.point, 0.0)])
+        _, codes = np.unique(cells, axis=0, return_inverse=True)
         self.cell = np.where(is_soaked, codes.ravel(), -1)
 
 

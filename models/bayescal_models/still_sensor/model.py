@@ -77,7 +77,7 @@ def instrument(
     for name, value in settings.items():
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor({name}={value}): give a positive, finite number")
-    line, *candidates = catalogue.make_common_effects(
+    linear_effect, *candidates = catalogue.make_common_effects(
         "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=SIZE_SOURCE
     )
     constant_effect = catalogue.constant("bias.constant", constant, unit, CONSTANT_SOURCE)
@@ -87,8 +87,8 @@ def instrument(
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=_evaluate_response,
-        effects=(constant_effect, line) if span else (constant_effect,),
-        candidates=(*([] if span else [line]), *candidates),
+        effects=(constant_effect, linear_effect) if span else (constant_effect,),
+        candidates=(*([] if span else [linear_effect]), *candidates),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
         structures=(
             ("line", lambda: sensor.baseline()),

@@ -63,21 +63,21 @@ def build_equation(values: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], An
         return xp.stack([values[name] for name in names], axis=-1).reshape(r.size, 3, -1)
 
     bias, first_order = stack_slots(BIAS)[:, :, 0], stack_slots(FIRST_ORDER)
-    square = stack_slots(SQUARE)[:, :, 0] if SQUARE[0] in values else None
-    cross = stack_slots(CROSS) if CROSS[0] in values else None
-    cube = stack_slots(CUBE)[:, :, 0] if CUBE[0] in values else None
+    square_terms = stack_slots(SQUARE)[:, :, 0] if SQUARE[0] in values else None
+    cross_terms = stack_slots(CROSS) if CROSS[0] in values else None
+    cube_terms = stack_slots(CUBE)[:, :, 0] if CUBE[0] in values else None
 
     def outputs(force: Any) -> Any:
-        total = force + bias + xp.sum(first_order * force[:, None, :], axis=-1)
-        if square is not None:
-            total = total + square * force**2
-        if cube is not None:
-            total = total + cube * force**3
-        if cross is None:
-            return total
+        output = force + bias + xp.sum(first_order * force[:, None, :], axis=-1)
+        if square_terms is not None:
+            output = output + square_terms * force**2
+        if cube_terms is not None:
+            output = output + cube_terms * force**3
+        if cross_terms is None:
+            return output
         products = xp.stack(
             [force[:, i] * force[:, j] for i, j in ((0, 1), (0, 2), (1, 2))], axis=-1
         )
-        return total + xp.sum(cross * products[:, None, :], axis=-1)
+        return output + xp.sum(cross_terms * products[:, None, :], axis=-1)
 
     return outputs

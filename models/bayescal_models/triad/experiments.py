@@ -33,13 +33,13 @@ def poses(magnitude: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
 
 def rates(rate: float, temperatures: tuple[float, ...]) -> dict[str, Any]:
     """Return the columns of rotations at ±`rate`, °/s, with each axis up and down, at each temperature, °C."""
-    axis = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 2, axis=0)
-    columns = _plan_columns(len(axis), temperatures)
-    axis = np.tile(axis, (len(temperatures), 1))
-    columns |= {"rate": np.tile([rate, -rate], len(axis) // 2)}
+    axes = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 2, axis=0)
+    columns = _plan_columns(len(axes), temperatures)
+    axes = np.tile(axes, (len(temperatures), 1))
+    columns |= {"rate": np.tile([rate, -rate], len(axes) // 2)}
     for i, a in enumerate("xyz"):
-        columns[f"direction_{a}"] = columns[f"gravity_{a}"] = axis[:, i]
-        columns[f"output_{a}"] = columns["rate"] * axis[:, i]
+        columns[f"direction_{a}"] = columns[f"gravity_{a}"] = axes[:, i]
+        columns[f"output_{a}"] = columns["rate"] * axes[:, i]
     return columns
 
 

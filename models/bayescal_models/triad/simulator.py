@@ -48,13 +48,13 @@ def expand_sizes(
     Raises:
         ValueError: an unknown effect, or a size that is not a finite number.
     """
-    requested, names = dict(effects or {}), counts if names is None else names
-    for name, size in requested.items():
+    true_sizes, names = dict(effects or {}), counts if names is None else names
+    for name, size in true_sizes.items():
         raise_if(name not in names, f"unknown effect {name!r}: choose among {', '.join(names)}")
         raise_if(not np.all(np.isfinite(size)), f"{name}: its size {size!r} is not finite")
     sizes = {name: np.zeros(count) for name, count in counts.items()}
-    sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
-    for name, size in requested.items():
+    sizes |= {name: np.asarray(coefficients, float) for name, coefficients in baseline.items()}
+    for name, size in true_sizes.items():
         sizes[name] = size * FACTORS[: counts[name]] if np.ndim(size) == 0 else np.asarray(size)
     return sizes
 
@@ -127,10 +127,10 @@ def _simulate_poses(
     rng = np.random.default_rng(seed)
     rows_per_run = len(campaign.temperatures) * campaign.poses
     count = campaign.runs * rows_per_run
-    kind, sets = campaign.kind, range(campaign.runs * len(campaign.temperatures))
-    nominal = np.concatenate([draw_directions(kind, campaign.poses, rng) for _ in sets])
-    angle = campaign.pose_uncertainty or 0.0
-    force = campaign.magnitude * perturb_directions(nominal, angle, rng)
+    kind, set_indices = campaign.kind, range(campaign.runs * len(campaign.temperatures))
+    nominal = np.concatenate([draw_directions(kind, campaign.poses, rng) for _ in set_indices])
+    pose_sd = campaign.pose_uncertainty or 0.0
+    force = campaign.magnitude * perturb_directions(nominal, pose_sd, rng)
     temperature = np.tile(np.repeat(campaign.temperatures, campaign.poses), campaign.runs)
     run = np.repeat(np.arange(campaign.runs), rows_per_run)
     time = campaign.interval * np.arange(count) + 3600.0 * run
@@ -153,7 +153,7 @@ def _simulate_poses(
     table |= {f"output_{a}": output[:, i] for i, a in enumerate("xyz")}
     if campaign.pose_uncertainty is not None:
         table |= {f"direction_{a}": nominal[:, i] for i, a in enumerate("xyz")}
-        table["pose_uncertainty"] = np.full(count, angle)
+        table["pose_uncertainty"] = np.full(count, pose_sd)
     return table
 
 
@@ -186,11 +186,11 @@ def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarr
     elif kind == "six":
         vectors = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (count, 3))
     elif kind == "twelve":
-        pairs = [
+        axis_pairs = [
             (i, j, s, t) for i, j in ((0, 1), (0, 2), (1, 2)) for s in (1, -1) for t in (1, -1)
         ]
         vectors = np.zeros((12, 3))
-        for row, (i, j, s, t) in zip(vectors, pairs, strict=True):
+        for row, (i, j, s, t) in zip(vectors, axis_pairs, strict=True):
             row[i], row[j] = s, t
         vectors = np.resize(vectors, (count, 3))
     elif kind == "planar":
@@ -206,5 +206,5 @@ def draw_directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarr
 
 def perturb_directions(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
     """Return directions (n, 3) rotated by random angles with standard deviation `angle`, rad, about each cross axis."""
-    perturbed = direction + angle * rng.standard_normal(direction.shape)
-    return perturbed / np.linalg.norm(perturbed, axis=1)[:, None]
+    vectors = direction + angle * rng.standard_normal(direction.shape)
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]

@@ -24,15 +24,15 @@ def fit_polynomial(time: Array, records: Array) -> Array:
     return records @ np.linalg.pinv(np.vander(t, POLYNOMIAL_DEGREE + 1, increasing=True)).T
 
 
-def ratio_variance(coefficients: Array, n_outer: int) -> Array:
+def ratio_variance(coefficients: Array, outer_count: int) -> Array:
     """Return the variance over i of the coefficient ratio c_i(outer)/c_i(inner) of every pair, (…, outer, inner).
 
     Args:
         coefficients: c_i of each device, outer first, (…, K, 4).
-        n_outer: number of outer devices.
+        outer_count: number of outer devices.
     """
-    outer_values = coefficients[..., :n_outer, None, :]
-    inner_values = coefficients[..., None, n_outer:, :]
+    outer_values = coefficients[..., :outer_count, None, :]
+    inner_values = coefficients[..., None, outer_count:, :]
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.var(outer_values / inner_values, axis=-1)
     return np.where(np.isfinite(variance), variance, np.inf)
@@ -46,24 +46,24 @@ def compute_residual_rms(environment: Array, scale: Array, ratio: Array) -> Arra
         scale: 1 + κ, (…, K).
         ratio: λbd of each pair, (outer, inner).
     """
-    n_outer = len(ratio)
+    outer_count = len(ratio)
     products = environment @ np.swapaxes(environment, -1, -2) / environment.shape[-1]
     squares = np.diagonal(products, axis1=-2, axis2=-1)
-    outer_values, inner_values = squares[..., :n_outer, None], squares[..., None, n_outer:]
-    mean_square = outer_values - 2 * ratio * products[..., :n_outer, n_outer:]
+    outer_values, inner_values = squares[..., :outer_count, None], squares[..., None, outer_count:]
+    mean_square = outer_values - 2 * ratio * products[..., :outer_count, outer_count:]
     mean_square = mean_square + ratio**2 * inner_values
-    divisor = scale[..., :n_outer, None] + ratio * scale[..., None, n_outer:]
+    divisor = scale[..., :outer_count, None] + ratio * scale[..., None, outer_count:]
     return np.sqrt(np.maximum(mean_square, 0.0)) / np.abs(divisor)
 
 
-def compute_ratio_of_sums(environment: Array, n_outer: int) -> Array:
+def compute_ratio_of_sums(environment: Array, outer_count: int) -> Array:
     """Return the environment ratio Σ(a1 − λ1·a − Σw1)/Σ(a2 + λ2·a − Σw2) of every pair (source 3, step 2).
 
     The estimate is unreliable if Σu is near zero, and attributes any offset of the records to the environment.
 
     Args:
         environment: records without known contributions, outer devices first, µg, (K, T).
-        n_outer: number of outer devices.
+        outer_count: number of outer devices.
     """
     total = environment.sum(axis=-1)
-    return total[:n_outer, None] / total[None, n_outer:]
+    return total[:outer_count, None] / total[None, outer_count:]

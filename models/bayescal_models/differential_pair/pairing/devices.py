@@ -108,22 +108,22 @@ def devices_of(calibration: bc.Calibration) -> Devices:
         u = u + np.asarray(samples["environment.temperature"])[:, None, None] * temperature_change
     departures, departure_rms = _draw_v(samples, records, basis)
     environment = sensitivity[:, :, None] * u + higher + departures
-    zero = np.zeros_like(sensitivity)
-    fitted = bc.predict(calibration, readings, new_groups=False).mean
+    zeros = np.zeros_like(sensitivity)
+    fitted_outputs = bc.predict(calibration, readings, new_groups=False).mean
     return Devices(
         records.names,
         records.outer,
         records.time,
-        scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zero))[..., records.order],
+        scale=1.0 + 1e-6 * np.asarray(samples.get("scale.device", zeros))[..., records.order],
         sensitivity=sensitivity,
         shared=(u + higher).mean(axis=1),
         environment=environment,
         departure=departure_rms,
-        bias=np.asarray(samples.get("bias.device", zero))[..., records.order],
+        bias=np.asarray(samples.get("bias.device", zeros))[..., records.order],
         noise=np.asarray(samples["noise.white"]),
         commanded=readings["acceleration"][records.rows].mean(axis=0),
         records=readings["output"][records.rows],
-        known=fitted[records.rows] - environment.mean(axis=0),
+        known=fitted_outputs[records.rows] - environment.mean(axis=0),
         others=tuple(n for n in calibration.model.names if n not in EFFECTS),
     )
 
@@ -131,11 +131,11 @@ def devices_of(calibration: bc.Calibration) -> Devices:
 def _draw_v(samples: Mapping[str, Array], records: _Records, basis: Array) -> tuple[Array, Array]:
     """Return draws of each device's departure v(t), µg, (d, K, T), and of the rms of v over a record, µg, (d,)."""
     if DEPARTURE_SHARE_NAME not in samples:
-        zero = np.zeros(len(samples[SENSITIVITY_NAME]))
-        return zero[:, None, None], zero
-    share = np.asarray(samples[DEPARTURE_SHARE_NAME])
+        zeros = np.zeros(len(samples[SENSITIVITY_NAME]))
+        return zeros[:, None, None], zeros
+    relative_rms = np.asarray(samples[DEPARTURE_SHARE_NAME])
     orders = np.stack([samples[n][:, records.order] for n in list_order_names(DEPARTURE)], axis=-1)
-    return orders @ basis[:ORDERS], share * DISTURBANCE_UG
+    return orders @ basis[:ORDERS], relative_rms * DISTURBANCE_UG
 
 
 @dataclass(frozen=True)
@@ -168,11 +168,11 @@ def _arrange_records(readings: bc.Measurements) -> _Records:
     rows = [np.flatnonzero(codes == i) for i in order]
     rows = [r[np.argsort(readings["time"][r], kind="stable")] for r in rows]
     time = readings["time"][rows[0]]
-    for i, row in zip(order, rows, strict=True):
-        if len(row) != len(time) or not np.allclose(readings["time"][row], time, atol=1e-3):
+    for i, indices in zip(order, rows, strict=True):
+        if len(indices) != len(time) or not np.allclose(readings["time"][indices], time, atol=1e-3):
             raise bc.InputError(
                 f"{readings.file}, column 'time': device {names[i]!r} has other reading times than "
-                f"{names[order[0]]!r} ({len(row)} and {len(time)} readings); devices are compared reading by "
+                f"{names[order[0]]!r} ({len(indices)} and {len(time)} readings); devices are compared reading by "
                 "reading: interpolate the records to common times"
             )
     outer = sum(side == "outer" for side in sides.values())

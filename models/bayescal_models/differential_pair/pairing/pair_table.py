@@ -164,12 +164,12 @@ def list_remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
         pairs: all pairs, the best first.
         commanded: commanded acceleration, µg, (T,).
     """
-    sentences, best = [], pairs[0]
+    remarks, best = [], pairs[0]
     residual_pair = min(pairs, key=lambda p: p.expected_residual)
     ratio_pair = max(pairs, key=lambda p: p.probability_ratio_variance)
     raw_pair = max(pairs, key=lambda p: p.probability_ratio_variance_raw)
     if residual_pair.names != ratio_pair.names:
-        sentences.append(
+        remarks.append(
             f"The criteria disagree. Smallest residual: {residual_pair} ({residual_pair.expected_residual:.0f} µg, "
             f"probability {residual_pair.probability_residual:.2f}). Smallest variance of ratios, most probably: "
             f"{ratio_pair} ({ratio_pair.expected_residual:.0f} µg, expected loss {ratio_pair.expected_loss:.0f} µg). "
@@ -180,23 +180,23 @@ def list_remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
     if near_zero:
         terms = ", ".join(f"order {n} of {name}" for name, n in near_zero[:4])
         remainder = f" and {len(near_zero) - 4} more" if len(near_zero) > 4 else ""
-        sentences.append(
+        remarks.append(
             f"Ratios with denominators near zero: {terms}{remainder}. They are heavy-tailed, without a finite mean; "
             "their noise dominates the variance of ratios; the residual does not depend on them."
         )
-    sentences.append(
+    remarks.append(
         "On raw records (P(raw)) the commanded acceleration dominates every order, so that the variance of ratios "
         "favours pairs of low sensitivity, matched or not: here "
         f"{raw_pair} ({raw_pair.expected_residual:.0f} µg)."
     )
     if np.ptp(commanded) <= MIN_RELATIVE_VARIATION * np.abs(commanded).max():
-        sentences.append(
+        remarks.append(
             "At constant acceleration a device's scale factor and the constant part of its environment are confounded: "
             "record steps."
         )
     if not best.environment_ratio.document_reliable:
-        sentences.append(
+        remarks.append(
             f"The environment ratio of {best} from sums over the record ({best.environment_ratio.document:.3g}) is "
             "unreliable, because its denominator is near zero: use the posterior median."
         )
-    return tuple(sentences)
+    return tuple(remarks)

@@ -43,15 +43,15 @@ def select(batch: bc.Calibration | Devices, *, criterion: str = "residual") -> P
     devices = batch if isinstance(batch, Devices) else devices_of(batch)
     scores = evaluate_pairs(devices)
     indices = np.ndindex(scores.residual.shape[1:])
-    ranked = sorted(
+    ranked_pairs = sorted(
         (_build_pair(devices, scores, *at) for at in indices), key=partial(_rank, criterion)
     )
     return PairTable(
-        tuple(ranked),
-        ranked[0].names,
+        tuple(ranked_pairs),
+        ranked_pairs[0].names,
         _match_pairs(devices, scores, criterion),
         criterion,
-        remarks=pair_table.list_remarks(ranked, devices.commanded),
+        remarks=pair_table.list_remarks(ranked_pairs, devices.commanded),
     )
 
 
@@ -87,15 +87,15 @@ def evaluate_pairs(devices: Devices) -> Scores:
     ):
         pair_fields[f"probability_{name}"] = _find_fraction(criteria.ratio_variance(draws, outer))
         pair_fields[name] = criteria.ratio_variance(criteria.fit_polynomial(time, records), outer)
-    low, lower, upper, high = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
-    near_zero_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
+    q025, q16, q84, q975 = np.quantile(ratios, (0.025, 0.1587, 0.8413, 0.975), axis=0)
+    has_small_sum = _is_near_zero(devices.environment[:, outer:].mean(axis=-1))
     ratio_fields = {
         "median": median,
-        "low": low,
-        "high": high,
-        "sd": 0.5 * (upper - lower),
+        "low": q025,
+        "high": q975,
+        "sd": 0.5 * (q84 - q16),
         "document": criteria.compute_ratio_of_sums(env_records, outer),
-        "document_reliable": np.broadcast_to(np.logical_not(near_zero_sum), median.shape),
+        "document_reliable": np.broadcast_to(np.logical_not(has_small_sum), median.shape),
     }
     return Scores(pair_fields, ratio_fields, residual, _is_near_zero(env_terms[:, outer:]))
 
@@ -135,6 +135,6 @@ def _match_pairs(devices: Devices, scores: Scores, criterion: str) -> tuple[tupl
     """Return the set of disjoint pairs with the smallest total residual or, by other criteria, largest probability."""
     probability = scores.pair_fields[f"probability_{criterion.replace('-', '_')}"]
     cost = scores.pair_fields["expected_residual"] if criterion == "residual" else -probability
-    rows, columns = linear_sum_assignment(cost)
-    matched = sorted(zip(rows, columns, strict=True), key=lambda at: cost[at])
-    return tuple((devices.names[i], devices.names[devices.outer + j]) for i, j in matched)
+    outer_indices, inner_indices = linear_sum_assignment(cost)
+    matched_pairs = sorted(zip(outer_indices, inner_indices, strict=True), key=lambda at: cost[at])
+    return tuple((devices.names[i], devices.names[devices.outer + j]) for i, j in matched_pairs)
